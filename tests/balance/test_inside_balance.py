@@ -915,7 +915,7 @@ def test_resonance_of_an_undamped_mode(paper_structure: Structure, mode: int) ->
 @pytest.mark.parametrize("omega", [-1.0, np.nan, np.inf])
 def test_frequency_that_cannot_be(omega: float) -> None:
     """A frequency is finite and not negative."""
-    catch_error(lambda: DynamicStiffness(random_structure(), omega), "omega")
+    catch_error(lambda: DynamicStiffness(random_structure(), omega), "omega", omega)
 
 
 # --- several ranks --------------------------------------------------------------------------------

@@ -746,7 +746,7 @@ KEYS: list[tuple[dict[str, Any], str]] = [
 @pytest.mark.parametrize(("changes", "key"), KEYS, ids=range(len(KEYS)))
 def test_bad_keys_are_named(folder: Path, scene: Scene, changes: dict[str, Any], key: str) -> None:
     settings = {k: str(folder / v) if isinstance(v, str) else v for k, v in changes.items()}
-    catch_error(lambda: fc.build_structure(scene.replace(settings)), key)
+    catch_error(lambda: fc.build_structure(scene.replace(settings)), key, settings.get(key, ...))
 
 
 @pytest.mark.parametrize(

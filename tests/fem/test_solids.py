@@ -890,7 +890,7 @@ BAD = [
 
 @pytest.mark.parametrize(("key", "changes"), BAD, ids=[f"{k}-{i}" for i, (k, _) in enumerate(BAD)])
 def test_bad_input_is_named(key: str, changes: dict[str, Any]) -> None:
-    catch_error(lambda: solid(ELLIPSE, **changes), key)
+    catch_error(lambda: solid(ELLIPSE, **changes), key, changes.get(key, ...))
 
 
 def test_the_order_of_a_mesh_is_that_of_its_dimension() -> None:

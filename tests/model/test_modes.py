@@ -174,7 +174,9 @@ def test_what_is_lost_in_rounding_is_said(height: float) -> None:
 def test_count_that_cannot_be(count: Any) -> None:
     """The number of modes is a whole number from 1 to the number of dofs."""
     catch_error(
-        lambda: solve_modes(Structure.from_matrices(*random_matrices(30), gap=None), count), "count"
+        lambda: solve_modes(Structure.from_matrices(*random_matrices(30), gap=None), count),
+        "count",
+        count,
     )
 
 

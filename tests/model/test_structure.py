@@ -265,7 +265,7 @@ def test_bad_matrix_market_file(content: str, tmp_path: Path) -> None:
 )
 def test_wrong_modal_damping(key: str, arguments: tuple[Any, ...]) -> None:
     """Ratios must be finite and not negative, the number of modes a whole number from 1 on."""
-    catch_error(lambda: ModalDamping(*arguments), key)
+    catch_error(lambda: ModalDamping(*arguments), key, arguments[-1])
 
 
 ANY_ARRAY = arrays(
@@ -357,7 +357,9 @@ def test_values_at() -> None:
 @pytest.mark.parametrize("dofs", [[N], [-1], [0, 99], [0.5], [np.nan], "x", None])
 def test_values_at_refuses(dofs: Any) -> None:
     """A dof that does not exist is refused, negative ones too."""
-    catch_error(lambda: Structure.from_matrices(**good()).values_at(np.zeros((1, N)), dofs), "dofs")
+    catch_error(
+        lambda: Structure.from_matrices(**good()).values_at(np.zeros((1, N)), dofs), "dofs", dofs
+    )
 
 
 # --- related structures ---------------------------------------------------------------------------
@@ -391,7 +393,7 @@ def test_tied_plate(paper_structure: Structure) -> None:
 @pytest.mark.parametrize("stiffness", [-1.0, np.nan, [1.0, 2.0, 3.0], "hard", np.inf])
 def test_tied_refuses(stiffness: Any) -> None:
     """The stiffness is one finite number, or one for each pair; no springs push apart."""
-    catch_error(lambda: Structure.from_matrices(**good()).tied(stiffness), "stiffness")
+    catch_error(lambda: Structure.from_matrices(**good()).tied(stiffness), "stiffness", stiffness)
 
 
 def test_damped() -> None:

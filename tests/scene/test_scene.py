@@ -357,7 +357,7 @@ def test_replace_removes_an_optional_table() -> None:
 )
 def test_replace_refuses(key: str, value: object) -> None:
     """`replace` refuses keys that do not exist and values that a file could not give either."""
-    catch_error(lambda: Scene.from_mapping(GOOD).replace({key: value}), key)
+    catch_error(lambda: Scene.from_mapping(GOOD).replace({key: value}), key, value)
 
 
 def test_replace_makes_a_missing_table() -> None:
