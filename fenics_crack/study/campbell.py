@@ -559,10 +559,8 @@ def report_of_campbell(diagram: Campbell) -> Report:
     if not notes and load_engine_order is None:
         notes = [f"engine orders 1 to {MAX_REPORTED_ORDER} meet none"]
     if text := describe_coriolis(diagram.coriolis):
-        notes.append(
-            f"at {format_in_unit(choose_speed_factor_name_unit(scene.is_speed_in_rpm), diagram.speed[-1])} "
-            f"{text}"
-        )
+        speed_axis = choose_speed_factor_name_unit(scene.is_speed_in_rpm)
+        notes.append(f"at {format_in_unit(speed_axis, diagram.speed[-1])} {text}")
     column_names = ["rpm" if scene.is_speed_in_rpm else "speed", "mode"]
     column_names += [
         *(f"{frequency_prefix}_{kind}" for kind in diagram.kinds),
