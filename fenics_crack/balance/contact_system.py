@@ -50,6 +50,7 @@ from fenics_crack.balance.friction_integrals import (
     integrals_with_coupled_pairs,
 )
 from fenics_crack.basics.errors import ConvergenceError, InputError
+from fenics_crack.basics.suggestions import with_old_names
 from fenics_crack.basics.tables import hertz_property
 from fenics_crack.kernel import Struct, attach_destructor, kernel, pointer, require_shape
 from fenics_crack.model.contact import (
@@ -405,6 +406,13 @@ class ContactPoint(DenseLinearisation):
 # --- the motion -----------------------------------------------------------------------------------
 
 
+@with_old_names(
+    at_phase="basis_gaps_and_forces_at_phases",
+    coordinates="displacement_of_local_dofs",
+    force_rows="row_force_coefficients",
+    gap_rows="row_gap_coefficients",
+    over_period="basis_gaps_and_forces_over_period",
+)
 @dataclass(frozen=True, repr=False)
 class Wave:
     """Motion u(t) = a0 + sum_k a_k cos(k w t) + b_k sin(k w t), w = omega / subharmonic.

@@ -59,6 +59,7 @@ from fenics_crack.basics.errors import (
     check_omega,
 )
 from fenics_crack.basics.progress import begin_stage
+from fenics_crack.basics.suggestions import with_old_names
 from fenics_crack.basics.threads import machine_memory
 from fenics_crack.kernel import kernel
 from fenics_crack.model.contact import (
@@ -132,6 +133,7 @@ MAX_FRICTION_SEARCH_WORK = 8e6
 largest Jacobian that is formed. It takes 1 to 3 s."""
 
 
+@with_old_names(compliance="compliance_model", cutoff="quasi_static_above")
 @dataclass(frozen=True)
 class Problem:
     """A structure under its load, the law of its pairs, and how its motion is balanced.

@@ -11,6 +11,7 @@ import functools
 import math
 import os
 import re
+import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from numbers import Integral, Real
 from typing import Any, TypeVar, cast
@@ -18,6 +19,7 @@ from typing import Any, TypeVar, cast
 from fenics_crack.basics.errors import InputError
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+Class = TypeVar("Class")
 
 MIN_LIKENESS = 0.7
 """Minimum likeness of a misspelt word and the suggested word (ratio of difflib)."""
@@ -250,6 +252,31 @@ def fit_argument_to_annotation(
             key, value if is_plain_value else type(value).__name__, " or ".join(class_descriptions)
         )
     return value
+
+
+def with_old_names(**new_name_by_old_name: str) -> Callable[[type[Class]], type[Class]]:
+    """Let a class answer old names of attributes, with a FutureWarning.
+
+    An old name stays for one version (docs/contributing.md, "What stays").
+    """
+
+    def add_old_names(changed_class: type[Class]) -> type[Class]:
+        for old_name, new_name in new_name_by_old_name.items():
+            read_attribute = functools.partial(_read_by_old_name, old_name, new_name)
+            setattr(changed_class, old_name, property(read_attribute, doc=f"Old name: {new_name}."))
+        return changed_class
+
+    return add_old_names
+
+
+def _read_by_old_name(old_name: str, new_name: str, instance: object) -> Any:
+    """Return an attribute by its new name, and warn that the old name will go."""
+    class_name = type(instance).__name__
+    message = (
+        f"{class_name}.{old_name} is {class_name}.{new_name} now; the old name will be refused"
+    )
+    warnings.warn(message, FutureWarning, stacklevel=2)
+    return getattr(instance, new_name)
 
 
 def check_calls(

@@ -21,6 +21,7 @@ import numpy as np
 
 from fenics_crack.basics.atomic_files import write_file_whole
 from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
+from fenics_crack.basics.suggestions import with_old_names
 
 MAX_PRINTED_ROWS = 40
 """Maximum rows of a table as text and as HTML; files have all rows."""
@@ -182,6 +183,7 @@ class Conclusion:
         )
 
 
+@with_old_names(said="build_conclusion")
 class Described:
     """A result that describes itself: in one line, as a table in a notebook, as a dict."""
 

@@ -38,7 +38,7 @@ from fenics_crack.basics.errors import (
     check_count,
     check_number,
 )
-from fenics_crack.basics.suggestions import fit_argument_to_annotation
+from fenics_crack.basics.suggestions import fit_argument_to_annotation, with_old_names
 from fenics_crack.basics.tables import format_count, format_in_unit
 from fenics_crack.curves.balance_equations import EQUATIONS_CLASS_BY_PARAMETER
 from fenics_crack.curves.branch import ReturnToParent, find_branch_start_point
@@ -312,6 +312,7 @@ class GrowingCurve:
         return self.points[-1]
 
 
+@with_old_names(progress="progress_fraction")
 class Continuation(GrowingCurve):
     """Curve that grows point by point: iterate over it, and take its ``curve`` at any time.
 

@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.basics.errors import InputError, check_number
+from fenics_crack.basics.suggestions import with_old_names
 from fenics_crack.basics.tables import Described
 from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.scene.scene import Scene
@@ -46,6 +47,7 @@ MIN_OBSERVED_ORDER = 0.5
 """Minimum observed order in the asymptotic range."""
 
 
+@with_old_names(is_asymptotic="has_error_from_limit")
 @dataclass(frozen=True, repr=False)
 class GridConvergence(Described):
     """Hold values at several step sizes, and their error.

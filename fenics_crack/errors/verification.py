@@ -20,6 +20,7 @@ from fenics_crack.basics.causes import (
 )
 from fenics_crack.basics.errors import DEFAULT_ERROR_TOLERANCE, check_choice
 from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
+from fenics_crack.basics.suggestions import with_old_names
 from fenics_crack.basics.tables import (
     Conclusion,
     Table,
@@ -46,6 +47,14 @@ DOUBT_TEXT_BY_BEHAVIOUR = {
 # --- the result -----------------------------------------------------------------------------------
 
 
+@with_old_names(
+    dents="point_force_warnings",
+    incomplete="incomplete_error_notes",
+    left_out="omitted_causes_and_reasons_text",
+    missing_causes="find_reasons_by_missing_cause",
+    text="to_json",
+    without="omitted_causes_text",
+)
 @dataclass(frozen=True, repr=False)
 class Verification(SavedResult):
     """Hold the contributions to the error of a scene's result.

@@ -32,6 +32,7 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.suggestions import with_old_names
 from fenics_crack.basics.tables import hertz_property
 from fenics_crack.model.body import Body
 from fenics_crack.model.factor import make_matrix_from_local_rows
@@ -234,6 +235,7 @@ class MasslessBody(ReducedBody):
     inverse_compliance_root: np.ndarray
 
 
+@with_old_names(rate="modal_damping", residual="residual_compliance")
 class MasslessStructure(QuasiStaticReduction):
     """Structure reduced to modes with mass and crack faces without mass.
 

@@ -32,7 +32,7 @@ from fenics_crack.basics.errors import (
     check_number,
     check_rayleigh_damping_ratios,
 )
-from fenics_crack.basics.suggestions import check_calls
+from fenics_crack.basics.suggestions import check_calls, with_old_names
 from fenics_crack.basics.tables import format_count
 from fenics_crack.basics.threads import run_single_threaded
 from fenics_crack.model.body import DEFAULT_SETTING, MATRIX_INDEPENDENT_FIELD_NAMES, Body, Setting
@@ -241,6 +241,11 @@ def shared_property(compute: Callable[[Any], Any]) -> Any:
 AnyStructure = TypeVar("AnyStructure", bound="Structure")
 
 
+@with_old_names(
+    check_dofs="as_dof_numbers",
+    watched_sector="watched_sector_index",
+    watched_sector_load="watched_sector_load_rows",
+)
 class Structure(Coordinates):
     """A linear structure with contact pairs; read-only.
 

@@ -39,6 +39,7 @@ from fenics_crack.basics.observables import (
     observable_names,
     read_observables,
 )
+from fenics_crack.basics.suggestions import with_old_names
 from fenics_crack.basics.tables import Tabular, hertz_property
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.structure import Structure
@@ -420,6 +421,7 @@ class ObservedDisplacement(NamedTuple):
     real_fourier_coefficients: np.ndarray
 
 
+@with_old_names(measure="indicators_of_dofs", observe="observe_dofs")
 class ObservedMotion:
     """A motion, or many along a curve, with numbers from its records."""
 

@@ -42,6 +42,7 @@ import scipy.sparse as sparse
 from scipy.linalg.lapack import dgeev
 
 from fenics_crack.basics.errors import ConvergenceError
+from fenics_crack.basics.suggestions import with_old_names
 from fenics_crack.basics.tables import Described, format_count, hertz_property
 from fenics_crack.kernel import kernel
 from fenics_crack.model.structure import Structure
@@ -119,6 +120,9 @@ class Prediction(NamedTuple):
         return self.solution_track.tangent
 
 
+@with_old_names(
+    inverse="i_minus_m_solver", sampled="period_samples", sliding="friction_number_by_name"
+)
 @dataclass(frozen=True, repr=False)
 class PeriodicOrbit(ObservedMotion, Described):
     """A periodic orbit of the exact flow.

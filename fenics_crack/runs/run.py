@@ -13,6 +13,7 @@ import numpy as np
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import on_root
+from fenics_crack.basics.suggestions import with_old_names
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.peak import Peak
 from fenics_crack.errors.stated import estimate_result_errors
@@ -36,6 +37,7 @@ class ResultAttribute:
         return self if run is None else getattr(run.result, self.attribute_name)
 
 
+@with_old_names(watched_name="watched_description")
 @dataclass(frozen=True, repr=False)
 class Run(StudyWithResult, Generic[ResultType]):
     """A study with its result, and with the result's attributes: ``run.amplitude()``.

@@ -29,6 +29,7 @@ from fenics_crack.basics.suggestions import (
     find_similar_names,
     find_similar_or_longer_names,
     format_scene_value,
+    with_old_names,
 )
 from fenics_crack.basics.tables import (
     RAD_PER_S_PER_RPM,
@@ -59,6 +60,18 @@ MAX_ALLOWED_SIDE_RATIO = 1e4
 """Maximum allowed ratio between a plate's sides, either way."""
 
 
+@with_old_names(
+    all_cracks="crack_by_name",
+    at_rest="without_rotation",
+    axis="axis_point_and_direction",
+    damped_modes="n_damped_modes",
+    has_element_lengths="has_graded_lengths",
+    in_hertz="is_frequency_in_hertz",
+    in_rpm="is_speed_in_rpm",
+    point_names="label_by_point_name",
+    points="output_points",
+    swept="swept_values_by_key",
+)
 @dataclass(frozen=True, repr=False)
 class Scene:
     """A cracked structure, the load, and the settings for computing the vibration.

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import catch_error
+from helpers import ROOT, catch_error
 from mpi4py import MPI
 from test_any_input import TINY
 
@@ -143,3 +143,10 @@ def test_a_misspelt_option_of_a_picture_leads_on() -> None:
         False,
         names=r"did you mean legend\?",
     )
+
+
+def test_an_old_name_of_an_attribute_is_answered_with_a_warning() -> None:
+    """For one version."""
+    scene = fc.Scene.load(ROOT / "demos" / "blade.toml")
+    with pytest.warns(FutureWarning, match="Scene.in_hertz is Scene.is_frequency_in_hertz now"):
+        assert scene.in_hertz == scene.is_frequency_in_hertz
