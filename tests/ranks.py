@@ -36,7 +36,7 @@ import numpy as np
 from fenics_crack.sweep.file import SweepFile
 record = SweepFile.write_pending_cases
 def held(self, *given):
-    while np.count_nonzero(self.state) >= {cases} and not Path({go!r}).exists():
+    while np.count_nonzero(self.case_states) >= {cases} and not Path({go!r}).exists():
         time.sleep(0.01)
     record(self, *given)
 SweepFile.write_pending_cases = held
