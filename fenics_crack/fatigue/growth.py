@@ -492,10 +492,12 @@ def _grow_ellipse(
         scene = scene.replace({"reduction.method": "massless", "reduction.modes": N_ELLIPSE_MODES})
     n_surface_ends = 1 if crack.edge else 2
     max_length = on_root(comm, lambda: _find_max_ellipse_length(scene))
+    if max_length <= 0.0:
+        allowed_text = "inside a face with [growth]: at an edge, one end of the ellipse is outside"
+        raise InputError("crack.point", crack.point, allowed_text)
     if crack.given("length") >= max_length:
-        raise InputError(
-            "crack.length", crack.length, f"below {max_length:g} with [growth]: the sides"
-        )
+        allowed_text = f"below {max_length:g}: its ends must stay away from the sides to grow"
+        raise InputError("crack.length", crack.length, allowed_text)
     sizes_by_key = {
         "crack.depth": np.geomspace(crack.given("depth"), law.until, N_ELLIPSE_SIZES_PER_AXIS),
         "crack.length": np.geomspace(crack.given("length"), max_length, N_ELLIPSE_SIZES_PER_AXIS),
