@@ -320,21 +320,13 @@ class Steep(Cubic):
 @pytest.mark.parametrize("throw", [True, False])
 def test_a_wrong_tangent_is_named_where_newton_fails(throw: bool) -> None:
     """Advice on harmonics and damping helps nobody then; it stays that of a law that is right."""
-    unit = np.eye(1)
     solutions = {}
     for force in (0.3, 3.0):
-        load = fc.Structure.from_matrices(
-            unit, unit, gap=unit, force_cos=[force], damping=0.05 * unit
-        )
+        solve = partial(fc.solve_harmonic_balance, oscillator(0.05, force), 1.5, harmonics=9)
         catch_error(
-            partial(fc.solve_harmonic_balance, load, 1.5, Steep(100.0), harmonics=9, throw=throw),
-            "contact",
-            "Steep",
-            names=r"tangent\(gap\)",
+            partial(solve, Steep(100.0), throw=throw), "contact", "Steep", names=r"tangent\(gap\)"
         )
-        solutions[force] = fc.solve_harmonic_balance(
-            load, 1.5, Cubic(100.0), harmonics=9, throw=False
-        )
+        solutions[force] = solve(Cubic(100.0), throw=False)
     assert solutions[0.3].converged and not solutions[3.0].converged
     assert "try other harmonics" in solutions[3.0].status
 

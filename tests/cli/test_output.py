@@ -63,16 +63,16 @@ def test_points_that_cannot_be_watched(scene: fc.Scene, point: Any, nearest: str
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        ("quantities", ["amplitud"]), ("quantities", []), ("quantities", "amplitude"),
-        ("quantities", ["mean", "mean"]), ("points", {"a.b": [0.0, 0.0]}), ("points", [0.0, 0.0]),
-        ("points", {"tip": [0.0]}), ("points", {"": [0.0, 0.0]}),
+        ("output.quantities", ["amplitud"]), ("output.quantities", []),
+        ("output.quantities", "amplitude"), ("output.quantities", ["mean", "mean"]),
+        ("output.points", {"a.b": [0.0, 0.0]}), ("output.points", [0.0, 0.0]),
+        ("output.points", {"tip": [0.0]}), ("output.points", {"": [0.0, 0.0]}),
     ],
 )  # fmt: skip
 def test_output_refuses(paper_scene: fc.Scene, key: str, value: Any) -> None:
     """Unknown quantities, names with dots, and what is no point; it says what is known."""
-    names = "amplitude, mean, " if key == "quantities" else None
-    full_key = f"output.{key}"
-    catch_error(lambda: paper_scene.replace({full_key: value}), full_key, value, names=names)
+    names = "amplitude, mean, " if key == "output.quantities" else None
+    catch_error(lambda: paper_scene.replace({key: value}), key, value, names=names)
 
 
 def test_scene_with_output_is_read_back(scene: fc.Scene) -> None:

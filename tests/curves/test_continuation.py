@@ -199,14 +199,7 @@ def test_curve_over_another_parameter(name: str) -> None:
         factor = float(curve.values[index]) if name == "stiffness" else 1.0
         if name != "stiffness":
             factors[name] = float(curve.values[index])
-        by_hand = fc.Structure.from_matrices(
-            np.eye(1),
-            np.eye(1),
-            gap=np.eye(1),
-            force_cos=[factors["load"]],
-            damping=0.1 * factors["damping"] * np.eye(1),
-            clearance=factors["clearance"],
-        )
+        by_hand = oscillator(0.1 * factors["damping"], factors["load"], factors["clearance"])
         solution = fc.solve_harmonic_balance(
             by_hand, 1.2, law.scaled(factor), harmonics=8, initial=curve.solution(index)
         )
@@ -335,10 +328,9 @@ def test_bad_arguments_of_a_continuation(key: str, arguments: dict[str, object])
 
 def test_damping_that_is_not_there_cannot_vary() -> None:
     """A factor of the damping is refused where there is no damping."""
-    unit = np.ones((1, 1))
-    bare = fc.Structure.from_matrices(unit, unit, gap=unit, force_cos=[1.0])
+    law = fc.UnilateralPenalty(1.0)
     catch_error(
-        lambda: fc.continue_parameter(bare, 1.2, fc.UnilateralPenalty(1.0), "damping", 1.0, 2.0),
+        lambda: fc.continue_parameter(oscillator(None), 1.2, law, "damping", 1.0, 2.0),
         "parameter",
         "damping",
     )
@@ -403,11 +395,7 @@ def test_load_does_not_pass_zero_without_clearance() -> None:
         "start, end",
         (1.0, -1.0),
     )
-    unit = np.ones((1, 1))
-    structure = fc.Structure.from_matrices(
-        unit, unit, gap=unit, force_cos=[1.0], damping=0.1 * unit, clearance=0.1
-    )
-    curve = fc.continue_parameter(structure, 1.2, law, "load", 1.0, -1.0)
+    curve = fc.continue_parameter(oscillator(clearance=0.1), 1.2, law, "load", 1.0, -1.0)
     assert curve.complete and len(curve) < 500
 
 

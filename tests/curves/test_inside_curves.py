@@ -732,11 +732,6 @@ def test_rigid_contact_of_pairs_with_mass_has_no_verdicts() -> None:
     """Said before anything is followed, with what to do instead."""
     structure, law = chain("modal"), fc.UnilateralConstraint()
     catch_error(
-        lambda: fc.Continuation(fc.Problem(structure, 1.0, law), "omega", 1.0, 1.2, stability=True),
-        "structure",
-        names="massless",
-    )
-    catch_error(
         lambda: fc.continue_frequency(structure, 1.0, 1.2, law, stability=True),
         "structure",
         names="massless",

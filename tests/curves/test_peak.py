@@ -60,10 +60,8 @@ def test_a_linear_mode(masses: fc.ResponseCurve) -> None:
 def test_no_resonance_is_stepped_over(ratio: float, damping: float, other: bool) -> None:
     """Of one mass before a stop that is so many times its largest amplitude away: steps are parts
     of the vibration, not of the clearance. Also where the way is followed by Python's loop."""
-    unit, exact = np.ones((1, 1)), 1.0 / (2.0 * damping * np.sqrt(1.0 - damping**2))
-    structure = fc.Structure.from_matrices(
-        unit, unit, gap=unit, force_cos=[1.0], clearance=ratio * exact, damping=2.0 * damping * unit
-    )
+    exact = 1.0 / (2.0 * damping * np.sqrt(1.0 - damping**2))
+    structure = oscillator(2.0 * damping, clearance=ratio * exact)
     law: Any = fc.SmoothedPenalty(1.0, 100.0) if other else fc.UnilateralPenalty(1.0)
     curve = fc.continue_frequency(structure, 0.5, 1.6, law, harmonics=5, stability=not other)
     peak = curve.peak()
@@ -116,11 +114,8 @@ def test_half_a_peak_has_no_width() -> None:
 def test_no_width_tells_the_damping_of_a_higher_harmonic() -> None:
     """Next to half of the natural frequency of a breathing crack the width is wrong by a factor of
     40: no damping is told, nor drawn, which the load's own resonance has."""
-    unit, xi = np.ones((1, 1)), 0.002
-    structure = fc.Structure.from_matrices(
-        unit, unit, gap=unit, force_cos=[1.0], damping=2.0 * xi * unit
-    )
-    law = fc.UnilateralPenalty(1.0)
+    xi, law = 0.002, fc.UnilateralPenalty(1.0)
+    structure = oscillator(2.0 * xi)
     bilinear_omega = 2.0 / (1.0 + np.sqrt(0.5))  # bilinear
     for order in (1, 2):
         ends = 0.95 * bilinear_omega / order, 1.05 * bilinear_omega / order

@@ -254,9 +254,10 @@ def test_bad_input() -> None:
         "structure",
         names="run_up_structure",
     )
-    resting_structure = fc.build_structure(cracked(0.0), MPI.COMM_SELF)
     catch_error(
-        lambda: fc.run_up_structure(resting_structure, 560.0, 640.0, 6),
+        lambda: fc.run_up_structure(
+            fc.build_structure(cracked(0.0), MPI.COMM_SELF), 560.0, 640.0, 6
+        ),
         "structure",
         names=r"\[rotation\]",
     )

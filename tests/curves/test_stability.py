@@ -161,10 +161,7 @@ def test_solution_far_away_from_its_orbit() -> None:
 def test_a_tangent_that_is_not_the_forces_slope_is_refused() -> None:
     """Of a law of one's own: a third of it called a motion with a multiplier of 1.79 stable. Kinks
     are no fault, nor is a pair that never closes or rests at one."""
-    unit = np.eye(1)
-    structure = fc.Structure.from_matrices(
-        unit, unit, gap=unit, force_cos=[0.3], damping=0.05 * unit
-    )
+    structure = oscillator(0.05, 0.3)
 
     class Third(Cubic):
         def tangent(self, gap: np.ndarray) -> np.ndarray:

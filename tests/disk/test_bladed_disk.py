@@ -324,8 +324,8 @@ def test_refused_later() -> None:
     catch_error(
         lambda: ring(output__quantities=["K_max"]), "output.quantities", "K_max", names=r"\[disk\]"
     )
-    plate = fc.solve(fc.Scene.load(ROOT / "demos/paper_plate.toml")).result
-    catch_error(lambda: fc.draw_wheel(plate), "structure", names=r"\[disk\]")
+    plate = fc.Scene.load(ROOT / "demos/paper_plate.toml")
+    catch_error(lambda: fc.draw_wheel(fc.solve(plate).result), "structure", names=r"\[disk\]")
 
 
 def test_at_rest() -> None:

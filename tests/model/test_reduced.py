@@ -432,12 +432,6 @@ def test_from_arrays_alone() -> None:
     dof = [full_model.watched_dof]
     motion = np.cos(np.arange(1.0 * array_model.n_dofs))[None]
     assert relative(array_model.values_at(motion, dof), full_model.values_at(motion, dof)) < 1e-12
-    catch_error(
-        lambda: reduced(bare_chain, 11),
-        "structure",
-        "a file of a prepared structure",
-        names="22 modes",
-    )
     for refused_call in (
         lambda: array_model.expand(motion),
         lambda: array_model.values_at(motion, [3]),

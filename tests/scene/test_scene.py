@@ -291,8 +291,8 @@ def test_bad_file_is_named(content: bytes | None, tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     if content is not None:
         path.write_bytes(content)
-    keys_and_values = {b"": ("geometry", None), b"x = 1": ("x", 1)}
-    catch_error(lambda: Scene.load(path), *keys_and_values.get(content, ("scene", str(path))))
+    key, value = {b"": ("geometry", None), b"x = 1": ("x", 1)}.get(content, ("scene", str(path)))
+    catch_error(lambda: Scene.load(path), key, value)
 
 
 # --- frozen, and changed copies -------------------------------------------------------------------

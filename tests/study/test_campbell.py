@@ -259,10 +259,8 @@ def test_speeds_that_are_too_fast() -> None:
     for fastest in (1e5, 1e8):
         with warnings.catch_warnings():
             warnings.simplefilter("error", RuntimeWarning)
-            error = catch_error(
-                partial(fc.campbell, scene, [0.0, 0.5 * fastest, fastest], 2), "rotation.speed"
-            )
-        assert error.value > 0.0
+            call = partial(fc.campbell, scene, [0.0, 0.5 * fastest, fastest], 2)
+            assert catch_error(call, "rotation.speed").value > 0.0
 
 
 def test_picture_reaches_as_far_as_the_orders() -> None:

@@ -150,9 +150,12 @@ def test_bad_input(scene: fc.Scene, tmp_path: Path) -> None:
     for key, table in wrong_tables:
         changes = {f"integration.{name}": value for name, value in table.items()}
         catch_error(partial(integrate, changes), f"integration.{key}", table[key])
-    rotation_settings = {"rotation.rpm": 60.0, "rotation.hub_radius": 0.1}
     catch_error(
-        lambda: integrate(rotation_settings | {"integration.free": True}), "integration.free", True
+        lambda: integrate(
+            {"integration.free": True, "rotation.rpm": 60.0, "rotation.hub_radius": 0.1}
+        ),
+        "integration.free",
+        True,
     )
     path = str(tmp_path / "solution.h5")
     catch_error(

@@ -323,8 +323,7 @@ def test_stress_along_a_line() -> None:
     )  # the rest is at the tip
     far_stress = fc.stress_at(run, [[0.05, 0.35]])[1].mean(axis=0)[0]
     assert far_stress == pytest.approx([0.0, STRESS, 0.0], abs=0.01 * STRESS)
-    no_points = np.empty((0, 2))
-    catch_error(lambda: fc.stress_at(run, no_points), "points", no_points)
+    catch_error(lambda: fc.stress_at(run, np.empty((0, 2))), "points", np.empty((0, 2)))
     catch_error(lambda: fc.stress_at(run, [[0.2, 0.2]]), "points", [0.2, 0.2])
     catch_error(
         lambda: fc.stress_at(run.result, [[0.05, 0.35]]),

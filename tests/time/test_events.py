@@ -40,12 +40,9 @@ def test_linear_motion(damping: str) -> None:
 def test_overdamped_motion(ratio: float) -> None:
     """A mass that creeps at 2 ratio w, no contact: the matrix exponential; and a linear solution,
     which has no error and is stable."""
-    unit = np.ones((1, 1))
-    structure = fc.Structure.from_matrices(
-        unit, unit, gap=unit, force_cos=[1.0], damping=2.0 * ratio * unit, clearance=100.0
-    )
+    structure = oscillator(2.0 * ratio, clearance=100.0)
     law = fc.UnilateralPenalty(1.0)
-    history = integrate_events(structure, 1.0, law, periods=1, initial=(unit[0] * 3.0, unit[0]))
+    history = integrate_events(structure, 1.0, law, periods=1, initial=([3.0], [1.0]))
     flow = np.zeros((4, 4))
     flow[0, 1], flow[1, :3], flow[2, 3], flow[3, 2] = 1.0, (-1.0, -2.0 * ratio, 1.0), 1.0, -1.0
     exact = [(expm(time * flow) @ (3.0, 1.0, 1.0, 0.0))[0] for time in history.time]

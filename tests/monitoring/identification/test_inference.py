@@ -571,9 +571,12 @@ def test_arrivals_become_displacements(tmp_path: Path) -> None:
     expected_deviation = radius * math.hypot(1e-6 * speed / math.sqrt(50.0), 1e-5)
     assert other_row.deviation == pytest.approx(expected_deviation)
     catch_error(lambda: fc.Measurements.from_arrivals(arrivals.between(3, 4), order), "noise", None)
-    few_arrivals = fc.ArrivalTimes(time[:, :3], marks, probes[:3], radius)
     catch_error(
-        lambda: fc.Measurements.from_arrivals(few_arrivals, order), "arrivals", names="4 probes"
+        lambda: fc.Measurements.from_arrivals(
+            fc.ArrivalTimes(time[:, :3], marks, probes[:3], radius), order
+        ),
+        "arrivals",
+        names="4 probes",
     )
     catch_error(
         lambda: fc.Measurements.from_arrivals(
