@@ -497,7 +497,7 @@ def test_an_interrupted_curve_is_beside_a_complete_one(
     """It takes its place nowhere, and the point where Ctrl-C came is no largest response."""
     (tmp_path / "curve.h5").write_bytes(b"complete")
     progress = Mock(side_effect=[0.5, 0.5, 0.5, KeyboardInterrupt])
-    monkeypatch.setattr(fc.Continuation, "progress", progress)
+    monkeypatch.setattr(fc.Continuation, "progress_fraction", progress)
     process = run_command("curve", PAPER, "--verbose", "--output", tmp_path, sets=RANGE, code=3)
     assert (tmp_path / "curve.h5").read_bytes() == b"complete"
     assert not fc.load_run(tmp_path / "curve_interrupted.h5").result.complete
