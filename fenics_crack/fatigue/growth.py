@@ -196,7 +196,7 @@ class Growth(SavedResult):
             {column_name: column.tolist() for column_name, column in values_by_column.items()}
         )
 
-    def said(self) -> Conclusion:
+    def build_conclusion(self) -> Conclusion:
         """Return the sentences on the growth."""
         start_size, end_size = (self._size_in_words(row_index) for row_index in (0, -1))
         if len(self.length) == 1:
@@ -250,7 +250,7 @@ def report_of_growth(growth: Growth) -> Report:
     )
     return Report(
         growth_table,
-        growth.said(),
+        growth.build_conclusion(),
         growth.scene,
         printed_table=Table(
             growth_table.columns, [growth_table.rows[row_index] for row_index in shown_row_indices]
