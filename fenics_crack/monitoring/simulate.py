@@ -121,7 +121,8 @@ def tip_timing(
         raise InputError(
             "revolutions",
             revolutions,
-            f"at most {MAX_ALLOWED_PASSAGES // len(probe_angles)} with {len(probe_angles)} probes",
+            f"at most {MAX_ALLOWED_PASSAGES // len(probe_angles)}, since "
+            f"{MAX_ALLOWED_PASSAGES:.0e} passages of probes are the limit",
         )
     check_number("noise", noise, 0.0)
     check_number("clock", clock, 0.0)
