@@ -189,7 +189,7 @@ def test_a_run_up_of_another_speed(tmp_path: Path, timing: RunCommand) -> None:
     # Resonances that are sought have no harmonics, nor revolutions to fit together.
     for key, value in (("fitted_harmonics", 3), ("subharmonic", 2), ("fitted_revolutions", 10)):
         expected_message = (
-            f"tip_timing.{key} = {value}: not allowed with a run-up in which resonances are"
+            f"tip_timing.{key} = {value}: not allowed with a search for the resonances of"
         )
         assert (
             expected_message in timing(scene, path, sets=[f"tip_timing.{key}={value}"], code=2).err

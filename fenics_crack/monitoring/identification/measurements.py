@@ -634,7 +634,7 @@ def _read_csv_measurements(path: str | Path) -> list[Measurement]:
             "of which the first three are required"
         )
         found_columns_text = (
-            f"the columns {', '.join(heading_cells)}" if column_names else "an empty file"
+            f"the columns {', '.join(heading_cells)}" if column_names else "no columns"
         )
         raise InputError("measurements", f"{path}: {found_columns_text}", allowed_text)
     for cell, column_name, (si_heading, _) in zip(

@@ -170,8 +170,8 @@ def _parse_response(
         np.isfinite(interleaved_values)
     ):
         raise ValueError(
-            f"a frequency response of {n_spectral_lines} lines has {len(interleaved_values)} "
-            "numbers, which are too many or too few, or not all finite"
+            f"it has {len(interleaved_values)} numbers for a frequency response of "
+            f"{n_spectral_lines} lines: too many, too few, or not all finite"
         )
     if is_equally_spaced:
         frequencies = first_frequency + frequency_step * np.arange(n_spectral_lines)

@@ -830,7 +830,7 @@ def test_command(scene: fc.Scene, folder: Path, tmp_path: Path, run_command: Run
     process = run_command(*words, "--pictures", "svg")
     assert process.out.split()[:5] == ["unknown", "estimate", "deviation", "low", "high"]
     last_line = process.err.strip().splitlines()[-1]
-    assert last_line.startswith("crack; crack length ") and "; log Bayes factor" in last_line
+    assert last_line.startswith("crack; crack length ") and "; the log Bayes factor" in last_line
     assert "next to measure: " in process.err
     summary = json.loads((folder / "identify.json").read_text())
     assert summary["verdict"] == "crack"
@@ -868,7 +868,9 @@ def test_up_to_which_length_there_may_be_a_crack(tmp_path: Path, run_command: Ru
     scene = fc.Scene.load(words[1]).replace({"crack.length": 0.002, "mesh.lip_elements": 2})
     hertz = float(fc.solve_modes(fc.build_structure(scene), 1).omega[0]) / (2.0 * np.pi)
     fc.Measurements.from_arrays("frequency_open", [hertz], 5.0, mode=[1]).to_csv(words[2])
-    match = re.search(r"no crack above ([\d.]+) mm of crack length; log", run_command(*words).err)
+    match = re.search(
+        r"no crack above ([\d.]+) mm of crack length; the log", run_command(*words).err
+    )
     assert match is not None and bounds[0] < 1e-3 * float(match[1]) < bounds[1]
     summary = json.loads((tmp_path / "out" / "identify.json").read_text("utf-8"))
     assert summary["conclusion"] == f"no crack above {match[1]} mm of crack length"

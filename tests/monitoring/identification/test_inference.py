@@ -674,8 +674,8 @@ def test_rows_that_cannot_be_used(
 
 
 BAD_TABLES: list[tuple[str, str, str | None]] = [
-    ("", ": nothing", "quantity, value, deviation"),
-    ("# none\n", ": nothing", "quantity, value, deviation"),
+    ("", ": no columns", "quantity, value, deviation"),
+    ("# none\n", ": no columns", "quantity, value, deviation"),
     ("a,b\n", ": the columns a, b", "quantity, value, deviation"),
     # Numbers that may be read in two ways, and units that the program does not convert.
     ("quantity,value,deviation,mode\nfrequency_open,841,1,0,8,1", "", "line 2 "),
@@ -751,7 +751,7 @@ def test_remark_on_the_size_of_the_load() -> None:
     for key, value in {"crack.clearance": 1e-6, "excitation.force_mean": (0.0, 5.0)}.items():
         changed_scene = scene.replace({key: value})
         [remark] = list_measurement_limit_remarks(changed_scene, fc.Measurements((row,)))
-        assert remark.startswith("a clearance or a steady load")
+        assert remark.startswith("with a clearance or a steady load")
         assert (
             list_measurement_limit_remarks(
                 changed_scene, fc.Measurements((replace(row, quantity="harmonic_1"),))

@@ -126,7 +126,7 @@ def test_command_without_a_mesh_of_no_crack(
     )
     uncracked_row = replace(rows.rows[0], quantity="frequency_uncracked")
     (rows + fc.Measurements((uncracked_row,))).to_csv(tmp_path / "m.csv")
-    assert "not allowed where the crack cannot be taken out" in run_command(*words, code=2).err
+    assert "not allowed, since the crack cannot be removed" in run_command(*words, code=2).err
 
 
 @pytest.mark.parametrize(
