@@ -501,7 +501,8 @@ def _validate_growth_scene(scene: Scene) -> Scene:
         )
         raise InputError("growth.drive", law.drive, allowed_text)
     if law.drive == "resonance" and not can_seek_resonance(scene):
-        raise InputError("growth.drive", law.drive, f"'frequency' {SCENES_WITHOUT_PEAK_TEXT}")
+        allowed_text = f"'frequency' {SCENES_WITHOUT_PEAK_TEXT}, where no resonance is sought"
+        raise InputError("growth.drive", law.drive, allowed_text)
     size_key, limit_key = ("depth", "thickness") if is_elliptical else ("length", "width")
     allowed_text = "given with [growth]: the size of the crack [m] at which growth begins"
     start_size = crack.given(size_key, allowed_text)
@@ -856,7 +857,7 @@ def _estimate_quantity_error_and_remarks(
         solved_run, solved_run.result, is_peak=is_at_peak, causes=cause_names
     )
     omission_remarks = (
-        [f"vibration: {error_statement.omitted_causes_and_reasons_text}"]
+        [f"error of the vibration: {error_statement.omitted_causes_and_reasons_text}"]
         if error_statement.omitted_causes_and_reasons_text
         else []
     )
@@ -915,8 +916,9 @@ def _collect_growth_remarks(
         remark_texts.append(f"at {count_text} {NOT_STABLE_TEXT}")
     if jump_lengths:
         remark_texts.append(
-            f"near {jump_lengths[0]:.4g} m the stress intensity jumps: several vibrations may be "
-            "possible there, and growth uses the first one found; fenics-crack curve shows them"
+            f"near a length of {jump_lengths[0]:.4g} m the stress intensity jumps: several "
+            "vibrations may be possible there, and growth uses the first one found; fenics-crack "
+            "curve shows them"
         )
     remark_texts += [
         f"a crack of {doubtful_length:.4g} m was not solved: {failure_text}"
@@ -929,7 +931,7 @@ def _collect_growth_remarks(
     )
     if np.any(is_near_threshold) and (end_reason != "arrested" or len(lengths) == 1):
         remark_texts.append(
-            f"at {lengths[np.argmax(is_near_threshold)]:.4g} m the effective range differs from "
+            f"at a length of {lengths[np.argmax(is_near_threshold)]:.4g} m the range differs from "
             f"growth.threshold by less than its error of {vibration_error:.1%}: "
             "the crack may grow there, or stop"
         )
@@ -950,8 +952,8 @@ def _list_crack_turning_remarks(
     if not np.any(is_turning := kink_angles > math.radians(10.0)):
         return []
     return [
-        f"from {lengths[np.argmax(is_turning)]:.4g} m on the growth is doubtful: the crack is kept "
-        f"straight, but would turn by up to {math.degrees(kink_angles.max()):.0f} degrees, "
+        f"from a length of {lengths[np.argmax(is_turning)]:.4g} m on the growth is doubtful: the "
+        f"crack is kept straight, but would turn by up to {math.degrees(kink_angles.max()):.0f} degrees, "
         f"since K_II_max is up to {np.max(K_II / K_I):.0%} of K_max"
     ]
 
@@ -1248,7 +1250,7 @@ def _sweep_crack_sizes(
             sweep_path, comm, progress=progress, judged=False,
         )  # fmt: skip
     if stop_request.is_requested(comm):
-        raise StoppedError("growth was stopped; the same command goes on with it")
+        raise StoppedError("growth was stopped; run the same command again to continue it")
     return sweep_result
 
 

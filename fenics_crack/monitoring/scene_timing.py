@@ -238,7 +238,7 @@ def fit_vibration_or_passages(
     passage_keys_and_owner_text = (
         ("stiffening",),
         "arrivals at constant speed, or of one tracked order: only a search for the resonances of "
-        "a measured run-up takes it",
+        "a measured run-up uses this key",
     )
     if is_run_up(arrivals, run):
         run_up_text = (
@@ -459,7 +459,8 @@ def find_probed_displacement_and_reversal(scene: Scene) -> tuple[str, bool]:
             f"{direction_component:.3g}" for direction_component in direction
         )
         requirement_text = (
-            f"given, since the blade tip moves along ({components_text}), not along x, y or z"
+            f"given, since the tip moves along ({components_text}), not along x, y or z: this "
+            "displacement over the first one of [output.points]"
         )
         raise InputError("tip_timing.tangential", None, requirement_text)
     return f"{tip_point.key}.u{'xyz'[axis_index]}", bool(direction[axis_index] < 0.0)

@@ -204,9 +204,10 @@ def _conclude_from_passages(
     blades_and_resonances = [
         (blade, fit) for blade, fits in passages_by_blade.items() for fit in fits
     ]
-    warning_texts = ["no resonance exceeds the scatter of the arrivals"] * (
-        not blades_and_resonances
-    )
+    warning_texts = [
+        "no resonance exceeds the scatter of the arrivals: check the orders (tip_timing.orders), "
+        "and that the run-up passes a resonance"
+    ] * (not blades_and_resonances)
     blades_and_clearest_fits = [
         (blade, fits[0]) for blade, fits in passages_by_blade.items() if fits
     ]

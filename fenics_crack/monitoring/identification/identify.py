@@ -287,7 +287,7 @@ def _select_predictable_measurements(
     if all(measurement.quantity == "frequency_uncracked" for measurement in predictable_rows):
         reason_text = "; ".join(doubt_texts) or "no solved case has the measured quantities"
         raise ConvergenceError(f"no measurement can be predicted: {reason_text}")
-    reason_text = "too few cases have it, or only cases on one side of the failed ones"
+    reason_text = "it is known in too few solved cases, or only on one side of the failed cases"
     doubt_texts += [
         f"{measurement.name} is not used: {reason_text}"
         for measurement in itertools.compress(measurement_rows, ~is_predictable)
@@ -579,7 +579,9 @@ class _ForwardSweeper:
                 natural=self.frequency_only_indices,
             )
         if stop_request.is_requested(self.comm):
-            raise StoppedError("identification was stopped; the same command goes on with it")
+            raise StoppedError(
+                "identification was stopped; run the same command again to continue it"
+            )
         return sweep_result
 
     def run_and_join_added_values(

@@ -517,7 +517,7 @@ class Identification(Tabular):
             return undecided_verdict, f"{reason_text}; {alternatives_text} ({bayes_factor_text})"
         if log_bayes_factor > required_log_bayes_factor and uncracked_p_value >= required_p_value:
             reason_text = (
-                "a plate without a crack explains the measurements, too, within its priors"
+                "a plate without a crack, changed within the priors, explains the measurements, too"
             )
             return (
                 undecided_verdict,
@@ -885,7 +885,8 @@ def _describe_single_crack_condition_or_empty(identification: Identification) ->
     ):
         return ""
     frequencies_text = (
-        f"may have the same frequencies of {format_count(len(measured_modes), 'mode')}"
+        f"may have the same frequencies of {format_count(len(measured_modes), 'mode')}: "
+        "measure more modes"
     )
     return (
         "; place and size hold for a single crack: two cracks, or a crack elsewhere, "
@@ -947,8 +948,8 @@ def _describe_unchanged_plate_condition_or_empty(identification: Identification)
         "; a clamp, temperature or sensor that has changed frequencies by a relative "
         f"{largest_stated_change if is_uncracked_explained else clamp_deviation:.2g}"
         f"{modulus_text} explains the measurements without a crack: open and close the clamp, "
-        "measure again, and give the change as identify.before_deviation, now "
-        f"{identify_table.before_deviation:.2g}"
+        "measure again, and give the change as identify.before_deviation (now "
+        f"{identify_table.before_deviation:.2g})"
     )
 
 
