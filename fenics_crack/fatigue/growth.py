@@ -953,8 +953,8 @@ def _list_crack_turning_remarks(
         return []
     return [
         f"from a length of {lengths[np.argmax(is_turning)]:.4g} m on the growth is doubtful: the "
-        f"crack is kept straight, but would turn by up to {math.degrees(kink_angles.max()):.0f} degrees, "
-        f"since K_II_max is up to {np.max(K_II / K_I):.0%} of K_max"
+        "crack is kept straight, but would turn by up to "
+        f"{math.degrees(kink_angles.max()):.0f} degrees, since K_II_max is up to {np.max(K_II / K_I):.0%} of K_max"
     ]
 
 
