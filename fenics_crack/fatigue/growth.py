@@ -501,8 +501,11 @@ def _validate_growth_scene(scene: Scene) -> Scene:
         )
         raise InputError("growth.drive", law.drive, allowed_text)
     if law.drive == "resonance" and not can_seek_resonance(scene):
-        allowed_text = f"'frequency' {SCENES_WITHOUT_PEAK_TEXT}, where no resonance is sought"
-        raise InputError("growth.drive", law.drive, allowed_text)
+        raise InputError(
+            "growth.drive",
+            law.drive,
+            f"'frequency' {SCENES_WITHOUT_PEAK_TEXT}, where no resonance is sought",
+        )
     size_key, limit_key = ("depth", "thickness") if is_elliptical else ("length", "width")
     allowed_text = "given with [growth]: the size of the crack [m] at which growth begins"
     start_size = crack.given(size_key, allowed_text)
@@ -954,7 +957,8 @@ def _list_crack_turning_remarks(
     return [
         f"from a length of {lengths[np.argmax(is_turning)]:.4g} m on the growth is doubtful: the "
         "crack is kept straight, but would turn by up to "
-        f"{math.degrees(kink_angles.max()):.0f} degrees, since K_II_max is up to {np.max(K_II / K_I):.0%} of K_max"
+        f"{math.degrees(kink_angles.max()):.0f} degrees, since K_II_max is up to "
+        f"{np.max(K_II / K_I):.0%} of K_max"
     ]
 
 

@@ -112,8 +112,11 @@ def _load_or_solve_run(scene: Scene, source_path: Path | None, comm: MPI.Comm) -
             "source", str(source_path), "a result of solve or curve, or a CSV file of arrivals"
         )
     if isinstance(result, PeriodicSolution) and not result.converged:
-        allowed_text = f"a converged solution, but this one ended with: {result.status}"
-        raise InputError("source", str(source_path or "the scene"), allowed_text)
+        raise InputError(
+            "source",
+            str(source_path or "the scene"),
+            f"a converged solution, but this one ended with: {result.status}",
+        )
     return run
 
 
@@ -247,11 +250,11 @@ def fit_vibration_or_passages(
         timing_table.forbid_keys(("frequencies",), run_up_text)
         if load_order is None or (run is None and timing_table.orders):
             single_order_keys = "fitted_harmonics", "subharmonic", "fitted_revolutions"
-            search_text = (
+            timing_table.forbid_keys(
+                single_order_keys,
                 "a search for the resonances of a run-up; to track one order, give "
-                "tip_timing.order and leave out tip_timing.orders"
+                "tip_timing.order and leave out tip_timing.orders",
             )
-            timing_table.forbid_keys(single_order_keys, search_text)
             diagram_or_none = (
                 _compute_campbell_diagram(scene, arrivals) if scene and scene.rotation else None
             )
@@ -357,8 +360,10 @@ def match_mode_or_give_reason(passage_fit: PassageFit, diagram: Campbell) -> tup
             if passage_fit.untested
             else "explains the arrivals equally well"
         )
-        orders_text = " or ".join(other_order_texts)
-        return 0, f"order {orders_text} meets a mode of the blade, too, and {reason_text}"
+        return 0, (
+            f"order {' or '.join(other_order_texts)} meets a mode of the blade, too, and "
+            f"{reason_text}"
+        )
     return int(mode_indices_nearest_first[0]) + 1, ""
 
 

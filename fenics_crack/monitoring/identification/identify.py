@@ -127,9 +127,11 @@ def identify(
         raise InputError("identify", None, "given: a table [identify.unknown] with keys and values")
     has_only_words = all(isinstance(axis.values[0], str) for axis in scene.identify.unknown)
     if has_only_words and not scene.identify.meshes:
-        unknown_keys = [axis.key for axis in scene.identify.unknown]
-        allowed_text = "keys of which at least one holds numbers, such as crack.length"
-        raise InputError("identify.unknown", unknown_keys, allowed_text)
+        raise InputError(
+            "identify.unknown",
+            [axis.key for axis in scene.identify.unknown],
+            "keys of which at least one holds numbers, such as crack.length",
+        )
     if not isinstance(measurements, Measurements):
         measurement_path = measurements
         measurements = on_root(comm, lambda: Measurements.read(measurement_path))

@@ -963,8 +963,10 @@ def _describe_warming_condition_or_empty(identification: Identification) -> str:
         >= 1.0 - identification.priors["confidence"]
     ):
         return ""
-    modulus_text = _describe_modulus_change(identification, identification.posterior)
-    return f"; the crack explains the measurements only with {modulus_text}"
+    return (
+        "; the crack explains the measurements only with "
+        f"{_describe_modulus_change(identification, identification.posterior)}"
+    )
 
 
 def _describe_modulus_change(identification: Identification, posterior: Posterior) -> str:
