@@ -529,15 +529,10 @@ def _grow_ellipse(
     n_surface_ends = 1 if crack.edge else 2
     allowed_length = on_root(comm, lambda: _find_allowed_ellipse_length(scene))
     if allowed_length <= 0.0:
-        allowed_text = (
-            "inside a face of the solid with [growth], away from its edges: both ends of the "
-            "crack must be on the face"
-        )
+        allowed_text = "inside a face with [growth]: at an edge, one end of the crack is outside"
         raise InputError("crack.point", crack.point, allowed_text)
     if crack.given("length") >= allowed_length:
-        allowed_text = (
-            f"below {allowed_length:g} m with [growth]: nearer to the sides a crack is not followed"
-        )
+        allowed_text = f"below {allowed_length:g} m with [growth], to stay away from the sides"
         raise InputError("crack.length", crack.length, allowed_text)
     sizes_by_key = {
         "crack.depth": np.geomspace(crack.given("depth"), law.until, N_ELLIPSE_SIZES_PER_AXIS),

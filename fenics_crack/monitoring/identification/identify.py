@@ -125,13 +125,9 @@ def identify(
         scene = replace(scene, identify=changed_table)
     if scene.identify is None:
         raise InputError("identify", None, "given: a table [identify.unknown] with keys and values")
-    has_only_words = all(isinstance(axis.values[0], str) for axis in scene.identify.unknown)
-    if has_only_words and not scene.identify.meshes:
-        raise InputError(
-            "identify.unknown",
-            [axis.key for axis in scene.identify.unknown],
-            "keys of which at least one holds numbers, such as crack.length",
-        )
+    word_keys = [axis.key for axis in scene.identify.unknown if isinstance(axis.values[0], str)]
+    if len(word_keys) == len(scene.identify.unknown) and not scene.identify.meshes:
+        raise InputError("identify.unknown", word_keys, "keys of which at least one has numbers")
     if not isinstance(measurements, Measurements):
         measurement_path = measurements
         measurements = on_root(comm, lambda: Measurements.read(measurement_path))
