@@ -285,7 +285,9 @@ def _select_predictable_measurements(
     if all(measurement.quantity == "frequency_uncracked" for measurement in predictable_rows):
         reason_text = "; ".join(doubt_texts) or "no solved case has the measured quantities"
         raise ConvergenceError(f"no measurement can be predicted: {reason_text}")
-    reason_text = "it is known in too few solved cases, or only on one side of the failed cases"
+    reason_text = (
+        "too few cases with this quantity were solved, or only on one side of failed cases"
+    )
     doubt_texts += [
         f"{measurement.name} is not used: {reason_text}"
         for measurement in itertools.compress(measurement_rows, ~is_predictable)

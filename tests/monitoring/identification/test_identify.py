@@ -338,7 +338,7 @@ def test_arrivals_at_other_speeds_of_the_rotor(tmp_path: Path, run_command: RunC
     assert identification.contains({"crack.length": 0.008})
     assert identification.estimate["crack.length"] == pytest.approx(0.008, rel=0.1)
     assert not any(
-        "between the solved cases" in one for one in identification.remarks
+        "of any solved case" in one for one in identification.remarks
     )  # far from resonance
     hertz = fc.solve_modes(fc.build_structure(scene.replace({"identify": None})), 2).omega / TURN
     natural_measurements = fc.Measurements.from_arrays(
@@ -379,7 +379,7 @@ def test_cases_are_added_next_to_resonance(tmp_path: Path) -> None:
     identification = fc.identify(scene, rows, folder=tmp_path)
     assert identification.verdict == "crack" and identification.contains({"crack.length": 0.0073})
     assert identification.estimate["crack.length"] == pytest.approx(0.0073, rel=0.1)
-    assert not any("between the solved cases" in one for one in identification.remarks)
+    assert not any("of any solved case" in one for one in identification.remarks)
     swept_axes = [SweepResult.load(path).axes[0] for path in tmp_path.glob("forward_*")]
     lengths = [length for axis in swept_axes for length in axis.values]
     assert len(lengths) > 5 + 4 and len(set(lengths)) == len(lengths)  # 4 halfway between
@@ -410,7 +410,7 @@ def test_a_crack_that_stays_open_is_not_excluded(tmp_path: Path) -> None:
     assert identification.verdict == "undecided" and identification.contains(
         {"crack.length": 0.0085}
     )
-    assert any("the solved cases, near crack.length = 0.0105" in r for r in identification.remarks)
+    assert any(r.startswith("near crack.length = 0.0105") for r in identification.remarks)
 
 
 @pytest.mark.nightly
@@ -607,7 +607,7 @@ def test_a_stiffer_plate(scene: fc.Scene, folder: Path) -> None:
     ) < 0.6 * blind.posterior.compute_deviation(1)
     assert identification.estimate["crack.length"] == pytest.approx(0.02, abs=0.003)
     assert blind.advice[0].startswith("natural frequencies 1, 2, 3, 4, 5 without the crack")
-    stated_height = float(blind.advice[0].split("height of the crack to ")[1].split(" mm")[0])
+    stated_height = float(blind.advice[0].split("height of the crack then ± ")[1].split(" mm")[0])
     assert stated_height == pytest.approx(
         1e3 * identification.posterior.compute_deviation(1), rel=0.5
     )
@@ -737,7 +737,9 @@ def test_as_few_modes_as_two_cracks_have_unknowns(scene: fc.Scene, folder: Path)
         identification = fc.identify(scene, measurements, folder=folder)
         assert identification.verdict == "crack"
         few = count == 4
-        assert ("two of them, or one elsewhere, may have the same" in identification.reason) == few
+        assert (
+            "two cracks, or a crack elsewhere, may have the same" in identification.reason
+        ) == few
         assert ("IF IT IS ONE CRACK" in repr(identification)) == few
 
 

@@ -832,7 +832,7 @@ def test_stops_at_ctrl_c(
 
     wrap(monkeypatch, "fenics_crack.sweep.file.SweepFile.write_pending_cases", interrupted)
     messages = run_command(*little, code=3).err
-    assert "fenics-crack: identification was stopped; the same command goes on" in messages
+    assert "fenics-crack: identification was stopped; run the same command again" in messages
     [path] = (tmp_path / "out").iterdir()  # no file of what was found
     assert np.count_nonzero(SweepResult.load(path)["state"]) == 2
     left = 1
