@@ -615,7 +615,7 @@ def _collect_ellipse_remarks(
     if law.drive == "frequency" and np.any(has_passed_resonance):
         remark_texts.append(
             f"at a length of {ellipse_path.length[np.argmax(has_passed_resonance)]:.4g} m the "
-            "natural frequency passes the load frequency; too few shapes are solved for this "
+            "natural frequency passes the load frequency; the shapes are too few for this "
             "resonance, and the life is not known: use growth.drive = 'resonance'"
         )
     return remark_texts
@@ -951,9 +951,8 @@ def _list_crack_turning_remarks(
         return []
     return [
         f"from a length of {lengths[np.argmax(is_turning)]:.4g} m on the growth is doubtful: the "
-        "crack is kept straight, but would turn by up to "
-        f"{math.degrees(kink_angles.max()):.0f} degrees, since K_II_max is up to "
-        f"{np.max(K_II / K_I):.0%} of K_max"
+        f"straight crack would turn by up to {math.degrees(kink_angles.max()):.0f} degrees, since "
+        f"K_II_max is up to {np.max(K_II / K_I):.0%} of K_max"
     ]
 
 

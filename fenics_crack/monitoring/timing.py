@@ -61,7 +61,7 @@ BLIND_PROBE_TEXT = (
 )
 OTHER_ORDERS_TEXT = "explain the arrivals equally well (more probes distinguish them)"
 CONSTANT_FREQUENCY_TEXT = (
-    "natural frequencies are assumed constant over the speed; if they are not, damping is wrong, "
+    "natural frequencies are assumed constant; if they change with the speed, damping is wrong, "
     "and frequencies are too high in a fast run-up, too low in a run-down: give "
     "tip_timing.stiffening"
 )

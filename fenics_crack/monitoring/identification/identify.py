@@ -354,7 +354,7 @@ def _yield_unresolved_resonance_remarks(
             yield (
                 f"near {place_text}, the vibration at {load_frequency:.6g} Hz is up to "
                 f"{vibration_ratio:.2g} times that of any solved case, and predictions are "
-                "doubtful: add values there in identify.unknown, or measure farther from resonance"
+                "doubtful: add values there in identify.unknown, or measure at other frequencies"
             )
 
 
