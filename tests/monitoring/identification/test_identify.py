@@ -229,7 +229,7 @@ def test_one_measurement_alone(scene: fc.Scene, folder: Path) -> None:
         IdentificationOutput(scene, sound.summary(), folder)
     ).closing_sentence
     assert sound.summary()["conclusion"] == conclusion_text and closing_text.startswith(
-        f"{conclusion_text}; log"
+        f"{conclusion_text}; the log"
     )
 
 
