@@ -67,9 +67,10 @@ from fenics_crack.sweep.result import (
 
 END_TEXT_BY_REASON: dict[GrowthEnd, str] = {
     "reached": "growth.until is reached",
-    "arrested": "there it stops: the range falls below growth.threshold, or to nothing",
-    "broken": "there it breaks: K_max is growth.toughness",
-    "side": "there its ends come near to the sides",
+    "arrested": "growth stops, since the effective range is below growth.threshold, or the "
+    "crack does not open",
+    "broken": "the structure breaks, since K_max reaches growth.toughness",
+    "side": "growth is followed no further, since an end of the crack comes near to a side",
 }
 """Descriptions of the end of growth, by reason."""
 
@@ -209,9 +210,11 @@ class Growth(SavedResult):
             for cause_name, relative_error in self.errors.items()
             if relative_error > 0.0
         ]
-        certainty_text = f"the cycles are uncertain by a factor of {self.factor:.3g}"
+        certainty_text = (
+            f"the life is known within a factor of {self.factor:.3g} with 68 % probability"
+        )
         certainty_text += (
-            f", standard deviations of their logarithm: {', '.join(cause_texts)}"
+            f" (standard deviations of its logarithm: {', '.join(cause_texts)})"
             if cause_texts
             else ""
         )
@@ -259,9 +262,14 @@ def report_of_growth(growth: Growth) -> Report:
 
 # --- the growth -----------------------------------------------------------------------------------
 
-NOT_STABLE_TEXT = "the vibration is unstable or irregular, or its stability undecided"
-"""Beginning of a remark on vibrations without certain stability."""
-UNKNOWN_VIBRATION_TEXT = "the error of the vibration is unknown"
+NOT_STABLE_TEXT = (
+    "the vibration is unstable or irregular, or its stability is undecided: the growth there is "
+    "doubtful; fenics-crack curve shows other vibrations"
+)
+"""End of a remark on vibrations without certain stability."""
+UNKNOWN_VIBRATION_TEXT = (
+    "the error of the vibration is unknown, and so is the uncertainty of the life"
+)
 """Remark without an error estimate of the vibration."""
 N_ELLIPSE_SIZES_PER_AXIS = 5
 """Number of depths, and number of lengths, for half-ellipses, in equal ratios.
@@ -463,39 +471,49 @@ def _collect_life_error_by_cause(
 
 def _validate_growth_scene(scene: Scene) -> Scene:
     """Return the scene if its crack can grow; raise InputError otherwise."""
-    refuse_for_reason(reason_without_stress_intensity(scene), "growth", "asked for")
+    refuse_for_reason(reason_without_stress_intensity(scene), "command", "grow")
     law, crack = scene.given("growth"), scene.given("crack")
     if scene.mesh.layout != "graded":
-        allowed_text = "'graded' with [growth], which meshes many lengths"
+        allowed_text = "'graded' with [growth], since each crack length needs a new mesh"
         raise InputError("mesh.layout", scene.mesh.layout, allowed_text)
     if crack.front == "straight":
         allowed_text = (
-            "'elliptical' with [growth], or a crack through the solid: a rectangle changes"
+            "'elliptical' with [growth], since a rectangle changes its shape as it grows; or "
+            "leave out crack.depth for a crack through the solid"
         )
         raise InputError("crack.front", crack.front, allowed_text)
     is_elliptical = crack.is_elliptical
-    if scene.cracks or (crack.edge is None and crack.point is None and not is_elliptical):
-        allowed_text = "one crack from an edge with [growth]: its tip is the one that grows"
-        raise InputError("crack", "several tips", allowed_text)
+    if scene.cracks:
+        allowed_text = "left out with [growth]: only one crack can grow, the one of [crack]"
+        raise InputError("cracks", format_count(len(scene.cracks), "table"), allowed_text)
+    if crack.edge is None and crack.point is None and not is_elliptical:
+        allowed_text = "left out with [growth]: give crack.edge, since only one tip can grow"
+        raise InputError("crack.center", crack.center, allowed_text)
     if law.drive == "spectrum" and scene.excitation.order is not None:
         allowed_text = (
-            "another one with excitation.order: the speed of the rotor sets the frequency"
+            "'frequency' with excitation.order, since the rotor speed sets the load frequency"
         )
         raise InputError("growth.drive", law.drive, allowed_text)
     if law.drive == "spectrum" and is_elliptical:
         allowed_text = (
-            "another one with crack.front = 'elliptical': each of its shapes has one load"
+            "'frequency' or 'resonance' with crack.front = 'elliptical': each shape is solved "
+            "at one load frequency"
         )
         raise InputError("growth.drive", law.drive, allowed_text)
     if law.drive == "resonance" and not can_seek_resonance(scene):
-        raise InputError("growth.drive", law.drive, f"another one {SCENES_WITHOUT_PEAK_TEXT}")
+        raise InputError(
+            "growth.drive",
+            law.drive,
+            f"'frequency' {SCENES_WITHOUT_PEAK_TEXT}, where no resonance is sought",
+        )
     size_key, limit_key = ("depth", "thickness") if is_elliptical else ("length", "width")
-    allowed_text = "given with [growth], and crack.length: these are what changes"
+    allowed_text = "given with [growth]: the size of the crack [m] at which growth begins"
     start_size = crack.given(size_key, allowed_text)
     size_limit = getattr(scene.geometry, limit_key) or math.inf
     if not start_size < law.until < size_limit:
         allowed_text = (
-            f"between crack.{size_key} = {start_size:g} and geometry.{limit_key} = {size_limit:g}"
+            f"between crack.{size_key} = {start_size:g} m and geometry.{limit_key} = "
+            f"{size_limit:g} m"
         )
         raise InputError("growth.until", law.until, allowed_text)
     return scene
@@ -511,10 +529,10 @@ def _grow_ellipse(
     n_surface_ends = 1 if crack.edge else 2
     allowed_length = on_root(comm, lambda: _find_allowed_ellipse_length(scene))
     if allowed_length <= 0.0:
-        allowed_text = "inside a face with [growth]: at an edge, one end of the ellipse is outside"
+        allowed_text = "inside a face with [growth]: at an edge, one end of the crack is outside"
         raise InputError("crack.point", crack.point, allowed_text)
     if crack.given("length") >= allowed_length:
-        allowed_text = f"below {allowed_length:g}: its ends must stay away from the sides to grow"
+        allowed_text = f"below {allowed_length:g} m with [growth], to stay away from the sides"
         raise InputError("crack.length", crack.length, allowed_text)
     sizes_by_key = {
         "crack.depth": np.geomspace(crack.given("depth"), law.until, N_ELLIPSE_SIZES_PER_AXIS),
@@ -597,8 +615,8 @@ def _collect_ellipse_remarks(
     if law.drive == "frequency" and np.any(has_passed_resonance):
         remark_texts.append(
             f"at a length of {ellipse_path.length[np.argmax(has_passed_resonance)]:.4g} m the "
-            "natural frequency passes that of the load, a resonance between few shapes: the life "
-            "is not known, with growth.drive = 'resonance' it is"
+            "natural frequency passes the load frequency; the shapes are too few for this "
+            "resonance, and the life is not known: use growth.drive = 'resonance'"
         )
     return remark_texts
 
@@ -649,7 +667,7 @@ def _tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
     if not is_solved[0, 0] or is_solved.sum() < N_ELLIPSE_SIZES_PER_AXIS:
         case_index, failure_text = sweep_result.failed[0]
         raise ConvergenceError(
-            f"growth, {_ellipse_in_words(sweep_result, case_index)}: {failure_text}"
+            f"{_ellipse_in_words(sweep_result, case_index)} was not solved: {failure_text}"
         )
     bilinear_omega_of_modes = [
         sweep_result[f"omega_bilinear_{mode}"][0, 0] for mode in KEPT_MODE_NUMBERS
@@ -684,7 +702,7 @@ def _ellipse_in_words(sweep_result: SweepResult, case_index: tuple[int, ...]) ->
         axis.values[size_index]
         for axis, size_index in zip(sweep_result.axes, case_index, strict=True)
     )
-    return f"a crack {depth:.4g} m deep and {length:.4g} m long"
+    return f"a crack of {depth:.4g} m depth and {length:.4g} m length"
 
 
 def _list_failed_ellipse_remarks(
@@ -708,14 +726,16 @@ def _list_failed_ellipse_remarks(
             is_near_failed_case &= (smaller_size <= path_sizes) & (path_sizes <= larger_size)
         if np.any(is_near_failed_case):
             raise ConvergenceError(
-                f"growth, {_ellipse_in_words(sweep_result, case_index)}: {failure_text}"
+                f"{_ellipse_in_words(sweep_result, case_index)} was not solved: {failure_text}"
             )
     if not sweep_result.failed:
         return []
     case_index, failure_text = sweep_result.failed[0]
     count_text = format_count(len(sweep_result.failed), "shape")
     ellipse_text = _ellipse_in_words(sweep_result, case_index)
-    return [f"{count_text} away from the growth not solved, as {ellipse_text}: {failure_text}"]
+    return [
+        f"{count_text} not solved, but away from the growth, such as {ellipse_text}: {failure_text}"
+    ]
 
 
 def _estimate_ellipse_range_error_and_remarks(
@@ -835,7 +855,7 @@ def _estimate_quantity_error_and_remarks(
         solved_run, solved_run.result, is_peak=is_at_peak, causes=cause_names
     )
     omission_remarks = (
-        [f"vibration: {error_statement.omitted_causes_and_reasons_text}"]
+        [f"error of the vibration: {error_statement.omitted_causes_and_reasons_text}"]
         if error_statement.omitted_causes_and_reasons_text
         else []
     )
@@ -894,8 +914,9 @@ def _collect_growth_remarks(
         remark_texts.append(f"at {count_text} {NOT_STABLE_TEXT}")
     if jump_lengths:
         remark_texts.append(
-            f"near {jump_lengths[0]:.4g} m the stress intensity jumps: several vibrations may be "
-            "possible there, of which growth takes the one that is found first; a curve shows them"
+            f"near a length of {jump_lengths[0]:.4g} m the stress intensity jumps: several "
+            "vibrations may be possible there, and growth uses the first one found; fenics-crack "
+            "curve shows them"
         )
     remark_texts += [
         f"a crack of {doubtful_length:.4g} m was not solved: {failure_text}"
@@ -908,9 +929,9 @@ def _collect_growth_remarks(
     )
     if np.any(is_near_threshold) and (end_reason != "arrested" or len(lengths) == 1):
         remark_texts.append(
-            f"at {lengths[np.argmax(is_near_threshold)]:.4g} m the effective range is "
-            f"growth.threshold within its error of {vibration_error:.1%}: "
-            "whether the crack grows there is not known"
+            f"at a length of {lengths[np.argmax(is_near_threshold)]:.4g} m the range differs from "
+            f"growth.threshold by less than its error of {vibration_error:.1%}: "
+            "the crack may grow there, or stop"
         )
     if not math.isfinite(vibration_error):
         remark_texts.append(UNKNOWN_VIBRATION_TEXT)
@@ -929,9 +950,9 @@ def _list_crack_turning_remarks(
     if not np.any(is_turning := kink_angles > math.radians(10.0)):
         return []
     return [
-        f"from {lengths[np.argmax(is_turning)]:.4g} m on a straight crack is no longer right: "
-        f"it would turn by up to {math.degrees(kink_angles.max()):.0f} degrees, "
-        f"K_II_max being up to {np.max(K_II / K_I):.0%} of K_max"
+        f"from a length of {lengths[np.argmax(is_turning)]:.4g} m on the growth is doubtful: the "
+        f"straight crack would turn by up to {math.degrees(kink_angles.max()):.0f} degrees, since "
+        f"K_II_max is up to {np.max(K_II / K_I):.0%} of K_max"
     ]
 
 
@@ -1145,7 +1166,9 @@ def _solve_lengths_to_tolerance(
         if round_number == 1:
             if length_path.failed_lengths_and_reasons:
                 failed_length, failure_text = length_path.failed_lengths_and_reasons[0]
-                raise ConvergenceError(f"growth, a crack of {failed_length:.4g} m: {failure_text}")
+                raise ConvergenceError(
+                    f"a crack of {failed_length:.4g} m was not solved: {failure_text}"
+                )
             coarse_column_by_name = {
                 column_name: column[::2]
                 for column_name, column in length_path.column_by_name.items()
@@ -1225,7 +1248,7 @@ def _sweep_crack_sizes(
             sweep_path, comm, progress=progress, judged=False,
         )  # fmt: skip
     if stop_request.is_requested(comm):
-        raise StoppedError("growth was stopped; the same command goes on with it")
+        raise StoppedError("growth was stopped; run the same command again to continue it")
     return sweep_result
 
 

@@ -44,7 +44,9 @@ MIN_PLAUSIBLE_TIP_SPEED = 1.0
 
 Times in ms in place of s turn 200 m/s into 0.2.
 """
-SLOW_TIP_TEXT_FORMAT = "the blade tip moves at {:.3g} m/s, where rotors with probes have 1 to 700"
+SLOW_TIP_TEXT_FORMAT = (
+    "the blade tip moves at {:.3g} m/s, but tips of rotors with probes move at 1 to 700 m/s"
+)
 """Beginning of a remark on slow blade tips."""
 MAX_ALLOWED_RELATIVE_MODE_DISTANCE = 0.1
 """Allowed distance between a resonance and a mode, relative to the resonance frequency."""
@@ -107,10 +109,14 @@ def _load_or_solve_run(scene: Scene, source_path: Path | None, comm: MPI.Comm) -
     result = run.result
     if not isinstance(result, (PeriodicSolution, ResponseCurve)):
         raise InputError(
-            "source", str(source_path), "a solution, a curve, or a CSV file of arrivals"
+            "source", str(source_path), "a result of solve or curve, or a CSV file of arrivals"
         )
     if isinstance(result, PeriodicSolution) and not result.converged:
-        raise InputError("source", str(source_path or "the scene"), f"converged: {result.status}")
+        raise InputError(
+            "source",
+            str(source_path or "the scene"),
+            f"a converged solution, but this one ended with: {result.status}",
+        )
     return run
 
 
@@ -165,7 +171,7 @@ def describe_run_up_end_or_empty(scene: Scene, run: Run[Any]) -> str:
     last_speed_text, unstable_speed_text = (
         format_speed(rotor_speed, scene.is_speed_in_rpm) for rotor_speed in last_and_unstable_speeds
     )
-    run_up_end_text = f"the run-up ends before, at {last_speed_text}"
+    run_up_end_text = f"the computed run-up ends at {last_speed_text}"
     return f"the vibration is unstable at {unstable_speed_text}: {run_up_end_text}"
 
 
@@ -178,9 +184,13 @@ def describe_scene_difference_or_empty(scene: Scene, run: Run[Any]) -> str:
     ]
     scene_text, result_text = describe_differences(compared_scenes)
     sentence_start_text = (
-        f"the arrivals are those of a result with {result_text}; the vibration is sought by this "
+        f"the arrivals were computed with {result_text}, but their vibration is fitted with this "
     )
-    return sentence_start_text + f"scene, which has {scene_text}" if scene_text else ""
+    return (
+        sentence_start_text + f"scene, which has {scene_text}: use the same scene for both"
+        if scene_text
+        else ""
+    )
 
 
 def list_arrival_remarks(arrivals: ArrivalTimes) -> list[str]:
@@ -190,12 +200,13 @@ def list_arrival_remarks(arrivals: ArrivalTimes) -> list[str]:
         speed_remark_format = (
             TIP_SPEED_TEXT_TEMPLATE if tip_speed > MIN_PLAUSIBLE_TIP_SPEED else SLOW_TIP_TEXT_FORMAT
         )
-        question_text = "are speed, or times, and tip_radius in the units of their headings?"
+        question_text = "are the speed or times, and tip_radius, in the units of their headings?"
         remark_texts.append(f"{speed_remark_format.format(tip_speed)}: {question_text}")
     if len(arrivals.probes) > 1 and np.degrees(arrivals.probes[-1]) < RAD_PER_TURN:
         probe_range_degrees = float(np.degrees(np.ptp(arrivals.probes)))
         remark_texts.append(
-            f"all probes are within {probe_range_degrees:.3g} degrees: are angles in rad?"
+            f"all probes are within {probe_range_degrees:.3g} degrees: are their angles in rad "
+            "instead of degrees?"
         )
     return remark_texts
 
@@ -229,22 +240,29 @@ def fit_vibration_or_passages(
     fit_argument_by_name["angle_deviation"] = np.radians(timing_table.angle_deviation)
     passage_keys_and_owner_text = (
         ("stiffening",),
-        "all but a measured run-up in which resonances are sought",
+        "arrivals at constant speed, or of one tracked order: only a search for the resonances of "
+        "a measured run-up uses this key",
     )
     if is_run_up(arrivals, run):
         run_up_text = (
-            "a run-up, in which an order is tracked, or the resonances are found that are passed"
+            "a run-up: an order is tracked there, or the resonances that it passes are found"
         )
         timing_table.forbid_keys(("frequencies",), run_up_text)
         if load_order is None or (run is None and timing_table.orders):
             single_order_keys = "fitted_harmonics", "subharmonic", "fitted_revolutions"
-            timing_table.forbid_keys(single_order_keys, "a run-up in which resonances are sought")
+            timing_table.forbid_keys(
+                single_order_keys,
+                "a search for the resonances of a run-up; to track one order, give "
+                "tip_timing.order and leave out tip_timing.orders",
+            )
             diagram_or_none = (
                 _compute_campbell_diagram(scene, arrivals) if scene and scene.rotation else None
             )
             return _fit_passages(timing_table, arrivals, diagram_or_none)
         timing_table.forbid_keys(*passage_keys_and_owner_text)
-        timing_table.forbid_keys(("orders",), f"a computed run-up: order {load_order} is tracked")
+        timing_table.forbid_keys(
+            ("orders",), f"a computed run-up: the order of its load, {load_order}, is tracked"
+        )
         fit_argument_by_name |= {
             "subharmonic": timing_table.subharmonic,
             "revolutions": timing_table.fitted_revolutions,
@@ -276,7 +294,8 @@ def find_passages_and_modes(
     """
     if scene.rotation is None or scene.excitation.order is None:
         requirement_text = (
-            "those of a constant speed, unless the load is an excitation.order of [rotation]"
+            "recorded at constant speed; a run-up needs [rotation] and excitation.order in "
+            "the scene"
         )
         raise InputError("arrivals", repr(arrivals), requirement_text)
     diagram = _compute_campbell_diagram(scene, arrivals)
@@ -289,7 +308,7 @@ def find_passages_and_modes(
 
 def describe_passage(passage_fit: PassageFit, mode: int, reason_text: str) -> str:
     """Describe a resonance and its mode, with doubts or reasons."""
-    doubt_texts = ["another vibration is near it"] * passage_fit.in_doubt
+    doubt_texts = ["another vibration is near this resonance"] * passage_fit.in_doubt
     doubt_texts += [f"its {passage_fit.disagreement}"] * passage_fit.disagree
     remark_text = "; ".join([reason_text] * bool(reason_text) + doubt_texts)
     mode_text = f"mode {mode}" if mode else "not used"
@@ -315,20 +334,20 @@ def match_mode_or_give_reason(passage_fit: PassageFit, diagram: Campbell) -> tup
     mode_indices_nearest_first = np.argsort(mode_distances)
     range_texts = [
         f"mode {mode_index + 1} has {omega_open[mode_index] / RAD_PER_TURN:.6g} to "
-        f"{omega_tied[mode_index] / RAD_PER_TURN:.6g} Hz there"
+        f"{omega_tied[mode_index] / RAD_PER_TURN:.6g} Hz at this speed"
         for mode_index in mode_indices_nearest_first[:2]
     ]
     if mode_distances[mode_indices_nearest_first[0]] > MAX_ALLOWED_RELATIVE_MODE_DISTANCE:
         return (
             0,
-            f"that of none of the blade's modes to {MAX_ALLOWED_RELATIVE_MODE_DISTANCE:.0%}; "
-            f"{range_texts[0]}",
+            f"no mode of the blade is within {MAX_ALLOWED_RELATIVE_MODE_DISTANCE:.0%} of this "
+            f"frequency; {range_texts[0]}",
         )
     if (
         len(mode_distances) > 1
         and mode_distances[mode_indices_nearest_first[1]] < 0.5 * MAX_ALLOWED_RELATIVE_MODE_DISTANCE
     ):
-        return 0, "; ".join(range_texts)
+        return 0, f"two modes are near this frequency: {'; '.join(range_texts)}"
     other_order_texts = [
         f"{ambiguous_order:g}"
         for ambiguous_order in passage_fit.ambiguous
@@ -337,11 +356,14 @@ def match_mode_or_give_reason(passage_fit: PassageFit, diagram: Campbell) -> tup
     ]
     if other_order_texts:
         reason_text = (
-            "may be right, too: two probes test none"
+            "two probes cannot exclude it"
             if passage_fit.untested
-            else "explains it as well"
+            else "explains the arrivals equally well"
         )
-        return 0, f"order {', '.join(other_order_texts)} {reason_text}, and meets a mode there, too"
+        return 0, (
+            f"order {' or '.join(other_order_texts)} meets a mode of the blade, too, and "
+            f"{reason_text}"
+        )
     return int(mode_indices_nearest_first[0]) + 1, ""
 
 
@@ -432,7 +454,7 @@ def find_probed_displacement_and_reversal(scene: Scene) -> tuple[str, bool]:
     if tip_rotation is None:
         return [*scene.label_by_point_name, ""][0], (timing_table.tangential or 1.0) < 0.0
     if not scene.output_points:
-        requirement_text = "given with arrivals of a solid blade: its tip first"
+        requirement_text = "given with arrivals of a solid blade; the first point is the blade tip"
         raise InputError("output.points", None, requirement_text)
     tip_point = scene.output_points[0]
     direction = _find_circumferential_direction(scene, np.array(tip_point.values))
@@ -442,7 +464,8 @@ def find_probed_displacement_and_reversal(scene: Scene) -> tuple[str, bool]:
             f"{direction_component:.3g}" for direction_component in direction
         )
         requirement_text = (
-            f"given: the blade tip moves along ({components_text}), which is none of x, y and z"
+            f"given, since the tip moves along ({components_text}), not along x, y or z: this "
+            "displacement over the first one of [output.points]"
         )
         raise InputError("tip_timing.tangential", None, requirement_text)
     return f"{tip_point.key}.u{'xyz'[axis_index]}", bool(direction[axis_index] < 0.0)
@@ -472,7 +495,9 @@ def _find_circumferential_direction(scene: Scene, point: np.ndarray) -> np.ndarr
     if distance_from_axis <= RELATIVE_POSITION_TOLERANCE * float(np.abs([point, axis_point]).max()):
         point_coordinates = [float(coordinate) for coordinate in point]
         raise InputError(
-            "output.points", point_coordinates, "a blade tip first, off the axis of the rotation"
+            "output.points",
+            point_coordinates,
+            "away from the axis of [rotation]: the first point is the blade tip",
         )
     return np.where(
         np.abs(direction) > ROUNDING * distance_from_axis, direction / distance_from_axis, 0.0
@@ -495,12 +520,12 @@ def _choose_speed_or_order_argument(
     if curve_or_none is not None and run.scene.speed > 0.0 and curve_or_none.parameter != "speed":
         speed_text = format_speed(run.scene.speed, run.scene.is_speed_in_rpm)
         requirement_text = (
-            f"'rpm' or 'speed' for arrivals of a rotor, which is at {speed_text} all along it"
+            f"'rpm' or 'speed' for a run-up: along this curve the rotor stays at {speed_text}"
         )
         raise InputError("curve.parameter", run.scene.given("curve").parameter, requirement_text)
     is_steady = run.scene.excitation.order is None and curve_or_none is None
     if is_steady and run.scene.speed > 0.0:
-        timing_table.forbid_keys(("order",), f"a rotor's speed, in [rotation]{owner_text}")
+        timing_table.forbid_keys(("order",), f"the rotor speed of [rotation]{owner_text}")
         return {"speed": run.scene.speed}
     if (
         source_path is not None
@@ -508,8 +533,8 @@ def _choose_speed_or_order_argument(
         and timing_table.order is None
     ):
         requirement_text = (
-            "a result whose own scene has [rotation] and excitation.order, which this one lacks; "
-            "or given with tip_timing.order, periods of the load in a revolution"
+            "a result of a scene with [rotation] and excitation.order; for this one, give "
+            "tip_timing.order, the periods of the load in a revolution"
         )
         raise InputError("source", str(source_path), requirement_text)
     return {"order": get_engine_order(timing_table, run.scene, owner_text)}
@@ -529,6 +554,8 @@ def get_engine_order(timing_table: TipTiming, scene: Scene, owner_text: str = ""
         timing_table.forbid_keys(("order",), f"excitation.order{owner_text}")
         return scene.excitation.order
     engine_order: int = timing_table.given(
-        "order", "given without excitation.order: a whole number >= 1"
+        "order",
+        "given without excitation.order: the periods of the load in a revolution, a whole number "
+        ">= 1",
     )
     return engine_order

@@ -112,14 +112,17 @@ def tip_timing(
         tip if isinstance(tip, Mapping) else {tip: 1.0} if isinstance(tip, Integral) else {}
     )
     if not factor_by_dof:
-        raise InputError("tip", tip, "a dof, or dofs with their factors")
+        raise InputError("tip", tip, "the number of a dof, or a dict of dofs and their factors")
     for dof, factor in factor_by_dof.items():
         check_number(f"tip[{dof!r}]", factor)
     check_number("tip_radius", tip_radius, 0.0, excludes_bound=True)
     check_count("revolutions", revolutions, 1)
     if revolutions * len(probe_angles) > MAX_ALLOWED_PASSAGES:
         raise InputError(
-            "revolutions", revolutions, f"fewer: {MAX_ALLOWED_PASSAGES:.0e} passages at most"
+            "revolutions",
+            revolutions,
+            f"at most {MAX_ALLOWED_PASSAGES // len(probe_angles)}, since "
+            f"{MAX_ALLOWED_PASSAGES:.0e} passages of probes are the limit",
         )
     check_number("noise", noise, 0.0)
     check_number("clock", clock, 0.0)
@@ -135,7 +138,7 @@ def tip_timing(
             raise InputError(
                 argument_name,
                 argument_value,
-                f"less than a revolution takes, {shortest_revolution_duration:.3g} s",
+                f"less than the duration of a revolution, {shortest_revolution_duration:.3g} s",
             )
     if noise:
         arrival_times = arrival_times + noise * np.random.default_rng(seed).standard_normal(
@@ -163,8 +166,8 @@ def _compute_arrival_times(
     )
     if backward_ratio >= 1.0 or np.any(np.isnan(rotor_angles)):
         requirement_text = (
-            "so large that the blade tip never moves backwards, past a probe a second time: its "
-            f"vibration reaches {backward_ratio:.3g} of the speed of rotation"
+            "so large that the tip always moves forwards; the velocity of its vibration reaches "
+            f"{backward_ratio:.3g} times its speed of rotation"
         )
         raise InputError("tip_radius", tip_radius, requirement_text)
     return tip_motion.compute_times(rotor_angles).reshape(target_angles.shape)
@@ -187,12 +190,18 @@ def _build_motion(
         check_number("speed", speed, 0.0, excludes_bound=True)
     if isinstance(result, ResponseCurve):
         if speed is not None:
-            raise InputError("speed", speed, "left out with a curve, which is a run-up; give order")
+            raise InputError(
+                "speed", speed, "left out with a curve, which is a run-up; give order instead"
+            )
         if order is None:
-            raise InputError("order", order, "given with a curve: periods of the load in a turn")
+            raise InputError(
+                "order", order, "given with a curve: the periods of the load in a revolution"
+            )
         return _build_run_up_motion(result, factor_by_dof, order, n_revolutions)
     if (speed is None) == (order is None):
-        raise InputError("speed, order", (speed, order), "one of them")
+        raise InputError(
+            "speed, order", (speed, order), "given one at a time: either speed or order"
+        )
     rotor_speed = float(speed or result.omega / (order or 1))
     tip_fourier_coefficients = result.coefficients_at(list(factor_by_dof)) @ np.array(
         list(factor_by_dof.values()), dtype=float
@@ -215,14 +224,17 @@ def _build_run_up_motion(
     """Return the motion of the blade tip along a run-up or run-down."""
     first_omega, last_omega = float(curve.omega[0]), float(curve.omega[-1])
     if first_omega == last_omega:
-        raise InputError("result", f"a curve over {curve.parameter}", "one over the load frequency")
+        raise InputError(
+            "result", f"a curve over {curve.parameter}", "a curve over the load frequency"
+        )
     passed_indices, unstable_index = find_run_up_point_indices(curve)
     if unstable_index is not None:
         unstable_omega = float(curve.omega[unstable_index])
-        requirement_text = "stable along the run-up, or a part that is, or "
-        raise InputError(
-            "result", f"unstable at {unstable_omega:.6g} rad/s", f"{requirement_text}its branch"
+        requirement_text = (
+            f"stable along the run-up, but it is unstable at {unstable_omega:.6g} rad/s: give "
+            "its points before, curve.part(...), or the stable branch"
         )
+        raise InputError("result", repr(curve), requirement_text)
     tip_fourier_coefficients = sum(
         float(factor) * curve.coefficients_at(dof) for dof, factor in factor_by_dof.items()
     )

@@ -29,32 +29,41 @@ from fenics_crack.scene.scene import Scene
 EMPTY_COLUMN_BY_NAME: dict[str, list[Any]] = {"blade": [], "rpm": [], "order": [], "frequency": []}
 """Columns of a table without any resonance."""
 MISSING_HARMONICS_TEXT = (
-    "harmonics are missing (tip_timing.fitted_harmonics), and folded onto the fitted ones"
+    "the vibration has more harmonics than are fitted (raise tip_timing.fitted_harmonics)"
 )
 NO_SPARE_PROBE_TEXT = (
-    "as many unknowns as probes: neither the order nor the fitted harmonics are tested"
+    "there are as many unknowns as probes, which cannot test the order and the harmonics: use "
+    "more probes, or fit fewer harmonics (tip_timing.fitted_harmonics)"
 )
 FOLDED_HARMONICS_TEXT = (
-    "harmonics that are not fitted may be folded onto the fitted ones (fit more, or more probes)"
+    "harmonics that are not fitted may be aliased onto the fitted ones: raise "
+    "tip_timing.fitted_harmonics, or use more probes"
 )
 NO_REPETITION_TEXT = (
-    "no probe sees the vibration twice: fit and standard errors are untested (more revolutions)"
+    "each probe measures the vibration only once, which cannot test the fit and its standard "
+    "errors: record more revolutions"
 )
 UNCLEAR_HARMONIC_FORMAT = (
-    "at no speed larger than its errors, at most {} (more revolutions determine it better)"
+    "its amplitude exceeds its error at no speed, and is at most {}; more fitted revolutions give "
+    "a smaller error (tip_timing.fitted_revolutions)"
 )
 CORRELATED_RESIDUALS_TEXT = (
-    "residuals are correlated, by a vibration nearby or drift: order and errors may be wrong"
+    "the residuals are correlated, due to drift or another vibration nearby: the order and the "
+    "standard errors may be wrong"
 )
 UNTESTED_ORDER_FORMAT = (
-    "cannot test an order: {:g} fits, and others may as well (tip_timing.orders)"
+    "cannot test an order: order {:g} fits, but others may fit as well; give the possible ones "
+    "as tip_timing.orders"
 )
 BLIND_PROBE_TEXT = (
-    "does not measure the vibration that the others do: excluded; are its pulses the blade's?"
+    "excluded, since it does not measure the vibration that the other probes measure: check that "
+    "its pulses are of this blade"
 )
+OTHER_ORDERS_TEXT = "explain the arrivals equally well (more probes distinguish them)"
 CONSTANT_FREQUENCY_TEXT = (
-    "frequencies are taken not to change with the speed; else damping is wrong, and a fast run-up "
-    "overestimates and a run-down underestimates the frequency (tip_timing.stiffening)"
+    "natural frequencies are assumed constant; if they change with the speed, damping is wrong, "
+    "and frequencies are too high in a fast run-up, too low in a run-down: give "
+    "tip_timing.stiffening"
 )
 
 
@@ -195,7 +204,10 @@ def _conclude_from_passages(
     blades_and_resonances = [
         (blade, fit) for blade, fits in passages_by_blade.items() for fit in fits
     ]
-    warning_texts = ["no resonance stands out"] * (not blades_and_resonances)
+    warning_texts = [
+        "no resonance exceeds the scatter of the arrivals: check the orders (tip_timing.orders), "
+        "and that the run-up passes a resonance"
+    ] * (not blades_and_resonances)
     blades_and_clearest_fits = [
         (blade, fits[0]) for blade, fits in passages_by_blade.items() if fits
     ]
@@ -216,7 +228,7 @@ def _conclude_from_passages(
                 f"{resonance_prefix}: {probes_text} {UNTESTED_ORDER_FORMAT.format(fit.order)}"
             )
         elif fit.ambiguous:
-            orders_text = _describe_orders("explain the arrivals as well", fit.ambiguous)
+            orders_text = _describe_orders(OTHER_ORDERS_TEXT, fit.ambiguous)
             warning_texts.append(f"{resonance_prefix}: {orders_text}")
         if fit.disagree:
             warning_texts.append(f"{resonance_prefix}: {fit.disagreement}")
@@ -237,7 +249,7 @@ def _conclude_from_passages(
     conclusion = Conclusion("no resonance found")
     if blades_and_resonances:
         blade, clearest_fit = blades_and_resonances[0]
-        answer_text = f"the clearest of blade {blade} at {clearest_fit.in_words}"
+        answer_text = f"the clearest is of blade {blade}, at {clearest_fit.in_words}"
         conclusion = Conclusion(
             f"{format_count(len(blades_and_resonances), 'resonance')} found", answer_text
         )
@@ -256,7 +268,7 @@ def _describe_constant_frequency_fit(line_fit: TipFit) -> str:
         f"{line_fit.omega / RAD_PER_TURN:.6g} Hz, "
         f"{_format_amplitude_with_error(amplitude, amplitude_error)}"
     )
-    return f"a vibration that follows no order: {line_text}"
+    return f"a vibration of no engine order: {line_text}"
 
 
 def _format_amplitude_with_error(amplitude: float, amplitude_error: float) -> str:
@@ -304,7 +316,7 @@ def _conclude_from_track(track: TipTrack) -> tuple[Conclusion, Table, list[str],
                 peak_frequency = track.omega[peak_row_index] / RAD_PER_TURN
                 peak_frequency_text = f"{peak_frequency:.6g} Hz, engine order {track.order:g}"
                 peak_text = (
-                    f"{peak_frequency_text}: {_format_amplitude_with_error(*peak_and_error)}"
+                    f"{peak_frequency_text}, with {_format_amplitude_with_error(*peak_and_error)}"
                 )
                 answer_text = f"harmonic {harmonic_multiple:g} is largest at {peak_text}"
                 conclusion = Conclusion("run-up tracked", answer_text)
@@ -327,9 +339,9 @@ def _conclude_from_track(track: TipTrack) -> tuple[Conclusion, Table, list[str],
     doubt_texts = [NO_SPARE_PROBE_TEXT] if np.isnan(track.misfit) else []
     if track.does_not_fit:
         doubt_texts.append(
-            f"the residual repeats in all revolutions: {MISSING_HARMONICS_TEXT}, the vibration "
-            "changes within the revolutions that are fitted together "
-            f"(tip_timing.fitted_revolutions), or it is not of order {track.order:g}"
+            f"the residuals repeat in all revolutions: {MISSING_HARMONICS_TEXT}, it changes within "
+            "the revolutions that are fitted together (lower tip_timing.fitted_revolutions), or it "
+            f"is not of order {track.order:g}"
         )
     elif track.in_doubt and not doubt_texts:
         doubt_texts.append(FOLDED_HARMONICS_TEXT)
@@ -381,12 +393,14 @@ def _list_fit_notes_and_doubts(fit: TipFit) -> tuple[list[str], list[str]]:
     doubt_texts = []
     if _has_second_harmonic(fit):
         harmonic_ratio, ratio_error = fit.ratio()
-        note_texts.append(f"second harmonic over first: {harmonic_ratio:.4g} ± {ratio_error:.2g}")
+        note_texts.append(
+            f"ratio of second to first harmonic: {harmonic_ratio:.4g} ± {ratio_error:.2g}"
+        )
     if fit.does_not_fit:
         doubt_texts.append(
             "residuals differ between the probes by more than their scatter: "
-            f"{MISSING_HARMONICS_TEXT}, probes are misplaced (tip_timing.angle_deviation), or the "
-            "order is none of tip_timing.orders"
+            f"{MISSING_HARMONICS_TEXT}, probes are misplaced (tip_timing.angle_deviation), or its "
+            "order is not among tip_timing.orders"
         )
     elif fit.may_be_folded and fit.spare > 0:
         doubt_texts.append(FOLDED_HARMONICS_TEXT)
@@ -395,7 +409,7 @@ def _list_fit_notes_and_doubts(fit: TipFit) -> tuple[list[str], list[str]]:
     elif fit.seen_once:
         doubt_texts.append(NO_REPETITION_TEXT)
     if fit.ambiguous:
-        doubt_texts.append(_describe_orders("explain the arrivals as well", fit.ambiguous))
+        doubt_texts.append(_describe_orders(OTHER_ORDERS_TEXT, fit.ambiguous))
     if fit.hidden:
-        doubt_texts.append(_describe_orders("these probes cannot measure", fit.hidden))
+        doubt_texts.append(_describe_orders("probes at these angles cannot measure", fit.hidden))
     return note_texts, doubt_texts

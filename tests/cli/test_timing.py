@@ -75,19 +75,21 @@ def test_what_probes_cannot_tell(tmp_path: Path, timing: RunCommand) -> None:
     harmonics that are left out, of which eight probes see one number, and twelve five."""
     scene = written(tmp_path, {"tip_timing.noise": 1e-8, "tip_timing.orders": [5, 6, 7, 8]})
     exact = ["harmonic_balance.harmonics=9"]
-    warning_text = "warning: harmonics that are not fitted may be folded onto the fitted ones"
+    warning_text = "warning: harmonics that are not fitted may be aliased onto the fitted ones"
     assert warning_text in timing(scene, sets=exact).err
     exact += [f"tip_timing.probes={sorted([*PROBES, 48.0, 122.0, 171.0, 332.0])}"]
     process = timing(scene, sets=exact)
     assert "arrivals of 20 revolutions, 12 probes, 360 rad/s: " in process.err
     assert "the probes measure -0.5 times the x displacement at (" in process.err
-    assert "second harmonic over first: 0." in process.err and "warning" not in process.err
+    assert "ratio of second to first harmonic: 0." in process.err and "warning" not in process.err
     assert "frequency" not in process.out and "omega [rad/s]  amplitude [m]" in process.out
     harmonics_option = "tip_timing.fitted_harmonics=1"
     process = timing(scene, sets=[harmonics_option, "tip_timing.probes=[0,60,120,180,240,300]"])
-    assert "warning: orders that explain the arrivals as well: 7" in process.err  # 5 + 7 = 2 x 6
-    assert "warning: orders that these probes cannot measure: 6" in process.err
-    missing_text = "harmonics are missing (tip_timing.fitted_harmonics)"
+    assert "orders that explain the arrivals equally well (more probes distinguish them): 7" in (
+        process.err  # 5 + 7 = 2 x 6
+    )
+    assert "warning: orders that probes at these angles cannot measure: 6" in process.err
+    missing_text = "more harmonics than are fitted (raise tip_timing.fitted_harmonics)"
     assert missing_text in timing(scene, sets=[harmonics_option, "tip_timing.orders=[5]"]).err
 
 
@@ -105,7 +107,7 @@ def test_one_revolution_is_no_sure_fit(tmp_path: Path, timing: RunCommand) -> No
     ):
         few_path.write_text("\n".join(lines[: 1 + turns * len(PROBES)]) + "\n")
         messages = timing(scene, few_path, sets=[f"tip_timing.subharmonic={subharmonic}"]).err
-        assert ("warning: no probe sees the vibration twice" in messages) == is_one_period
+        assert ("warning: each probe measures the vibration only once" in messages) == is_one_period
         arrivals = fc.ArrivalTimes.from_csv(few_path)
         fit = fc.fit_order(arrivals, [5], harmonics=2, subharmonic=subharmonic)
         assert fit.spare > 0 and fit.seen_once == is_one_period == (
@@ -130,9 +132,9 @@ def test_a_result_of_another_scene(tmp_path: Path, timing: RunCommand) -> None:
     looked at and sought."""
     scene, result = solved(tmp_path), tmp_path / "solution.h5"
     warning_text = (
-        "warning: the arrivals are those of a result with excitation.omega = 1800 rad/s; the "
+        "warning: the arrivals were computed with excitation.omega = 1800 rad/s, but their "
     )
-    warning_text += "vibration is sought by this scene, which has excitation.omega = 1500 rad/s"
+    warning_text += "vibration is fitted with this scene, which has excitation.omega = 1500 rad/s"
     for change in ("tip_timing.order=4", 'output.quantities=["opening"]', "excitation.omega=1500"):
         message = " ".join(timing(scene, result, sets=[change]).err.split())
         assert (warning_text in message) == change.startswith("excitation")
@@ -146,10 +148,8 @@ def test_a_result_that_does_not_say_how_the_rotor_turns(tmp_path: Path, timing: 
     for changes, path in (({}, steady), (TURNING, rotor_path)):
         scene = solved(tmp_path, changes)
         (tmp_path / "solution.h5").rename(path)
-    expected_message = (
-        f"source = {str(steady)!r}: must be a result whose own scene has [rotation] and "
-    )
-    expected_message += "excitation.order, which this one lacks; or given with tip_timing.order, "
+    expected_message = f"source = {str(steady)!r}: must be a result of a scene with [rotation] and "
+    expected_message += "excitation.order; for this one, give tip_timing.order, "
     assert expected_message in timing(scene, steady, code=2).err
     timing(scene, steady, sets=["tip_timing.order=5"])
     timing(scene, rotor_path)
@@ -184,12 +184,12 @@ def test_a_run_up_of_another_speed(tmp_path: Path, timing: RunCommand) -> None:
     )
     fc.ArrivalTimes(1e3 * times, 1e3 * marks, np.radians(PROBES), RADIUS).to_csv(path)
     messages = timing(scene, path).err
-    assert "no resonance stands out" in messages
+    assert "no resonance exceeds the scatter" in messages
     assert "[rotation] has 360 rad/s: are they in seconds?" in messages
     # Resonances that are sought have no harmonics, nor revolutions to fit together.
     for key, value in (("fitted_harmonics", 3), ("subharmonic", 2), ("fitted_revolutions", 10)):
         expected_message = (
-            f"tip_timing.{key} = {value}: not allowed with a run-up in which resonances are"
+            f"tip_timing.{key} = {value}: not allowed with a search for the resonances of"
         )
         assert (
             expected_message in timing(scene, path, sets=[f"tip_timing.{key}={value}"], code=2).err
@@ -219,7 +219,7 @@ def test_a_resonance_that_is_passed_in_few_revolutions(tmp_path: Path, timing: R
     two = ["tip_timing.fitted_harmonics=2"]
     process = timing(written(tmp_path), path, "--format", "json", sets=two)
     rows = json.loads(process.out)
-    assert "harmonic 2: at no speed larger than its errors, at most " in process.err
+    assert "harmonic 2: its amplitude exceeds its error at no speed, and is at most " in process.err
     assert max(row["amplitude_error_1 [m]"] for row in rows) < 1e-4
     middles = 0.5 * (turns[1:] + turns[:-1])
     for name, sizes in (("1", np.abs(wave(middles))), ("2", 0.0 * middles)):
@@ -297,7 +297,7 @@ def test_a_run_up_of_few_speeds(
     with scene.open("a", encoding="utf-8") as file:
         file.write('[identify.unknown]\n"crack.length" = [0.02, 0.03, 0.04, 0.05]\n')
     words = ["identify", scene, "--arrivals", tmp_path / "curve.h5", "--output", tmp_path]
-    assert "must be those of a constant speed" in run_command(*words, code=2).err
+    assert "must be recorded at constant speed" in run_command(*words, code=2).err
 
 
 @pytest.mark.drawn(1)
@@ -313,7 +313,7 @@ def test_a_curve_at_one_speed_is_no_run_up(
     messages = timing(scene, tmp_path / "curve.h5", code=code).err
     if code:
         assert "curve.parameter = 'omega': must be 'rpm' or 'speed' for" in messages
-        assert "which is at 360 rad/s all along it" in messages
+        assert "the rotor stays at 360 rad/s" in messages
     else:
         assert from_to(359.5, 360.0, 20) in messages
 
@@ -333,7 +333,7 @@ def test_a_run_up_that_becomes_unstable(tmp_path: Path, timing: RunCommand) -> N
             assert f"unstable at {run.result.omega[1]:.6g} rad/s" in messages
             continue
         assert (
-            f"unstable at {lost_speed:g} rad/s: the run-up ends before, at {ends:g} rad/s"
+            f"unstable at {lost_speed:g} rad/s: the computed run-up ends at {ends:g} rad/s"
             in messages
         )
         arrivals = fc.ArrivalTimes.from_csv(tmp_path / "arrivals.csv")

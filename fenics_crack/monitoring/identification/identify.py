@@ -124,10 +124,10 @@ def identify(
         changed_table = replace(identify_table, unknown=Identify.convert_value("unknown", unknown))
         scene = replace(scene, identify=changed_table)
     if scene.identify is None:
-        raise InputError("identify", None, "given: a table with the unknowns")
-    has_only_words = all(isinstance(axis.values[0], str) for axis in scene.identify.unknown)
-    if has_only_words and not scene.identify.meshes:
-        raise InputError("identify.unknown", "words alone", "also a key that holds a number")
+        raise InputError("identify", None, "given: a table [identify.unknown] with keys and values")
+    word_keys = [axis.key for axis in scene.identify.unknown if isinstance(axis.values[0], str)]
+    if len(word_keys) == len(scene.identify.unknown) and not scene.identify.meshes:
+        raise InputError("identify.unknown", word_keys, "keys of which at least one has numbers")
     if not isinstance(measurements, Measurements):
         measurement_path = measurements
         measurements = on_root(comm, lambda: Measurements.read(measurement_path))
@@ -161,7 +161,7 @@ def identify(
         forward_models = solve_forward(
             scene, load_frequencies, Path(folder), comm, progress=progress, **solve_argument_by_name
         )
-        begin_stage("inference")
+        begin_stage("inference of the unknowns")
         identification = infer_unknowns(forward_models, measurements)
         if (
             name_shares_and_points := _find_most_interpolated_measurement_or_none(identification)
@@ -176,8 +176,8 @@ def identify(
             break
         refined_axes.append(refined_axis)
     remark_text = (
-        f"interpolation between the solved cases has {shares_along_unknowns.sum():.0%} of the "
-        f"variance of {measurement_name}: more values in identify.unknown make regions narrower"
+        f"interpolation between the solved cases causes {shares_along_unknowns.sum():.0%} of the "
+        f"variance of {measurement_name}: more values in identify.unknown make intervals narrower"
     )
     return replace(identification, remarks=(*identification.remarks, remark_text))
 
@@ -283,9 +283,11 @@ def _select_predictable_measurements(
         ]
     predictable_rows = list(itertools.compress(measurement_rows, is_predictable))
     if all(measurement.quantity == "frequency_uncracked" for measurement in predictable_rows):
-        reason_text = "; ".join(doubt_texts) or "no case has the measured quantities"
-        raise ConvergenceError(f"identification, no measurement can be predicted: {reason_text}")
-    reason_text = "too few cases have it, or only those on one side of what failed"
+        reason_text = "; ".join(doubt_texts) or "no solved case has the measured quantities"
+        raise ConvergenceError(f"no measurement can be predicted: {reason_text}")
+    reason_text = (
+        "too few cases with this quantity were solved, or only on one side of failed cases"
+    )
     doubt_texts += [
         f"{measurement.name} is not used: {reason_text}"
         for measurement in itertools.compress(measurement_rows, ~is_predictable)
@@ -306,19 +308,20 @@ def list_measurement_limit_remarks(scene: Scene, measurements: Measurements) -> 
     ):
         other_edge = {"left": "right", "right": "left"}[crack.edge]
         remark_texts.append(
-            f"a crack from the {other_edge} edge has the same natural frequencies: they do not "
+            f"a crack from the {other_edge} edge has the same natural frequencies, which cannot "
             "distinguish the edges"
         )
     if identify_table.meshes:
         remark_texts.append(
-            "a file has one mesh: its error is in no interval; compare with meshes twice as fine"
+            "the intervals do not include the error of the mesh files: compare with the result of "
+            "meshes twice as fine"
         )
     if any(
         measurement.shape for measurement in measurement_rows
     ) and not has_load_independent_motion_shape(scene):
         remark_texts.append(
-            "a clearance or a steady load lets the shape of the motion depend on the load's size: "
-            "that of the scene must be right"
+            "with a clearance or a steady load, the shape of the motion depends on the size of the "
+            "load: check that the scene has the real load"
         )
     return tuple(remark_texts)
 
@@ -349,10 +352,9 @@ def _yield_unresolved_resonance_remarks(
                 for key, unknown_value in zip(model.unknown_keys, unknown_values, strict=True)
             )
             yield (
-                f"between the solved cases, near {place_text}, the vibration at "
-                f"{load_frequency:.6g} Hz is up to {vibration_ratio:.2g} times that at any of "
-                "them, and steady loads let the crack breathe there as in none of these: add "
-                "values there, or measure farther from resonance"
+                f"near {place_text}, the vibration at {load_frequency:.6g} Hz is up to "
+                f"{vibration_ratio:.2g} times that of any solved case, and predictions are "
+                "doubtful: add values there in identify.unknown, or measure at other frequencies"
             )
 
 
@@ -416,7 +418,7 @@ def _solve_uncracked_plate(scene: Scene, comm: MPI.Comm) -> UncrackedPlate:
         dict.fromkeys(IRRELEVANT_SCENE_TABLE_NAMES)
         | (get_crack_removal_changes_or_none(scene) or {})
     )
-    begin_stage("plate without its crack")
+    begin_stage("plate without the crack")
     return on_root(comm, lambda: UncrackedPlate(uncracked_scene, identify_table))
 
 
@@ -577,7 +579,9 @@ class _ForwardSweeper:
                 natural=self.frequency_only_indices,
             )
         if stop_request.is_requested(self.comm):
-            raise StoppedError("identification was stopped; the same command goes on with it")
+            raise StoppedError(
+                "identification was stopped; run the same command again to continue it"
+            )
         return sweep_result
 
     def run_and_join_added_values(

@@ -474,8 +474,8 @@ class SolvedCases:
             frequencies_text = ", ".join(
                 f"{solved_frequency:.9g}" for solved_frequency in solved_frequencies
             )
-            solved_loads_text = f"one of those that are solved, {frequencies_text} Hz"
-            allowed_text = f"{solved_loads_text}; identify.frequencies adds others"
+            solved_loads_text = f"one of the solved load frequencies, {frequencies_text} Hz"
+            allowed_text = f"{solved_loads_text}; add others to identify.frequencies"
             raise InputError("measurements.frequency", load_frequency, allowed_text)
         return solved_frequencies.index(load_frequency)
 

@@ -137,7 +137,7 @@ class Measurement:
             check_number("measurements.phase", self.phase)
             if abs(self.phase) > 2.0 * RAD_PER_TURN:  # a period that may begin elsewhere
                 allowed_text = (
-                    f"of a period, 0 to 2 pi; in degrees? then {math.radians(self.phase):.5g}"
+                    f"in rad, 0 to 2 pi; if it is in degrees, give {math.radians(self.phase):.5g}"
                 )
                 raise InputError("measurements.phase", self.phase, allowed_text)
         if not math.isnan(self.rpm):
@@ -226,9 +226,7 @@ class Measurement:
     def check(self, scene: Scene) -> None:
         """Raise InputError if a scene has no such measurement."""
         if not math.isnan(self.rpm) and (scene.excitation.order is None or scene.speed == 0.0):
-            allowed_text = (
-                "left out unless the load is an engine order (excitation.order) of [rotation]"
-            )
+            allowed_text = "left out unless the scene has [rotation] and excitation.order"
             raise InputError("measurements.rpm", self.rpm, allowed_text)
         point_names = scene.label_by_point_name
         if self.point and self.point not in point_names:
@@ -240,7 +238,10 @@ class Measurement:
             self.quantity == "frequency_uncracked"
             and get_crack_removal_changes_or_none(scene) is None
         ):
-            allowed_text = "left out where the crack cannot be taken out of the scene"
+            allowed_text = (
+                "left out, since the crack cannot be removed from this scene; with a mesh file, "
+                "give identify.uncracked"
+            )
             raise InputError("measurements.quantity", self.quantity, allowed_text)
         highest_order, n_harmonics = max(self.orders, default=0), scene.harmonic_balance.harmonics
         if n_harmonics < highest_order:
@@ -266,10 +267,12 @@ class Measurements(Tabular):
         if not self.rows or not all(
             isinstance(measurement, Measurement) for measurement in self.rows
         ):
-            raise InputError("measurements", list(self.rows), "one Measurement or more")
+            raise InputError(
+                "measurements", list(self.rows), "a list of at least one fc.Measurement"
+            )
         if len(self.rows) > OPTIONS.max_measurements:
-            limit_text = f"{OPTIONS.max_measurements} at most"
-            allowed_text = f"{limit_text}; several of one quantity are one, their mean"
+            limit_text = f"at most {OPTIONS.max_measurements} rows"
+            allowed_text = f"{limit_text}; replace repeated measurements by their mean"
             raise InputError("measurements", f"{len(self.rows)} rows", allowed_text)
         count_by_name = Counter(
             measurement.name for measurement in self.rows if measurement.quantity != "displacement"
@@ -284,7 +287,7 @@ class Measurements(Tabular):
                 for measurement in self.rows
                 if measurement.name == repeated_names[0]
             ]
-            allowed_text = "one value, the mean, with the standard deviation of that"
+            allowed_text = "one value: give the mean, and the standard deviation of the mean"
             raise InputError(f"measurements, {repeated_names[0]}", repeated_values, allowed_text)
 
     @classmethod
@@ -328,7 +331,10 @@ class Measurements(Tabular):
                 or len(column) != n_values
             ):
                 raise InputError(
-                    column_name, column, f"{n_values} values of {', '.join(OPTIONAL_COLUMN_NAMES)}"
+                    column_name,
+                    column,
+                    f"{n_values} entries, one for each value; the columns are "
+                    f"{', '.join(OPTIONAL_COLUMN_NAMES)}",
                 )
         value_by_column_of_rows = (
             dict(zip(column_by_name, row_values, strict=True))
@@ -389,26 +395,28 @@ class Measurements(Tabular):
         if noise is not None:
             check_number("noise", noise, 0.0, excludes_bound=True)
         if not arrivals.steady:
-            raise InputError("arrivals", repr(arrivals), "those of a constant speed")
+            raise InputError("arrivals", repr(arrivals), "recorded at constant speed")
         arrivals.check_places(angle_deviation)
         n_arrivals_of_probes = np.isfinite(arrivals.time).sum(axis=0)
         n_arrivals_of_probes = n_arrivals_of_probes[n_arrivals_of_probes > 0]
         rotor_speed = arrivals.mean_speed
         if len(n_arrivals_of_probes) < 4:  # one more than the load's size and phase, and a constant
-            raise InputError("arrivals", repr(arrivals), "those of 4 probes or more")
+            raise InputError("arrivals", repr(arrivals), "recorded with at least 4 probes")
         probe_statistics = ProbeMeans(arrivals, 1, float(order), angle_deviation)
         probe_place_deviation = arrivals.tip_radius * angle_deviation
         if noise is not None:
             mean_angle_deviations = rotor_speed * noise / np.sqrt(n_arrivals_of_probes)
             deviations = arrivals.tip_radius * np.hypot(mean_angle_deviations, angle_deviation)
         elif probe_statistics.scatter <= arrivals.rounding:
-            raise InputError("noise", None, "given where passages have no scatter")
+            raise InputError("noise", None, "given in s, since these arrivals have no scatter")
         elif np.isnan(
             variance_factor := student_variance_ratio(probe_statistics.freedom_within_groups)
         ):
             arrivals_text = format_count(int(n_arrivals_of_probes.sum()), "arrival")
             probes_text = format_count(len(n_arrivals_of_probes), "probe")
-            allowed_text = f"given for {arrivals_text} at {probes_text}, too few to estimate it"
+            allowed_text = (
+                f"given in s, since {arrivals_text} at {probes_text} are too few to estimate it"
+            )
             raise InputError("noise", None, allowed_text)
         else:
             displacement_variances = np.diag(probe_statistics.covariance) - probe_place_deviation**2
@@ -459,7 +467,11 @@ class Measurements(Tabular):
             The lengths differ, no passage has a mode, or a value cannot be used.
         """
         if len(modes) != len(passages):
-            raise InputError("modes", list(modes), f"one of each of {len(passages)} passages")
+            raise InputError(
+                "modes",
+                list(modes),
+                f"one mode for each of {len(passages)} passages, 0 to leave one out",
+            )
         passages_and_modes = [
             passage_and_mode
             for passage_and_mode in zip(passages, modes, strict=True)
@@ -529,7 +541,8 @@ class Measurements(Tabular):
                 f"{mode_frequency:.6g}" for mode_frequency in mode_rows[:, 0]
             )
             allowed_text = (
-                f"{format_count(len(mode_rows), 'number')}, of the modes at {frequencies_text} Hz"
+                f"{format_count(len(mode_rows), 'number')}, for the modes found at "
+                f"{frequencies_text} Hz"
             )
             raise InputError("modes", list(modes), allowed_text)
         frequencies, deviations = (mode_rows[:, 0].tolist(), mode_rows[:, 1].tolist())
@@ -549,7 +562,12 @@ class Measurements(Tabular):
     def check(self, scene: Scene) -> None:
         """Raise InputError if measurements do not fit a scene, or all precede its crack."""
         if all(measurement.quantity == "frequency_uncracked" for measurement in self.rows):
-            raise InputError("measurements", "frequency_uncracked", "also some of the plate as is")
+            raise InputError(
+                "measurements",
+                "frequency_uncracked",
+                "more than frequencies without the crack: add measurements of the plate as it is "
+                "now",
+            )
         for measurement in self.rows:
             measurement.check(scene)
 
@@ -613,10 +631,10 @@ def _read_csv_measurements(path: str | Path) -> list[Measurement]:
     ) != len(column_names):
         allowed_text = (
             f"a CSV file with the columns {', '.join(allowed_column_names)}, "
-            "the first three of them needed"
+            "of which the first three are required"
         )
         found_columns_text = (
-            f"the columns {', '.join(heading_cells)}" if column_names else "nothing"
+            f"the columns {', '.join(heading_cells)}" if column_names else "no columns"
         )
         raise InputError("measurements", f"{path}: {found_columns_text}", allowed_text)
     for cell, column_name, (si_heading, _) in zip(

@@ -375,7 +375,7 @@ class UncrackedPlate:
             ) in ("kHz", "mHz"):
                 allowed_text = (
                     f"in Hz; the scene has {nearest_load_frequency:.4g} Hz, "
-                    f"so that this seems to be in {unit_name}"
+                    f"so that the value seems to be in {unit_name}"
                 )
                 raise InputError(f"measurements.frequency, {row.name}", row.frequency, allowed_text)
         rows = [row for row in measurements.rows if row.natural and row.value > 0.0]
@@ -401,8 +401,8 @@ class UncrackedPlate:
                 plate_frequencies = plate_frequencies_of_rows[have_unit.index(True)]
                 modes_text = "" if all(have_unit) and len(rows) > 1 else ", or of another mode"
                 allowed_text = (
-                    f"in Hz; of this plate it is about {plate_frequencies[row.mode - 1]:.4g} "
-                    f"Hz, so that this seems to be in {unit_name}{modes_text}"
+                    f"in Hz; this plate has about {plate_frequencies[row.mode - 1]:.4g} Hz, "
+                    f"so that the value seems to be in {unit_name}{modes_text}"
                 )
                 raise InputError(f"measurements.value, {row.name}", row.value, allowed_text)
         for row, plate_frequencies in (
@@ -415,7 +415,8 @@ class UncrackedPlate:
                 )
                 own_mode_text = f"near {own_frequency_text} of this plate's mode {row.mode}"
                 allowed_text = (
-                    f"{own_mode_text}; its mode {nearest_mode} has {nearest_frequency_text}"
+                    f"{own_mode_text}; nearer is mode {nearest_mode} with "
+                    f"{nearest_frequency_text}: correct the mode, or the scene"
                 )
                 raise InputError(f"measurements.value, {row.name}", row.value, allowed_text)
 

@@ -50,7 +50,9 @@ class IdentificationOutput:
             picture_bytes = read_regular_file(picture_path, follows_links=False)
         if not picture_bytes.startswith(PNG_SIGNATURE):
             raise InputError(
-                "result", str(stored_file.path), f"with {picture_path.name} in its folder"
+                "result",
+                str(stored_file.path),
+                f"in one folder with {picture_path.name}, which identify writes",
             )
         return cls(scene, summary_by_key, picture_path)
 

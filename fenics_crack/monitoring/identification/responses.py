@@ -116,7 +116,7 @@ def _iterate_response_datasets(universal_file: BytesIO) -> Iterator[tuple[list[b
                     * int(NUMPY_TYPE_TEXT_BY_CODE[number_type_code][1])
                 )
             if int(dataset_line[13:19]) != 2:
-                raise ValueError("its binary numbers are not those of IEEE 754")
+                raise ValueError("its binary numbers are not in the format of IEEE 754")
             number_bytes = universal_file.read(n_bytes)
             if len(number_bytes) < n_bytes:
                 raise ValueError(f"it ends early: {len(number_bytes)} of {n_bytes} bytes")
@@ -124,7 +124,7 @@ def _iterate_response_datasets(universal_file: BytesIO) -> Iterator[tuple[list[b
         while (file_line := universal_file.readline()).strip() != DATASET_BORDER_LINE:
             if not file_line:
                 if is_response and not byte_order:
-                    raise ValueError("it ends early: a dataset 58 has no end")
+                    raise ValueError("it ends early: a dataset 58 has no last line -1")
                 break
             data_lines.append(file_line)
         if is_response:
@@ -134,7 +134,7 @@ def _iterate_response_datasets(universal_file: BytesIO) -> Iterator[tuple[list[b
 def _parse_fixed_width_numbers(number_bytes: bytes) -> np.ndarray:
     """Read numbers of fixed width, perhaps without blanks between them."""
     if invalid_words := FORTRAN_NUMBER_PATTERN.sub(b" ", number_bytes).split():
-        raise ValueError(f"{invalid_words[0][:20].decode('latin-1')!r} instead of a number")
+        raise ValueError(f"it has {invalid_words[0][:20].decode('latin-1')!r} instead of a number")
     number_words = [
         re.sub(rb"(?<=[0-9.])([+-])", rb"E\1", number_word)
         for number_word in FORTRAN_NUMBER_PATTERN.findall(number_bytes)
@@ -155,11 +155,11 @@ def _parse_response(
     )
     motion_code = int(heading_texts[9][:10])
     if number_type_code not in NUMPY_TYPE_TEXT_BY_CODE:
-        raise ValueError("a frequency response whose numbers are not complex")
+        raise ValueError("a frequency response has numbers that are not complex")
     if motion_code not in DERIVATIVE_ORDER_BY_CODE:
-        raise ValueError("a frequency response of no displacement, velocity or acceleration")
+        raise ValueError("a frequency response is not of a displacement, velocity or acceleration")
     if byte_order and not is_equally_spaced:
-        raise ValueError("a binary frequency response whose lines are not equally spaced")
+        raise ValueError("a binary frequency response has lines that are not equally spaced")
     if byte_order:
         interleaved_values = np.frombuffer(
             number_bytes, byte_order + NUMPY_TYPE_TEXT_BY_CODE[number_type_code]
@@ -170,7 +170,8 @@ def _parse_response(
         np.isfinite(interleaved_values)
     ):
         raise ValueError(
-            f"{len(interleaved_values)} finite numbers instead of those of {n_spectral_lines} lines"
+            f"it has {len(interleaved_values)} numbers for a frequency response of "
+            f"{n_spectral_lines} lines: too many, too few, or not all finite"
         )
     if is_equally_spaced:
         frequencies = first_frequency + frequency_step * np.arange(n_spectral_lines)
@@ -178,7 +179,7 @@ def _parse_response(
         frequencies = interleaved_values[::3]
         interleaved_values = np.delete(interleaved_values, np.s_[::3])
     if np.any(np.diff(frequencies) <= 0.0):
-        raise ValueError("a frequency response whose frequencies do not increase")
+        raise ValueError("a frequency response has frequencies that do not increase")
     return FrequencyResponse(
         frequencies,
         interleaved_values[::2] + 1j * interleaved_values[1::2],
@@ -204,7 +205,9 @@ def fit_resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
     """
     frequencies = responses[0].frequencies
     if any(not np.array_equal(response.frequencies, frequencies) for response in responses):
-        raise InputError("responses", "of different frequencies", "all at the same frequencies")
+        raise InputError(
+            "responses", f"{len(responses)} responses", "all measured at the same frequencies"
+        )
     is_positive = frequencies > 0.0
     omega = RAD_PER_TURN * frequencies[is_positive]
     receptances = np.stack(
@@ -241,7 +244,10 @@ def fit_resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
         if frequency_deviation < 0.1 * peak_width and peak_distance < peak_width:
             mode_rows.append((mode_frequency, frequency_deviation, damping_ratio))
     if not mode_rows:
-        allowed_text = "with peaks that fall to half their power on both sides, of 4 lines or more"
+        allowed_text = (
+            "enough for a peak that falls to half its power on both sides, of 4 lines or more: "
+            "measure a wider range, or with a finer resolution"
+        )
         raise InputError("responses", f"{len(frequencies)} lines", allowed_text)
     return np.array(mode_rows)
 

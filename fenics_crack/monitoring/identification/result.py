@@ -233,13 +233,14 @@ def list_advice_texts(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> li
             f"{'ies' if len(missing_modes) > 1 else 'y'} {', '.join(map(str, missing_modes))}"
         )
         missing_frequencies_text = (
-            f"natural frequenc{modes_text} before there was a crack (frequency_uncracked)"
+            f"natural frequenc{modes_text} without the crack (frequency_uncracked)"
         )
         if gain_text := _describe_gain_or_empty(
             worth.now, _compute_deviation_by_key_with(likelihood, x, missing_measurements)
         ):
             advice_texts.append(
-                f"{missing_frequencies_text}, to {relative_deviation:.1%}: {gain_text}"
+                f"{missing_frequencies_text}, with a standard deviation of "
+                f"{relative_deviation:.1%}: {gain_text}"
             )
     if worth.measurements:
         deviation_by_key = {
@@ -253,7 +254,7 @@ def list_advice_texts(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> li
 def _describe_gain_or_empty(
     current_deviation_by_key: Mapping[str, float], improved_deviation_by_key: Mapping[str, float]
 ) -> str:
-    """Describe the gain of a measurement: "crack length to 0.2 mm in place of 1 mm".
+    """Describe the gain of a measurement: "crack length then ± 0.2 mm instead of ± 1 mm".
 
     Only unknowns with a change in the printed standard deviation are named.
     """
@@ -266,7 +267,7 @@ def _describe_gain_or_empty(
         for key in current_deviation_by_key
     )
     return ", ".join(
-        f"{key_in_words(key)} to {improved_text} in place of {current_text}"
+        f"{key_in_words(key)} then ± {improved_text} instead of ± {current_text}"
         for key, improved_text, current_text in keys_and_deviation_texts
         if improved_text != current_text
     )
@@ -494,23 +495,30 @@ class Identification(Tabular):
         """
         undecided_verdict, prior_by_key = "undecided", self.priors
         if self.plain is None:
-            return undecided_verdict, "there is no plate without a crack to compare with"
+            return (
+                undecided_verdict,
+                "there is no plate without a crack to compare with; for a mesh file, give "
+                "identify.uncracked",
+            )
         required_p_value = 1.0 - prior_by_key["confidence"]
         required_log_bayes_factor = prior_by_key["log_bayes_factor"]
         crack_p_value = self.misfit[1]
         uncracked_p_value = self.plain.misfit[1]
         log_bayes_factor = self.log_bayes_factor
-        bayes_factor_text = f"log Bayes factor {log_bayes_factor:.3g}, crack over no crack"
+        bayes_factor_text = f"the log Bayes factor of crack over no crack is {log_bayes_factor:.3g}"
         if max(crack_p_value, uncracked_p_value) < required_p_value:
             reason_text = (
                 "neither a crack of this kind nor a plate without one explains the measurements"
             )
             alternatives_text = (
-                "two cracks, one of another kind or elsewhere, or a wrong measurement might"
+                "possible causes are two cracks, a crack of another kind or place, and a wrong "
+                "measurement"
             )
             return undecided_verdict, f"{reason_text}; {alternatives_text} ({bayes_factor_text})"
         if log_bayes_factor > required_log_bayes_factor and uncracked_p_value >= required_p_value:
-            reason_text = "a plate without a crack explains the measurements within its priors"
+            reason_text = (
+                "a plate without a crack, changed within the priors, explains the measurements, too"
+            )
             return (
                 undecided_verdict,
                 f"{reason_text} ({bayes_factor_text})"
@@ -518,7 +526,7 @@ class Identification(Tabular):
             )
         if log_bayes_factor < -required_log_bayes_factor:
             unseen_crack_text = (
-                f"{bayes_factor_text}; an undetected one would be at {_describe_intervals(self)}"
+                f"{bayes_factor_text}; an undetected crack would have {_describe_intervals(self)}"
             )
             return (
                 NO_CRACK_VERDICT,
@@ -533,7 +541,7 @@ class Identification(Tabular):
             ) + conditions_text
         return (
             undecided_verdict,
-            f"{bayes_factor_text}; if there is one it is at {_describe_intervals(self)}"
+            f"{bayes_factor_text}; if there is a crack, it has {_describe_intervals(self)}"
             f"{conditions_text}",
         )
 
@@ -584,7 +592,9 @@ class Identification(Tabular):
                 key for key in (*model.unknown_keys, *model.word_by_key) if key not in values
             ]
             if missing_keys:
-                raise InputError("values", dict(values), f"with {', '.join(missing_keys)}")
+                raise InputError(
+                    "values", dict(values), f"given with {', '.join(missing_keys)}, too"
+                )
             if all(values[key] == word for key, word in model.word_by_key.items()):
                 x = np.array([float(values[key]) for key in model.unknown_keys])
                 return branch.interpolate_log_likelihood(
@@ -751,7 +761,8 @@ class Identification(Tabular):
             unknown_key = self.unknown[unknown_index]
             bound_text = f"{side_text} {value_in_words(unknown_key, bound_value)}"
             warning_texts.append(
-                f"{key_in_words(unknown_key)} may be {bound_text}, outside the bounds of the search"
+                f"{key_in_words(unknown_key)} may be {bound_text}, outside the bounds of the "
+                "search: give wider bounds in identify.unknown"
             )
         return warning_texts
 
@@ -790,7 +801,7 @@ def _list_small_deviation_warnings(measurements: Measurements) -> list[str]:
     ]
     return [
         f"{measurement.name} has a standard deviation of {measurement.deviation:.3g} Hz, less than "
-        "its change by 0.1 K: if a relative one is meant, it is "
+        "its change by 0.1 K: if you mean a relative one, give "
         f"{measurement.deviation * measurement.value:.3g} Hz"
         for measurement in rows[:1]
     ]
@@ -816,7 +827,7 @@ def _list_misfit_warnings(identification: Identification) -> list[str]:
         )
     n_current_rows = sum(measurement.quantity != "frequency_uncracked" for measurement in rows)
     if p_value < required_p_value:
-        misfit_text = f"chi^2 = {chi_square:.3g} of {len(rows)}"
+        misfit_text = f"chi^2 is {chi_square:.3g} for {format_count(len(rows), 'measurement')}"
         if n_current_rows > 1:
             chi_squares_without_row = [
                 misfit_pair[0]
@@ -824,8 +835,8 @@ def _list_misfit_warnings(identification: Identification) -> list[str]:
             ]
             worst_row_index = int(np.argmin(chi_squares_without_row))
             misfit_text += (
-                f", {chi_squares_without_row[worst_row_index]:.3g} without "
-                f"{rows[worst_row_index].name}"
+                f", and {chi_squares_without_row[worst_row_index]:.3g} without "
+                f"{rows[worst_row_index].name}: check this measurement"
             )
         warning_texts.append(f"no crack of this kind explains the measurements: {misfit_text}")
     if (
@@ -841,9 +852,10 @@ def _list_misfit_warnings(identification: Identification) -> list[str]:
             for measurement, (_, p_value_without_row) in rows_and_misfits
             if p_value_without_row >= required_p_value
         ]:
-            rows_pronoun = "these" if len(measurement_names) > 1 else "that"
+            rows_pronoun = "these" if len(measurement_names) > 1 else "it"
             plate_text = (
-                f"a plate without a crack explains all but {' or '.join(measurement_names)}"
+                "a plate without a crack explains the measurements without "
+                f"{' or without '.join(measurement_names)}"
             )
             warning_texts.append(f"{plate_text}: measure {rows_pronoun} again")
     return warning_texts
@@ -873,10 +885,11 @@ def _describe_single_crack_condition_or_empty(identification: Identification) ->
     ):
         return ""
     frequencies_text = (
-        f"may have the same frequencies of {format_count(len(measured_modes), 'mode')}"
+        f"may have the same frequencies of {format_count(len(measured_modes), 'mode')}: "
+        "measure more modes"
     )
     return (
-        "; place and size are those of one crack: two of them, or one elsewhere, "
+        "; place and size hold for a single crack: two cracks, or a crack elsewhere, "
         f"{frequencies_text}"
     )
 
@@ -909,9 +922,8 @@ def _describe_unchanged_plate_condition_or_empty(identification: Identification)
     ):
         return (
             f"; {_describe_modulus_change(identification, uncracked_posterior)}, "
-            "explains the measurements without a crack: measure the temperature, too, before and "
-            "since (temperature), or open the clamp, close it, measure again and give their change "
-            "as identify.before_deviation"
+            "explains the measurements without a crack: measure the temperature, too; or open and "
+            "close the clamp, measure again, and give the change as identify.before_deviation"
         )
     clamp_and_temperature_factors = [
         0.0
@@ -933,11 +945,11 @@ def _describe_unchanged_plate_condition_or_empty(identification: Identification)
         else ""
     )
     return (
-        "; a clamp, a temperature or a sensor that has changed frequencies by "
-        f"{largest_stated_change if is_uncracked_explained else clamp_deviation:.2g} since before"
-        f"{modulus_text} explains the measurements without a crack (identify.before_deviation = "
-        f"{identify_table.before_deviation:.2g}): open the clamp, close it, measure again and give "
-        "their change there"
+        "; a clamp, temperature or sensor that has changed frequencies by a relative "
+        f"{largest_stated_change if is_uncracked_explained else clamp_deviation:.2g}"
+        f"{modulus_text} explains the measurements without a crack: open and close the clamp, "
+        "measure again, and give the change as identify.before_deviation (now "
+        f"{identify_table.before_deviation:.2g})"
     )
 
 
@@ -951,13 +963,16 @@ def _describe_warming_condition_or_empty(identification: Identification) -> str:
         >= 1.0 - identification.priors["confidence"]
     ):
         return ""
-    return f"; with {_describe_modulus_change(identification, identification.posterior)}"
+    return (
+        "; the crack explains the measurements only with "
+        f"{_describe_modulus_change(identification, identification.posterior)}"
+    )
 
 
 def _describe_modulus_change(identification: Identification, posterior: Posterior) -> str:
     """Return the posterior mean of the change of Young's modulus, in words.
 
-    An example: "a Young's modulus 1 % lower than before, as about 25 K more make it".
+    An example: "a Young's modulus 1 % lower than before, as about 25 K more cause".
     """
     kelvin_change = (
         identification.priors["temperature_deviation"]
@@ -969,7 +984,7 @@ def _describe_modulus_change(identification: Identification, posterior: Posterio
     modulus_text = (
         f"a Young's modulus {abs(relative_modulus_change):.2%} {direction_text} than before"
     )
-    return f"{modulus_text}, as about {kelvin_text} make it"
+    return f"{modulus_text}, as about {kelvin_text} cause"
 
 
 def _describe_intervals(identification: Identification) -> str:

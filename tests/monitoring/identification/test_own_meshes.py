@@ -94,7 +94,7 @@ def test_as_the_program_s_own_meshes(own: Path, rows: fc.Measurements, tmp_path:
         expected_identification.log_bayes_factor, rel=0.02
     )
     [more_remark] = set(identification.remarks) - set(expected_identification.remarks)
-    assert "its error is in no interval" in more_remark
+    assert "do not include the error of the mesh files" in more_remark
     assert identification.verdict == "crack"
     assert identification.contains({"crack.length": 0.022, "crack.height": 0.08})
     assert fc.Scene.from_text(scene.as_toml()) == scene
@@ -126,7 +126,7 @@ def test_command_without_a_mesh_of_no_crack(
     )
     uncracked_row = replace(rows.rows[0], quantity="frequency_uncracked")
     (rows + fc.Measurements((uncracked_row,))).to_csv(tmp_path / "m.csv")
-    assert "not allowed where the crack cannot be taken out" in run_command(*words, code=2).err
+    assert "not allowed, since the crack cannot be removed" in run_command(*words, code=2).err
 
 
 @pytest.mark.parametrize(

@@ -97,7 +97,7 @@ def test_a_softer_blade_than_before(scene: fc.Scene, folder: Path) -> None:
         scene, record("frequency_open", 1.0, np.nan) + earlier_record, folder=folder
     )
     assert identification.verdict != "crack" and "Young's modulus" in identification.reason
-    [warmer] = re.findall(r"as about (\d+) K more make it", identification.reason)
+    [warmer] = re.findall(r"as about (\d+) K more cause", identification.reason)
     assert float(warmer) == pytest.approx(25.0, rel=0.3)
     assert identification.priors["temperature_deviation"] == 25.0
     higher = [
