@@ -442,7 +442,7 @@ def find_probed_displacement_and_reversal(scene: Scene) -> tuple[str, bool]:
             f"{direction_component:.3g}" for direction_component in direction
         )
         requirement_text = (
-            f"given: the blade tip moves along ({components_text}), which is none of x, y and z"
+            f"given, as the blade tip moves along ({components_text}), which is none of x, y and z"
         )
         raise InputError("tip_timing.tangential", None, requirement_text)
     return f"{tip_point.key}.u{'xyz'[axis_index]}", bool(direction[axis_index] < 0.0)

@@ -124,7 +124,7 @@ def identify(
         changed_table = replace(identify_table, unknown=Identify.convert_value("unknown", unknown))
         scene = replace(scene, identify=changed_table)
     if scene.identify is None:
-        raise InputError("identify", None, "given: a table with the unknowns")
+        raise InputError("identify", None, "given: a table [identify] with the unknowns")
     has_only_words = all(isinstance(axis.values[0], str) for axis in scene.identify.unknown)
     if has_only_words and not scene.identify.meshes:
         raise InputError("identify.unknown", "words alone", "also a key that holds a number")
