@@ -128,7 +128,7 @@ def make_missing_curve_error(scene: Scene, console: Console) -> InputError:
 
     The error's example is a curve through the resonance nearest to the load, if it is found.
     """
-    error = missing_table_error("curve", " for this command")
+    error = missing_table_error("curve", ", which this command needs")
     error.example = ""
     with console.report_stage("natural frequencies"), suppress(InputError):
         study = prepare(scene, console.comm, whole=True)

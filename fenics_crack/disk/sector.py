@@ -122,9 +122,9 @@ def record_matched_side_nodes(scene: Scene, dofs: Dofs) -> None:
             else "has no partner"
         )
         requirement = (
-            f"a sector whose left side, turned about the axis by 360/{disk.sectors} degrees, is the "
-            f"right side: the left one has {len(left_nodes)} nodes, the right one "
-            f"{len(right_nodes)}; the node at {place_text} m {distance_text}"
+            f"a sector whose left side, turned about the axis by 360/{disk.sectors} degrees, is "
+            f"the right side: the left one has {len(left_nodes)} nodes, the right one "
+            f"{len(right_nodes)}; the left node at {place_text} m {distance_text}"
         )
         key = "mesh.file" if side_names[0] == "left" else "disk"
         raise InputError(key, scene.mesh.file or "a table", requirement)

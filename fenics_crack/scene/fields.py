@@ -290,7 +290,7 @@ def _read_axis_values(name: str, values_or_range: object) -> tuple[Any, ...]:
         raise InputError(
             key_suffix,
             values_or_range,
-            "with start and stop both > 0, or both < 0, for that spacing",
+            "a range with start and stop both > 0 or both < 0, for that spacing",
         )
     return tuple(map(float, np.sign(start) * np.geomspace(abs(start), abs(stop), n_values)))
 

@@ -307,7 +307,7 @@ class Scene:
     def given(self, name: str) -> Any:
         """Return a table for a command; raise InputError if the table is missing."""
         if getattr(self, name) is None:
-            raise missing_table_error(name, " for this command")
+            raise missing_table_error(name, ", which this command needs")
         has_condensed_form = self.harmonic_balance.form == "condensed"
         requirement = f"'condensed' for a command that uses [{name}]"
         self.harmonic_balance.require(
@@ -467,7 +467,7 @@ class Scene:
 
 def missing_table_error(table_name: str, circumstance: str = "") -> InputError:
     """Return the error for a missing table; its text has the required keys."""
-    keys_text = " and ".join(_TABLE_CLASS_BY_NAME[table_name].required_keys())
+    keys_text = ", ".join(_TABLE_CLASS_BY_NAME[table_name].required_keys())
     requirement = f"given: a table [{table_name}]{' with ' * bool(keys_text)}{keys_text}"
     return InputError(table_name, None, requirement + circumstance)
 
@@ -850,10 +850,9 @@ def _check_plate(scene: Scene) -> None:
         )
         geometry.require(is_similar_size, side_key, requirement)
     if not scene.has_other_loads:
-        requirement = (
-            f"given: the point of the force on the {geometry.kind}, [x, y] or, in a solid,"
+        scene.excitation.given(
+            "point", "given: the point of the force, [x, y], or [x, y, z] in a solid [m]"
         )
-        scene.excitation.given("point", f"{requirement} [x, y, z] [m]")
     if scene.excitation.point is None and (force_key := scene.excitation.first_force_key):
         scene.excitation.require(False, force_key, "left out without excitation.point")
     load_by_name = {f"loads.{load_number}": load for load_number, load in enumerate(scene.loads, 1)}
@@ -881,7 +880,7 @@ def _check_cad_part(scene: Scene) -> None:
     _forbid_tables(scene, ("disk",), "geometry.file")
     if not scene.has_other_loads:
         scene.excitation.given(
-            "point", "given: the force's point [x, y, z], on the part or near it [m]"
+            "point", "given: the point of the force, [x, y, z], on the part or near it [m]"
         )
     if scene.crack_by_name:
         scene.mesh.given("lip_elements", LIP_ELEMENTS_TEXT)
@@ -1245,8 +1244,8 @@ def _merge_list_changes(
     if list_position > len(tables) + 1:
         first_changed_key = f"{table_name}.{list_position}.{next(iter(value_by_key))}"
         requirement = (
-            f"numbered {len(tables) + 1} at most, as the scene has {len(tables)} tables "
-            f"[[{table_name}]]"
+            f"in {table_name}.{len(tables) + 1}, the next new table, as the scene has "
+            f"{len(tables)} tables [[{table_name}]]"
         )
         raise InputError(first_changed_key, next(iter(value_by_key.values())), requirement)
     current_table = tables[list_position - 1] if list_position <= len(tables) else None

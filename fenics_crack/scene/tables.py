@@ -783,10 +783,10 @@ class Contact(Table):
             self.require(
                 has_one_stiffness,
                 "stiffness",
-                f"given, or contact.stiffness_per_area, one of the two, with {law_text}",
+                f"given, or contact.stiffness_per_area, but not both, with {law_text}",
             )
         if self.law == "smoothed":
-            self.given("sharpness", f"given: a finite number > 0 [1/m], with {law_text}")
+            self.given("sharpness", "given: a finite number > 0 [1/m], for the smoothed law")
         else:
             self.forbid_keys(("sharpness",), law_text)
         if not self.friction:
@@ -931,7 +931,7 @@ class Mesh(Table):
         for key in layout_keys:
             if key not in ("lip_elements", "coarser"):  # an uncracked plate has no crack faces
                 allowed_text = self.field_by_key()[key].metadata["allowed"]
-                self.given(key, f"given: {allowed_text}, with mesh.layout = {self.layout!r}")
+                self.given(key, f"given: {allowed_text}, with layout = {self.layout!r}")
         if self.layout == "file":
             self.forbid_keys(("cells",), "mesh.layout = 'file': the mesh file has the cells")
 
@@ -1065,7 +1065,7 @@ class Curve(Table):
             lower_bound = max(1e-12 * max(self.start, self.stop), 0.0)
             for end_key in ("start", "stop"):
                 requirement = f"a number > 0 with curve.parameter = {self.parameter!r}"
-                requirement += ", > 1e-12 times the other end" * (getattr(self, end_key) > 0.0)
+                requirement += ", and above 1e-12 of the other end" * (getattr(self, end_key) > 0.0)
                 self.require(getattr(self, end_key) > lower_bound, end_key, requirement)
 
     @property
@@ -1215,7 +1215,7 @@ class Growth(Table):
             return
         for spectrum_key in ("frequencies", "cycles"):
             allowed_text = self.field_by_key()[spectrum_key].metadata["allowed"]
-            self.given(spectrum_key, f"given: {allowed_text}, with growth.drive = 'spectrum'")
+            self.given(spectrum_key, f"given: {allowed_text}, with drive = 'spectrum'")
         has_equal_lengths = len(self.cycles or ()) == len(self.frequencies or ())
         self.require(
             has_equal_lengths,

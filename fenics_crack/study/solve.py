@@ -107,7 +107,7 @@ def required_contact_law(study: Study) -> ContactLaw:
             raise InputError("structure.gap", None, requirement)
         # The crack of a file is no table.
         table_name = "contact" if study.scene.mesh.layout == "file" else "crack"
-        raise missing_table_error(table_name, " for this command")
+        raise missing_table_error(table_name, ", which this command needs")
     return study.contact
 
 
