@@ -56,7 +56,7 @@ TABLE = [
     ("plot text.h5", "path = 'text.h5': must be a readable result file, one of the .h5 files"),
     ("plot folder", "result = 'folder': must be a folder with results, .h5 files"),
     ("solve scene.toml crack.length", "--set = 'crack.length': must be key=value, for example contact.stiffness=1e9"),
-    ("check scene.toml sweep.over.x=1", "sweep.over.x = 1: must be changed as a whole: sweep.over={'x'=...}"),
+    ("check scene.toml sweep.over.x=1", "sweep.over.x = 1: must be changed as a whole: sweep.over={\"x\"=...}"),
     ("solve scene.toml crack=1", "crack = 1: must be changed key by key, as crack.edge=...; only these tables can be removed, by TABLE=none (in Python None): REMOVABLE"),
     ("solve scene.toml colour=1", "colour = 1: not allowed; known tables: TABLES"),
     ("solve scene.toml mesh.colour=1", "mesh.colour = 1: not allowed; known keys: layout, cells, order, columns, rows, size, lip_elements, grading, file"),

@@ -1181,10 +1181,10 @@ def _split_changed_key(full_key: str, value: object) -> tuple[str, int | None, s
         )
         raise InputError(full_key, value, f"left out; known keys: {known_keys_text}")
     elif key_in_table not in table_class.field_by_key():
-        parent_key, _, subkey = key_in_table.partition(".")
+        parent_key, _, subkey = key_in_table.replace('"', "").partition(".")
         if parent_key in table_class.field_by_key() and subkey:
             raise InputError(
-                full_key, value, f"changed as a whole: {table_name}.{parent_key}={{'{subkey}'=...}}"
+                full_key, value, f'changed as a whole: {table_name}.{parent_key}={{"{subkey}"=...}}'
             )
         raise InputError(full_key, value, table_class.unknown_key_text(key_in_table))
     return table_name, list_position, key_in_table
