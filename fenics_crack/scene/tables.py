@@ -1220,7 +1220,7 @@ class Growth(Table):
         self.require(
             has_equal_lengths,
             "cycles",
-            f"a list of {len(self.frequencies or ())} numbers, as growth.frequencies",
+            f"as many numbers as growth.frequencies, {len(self.frequencies or ())}",
         )
 
     @property
