@@ -83,7 +83,7 @@ TABLE = [
     ("check list.toml", "cracks = 1: must be a list of tables headed [[cracks]]"),
     ("check part.toml mesh.layout=file mesh.file=a.msh mesh.size=none mesh.lip_elements=none", "mesh.layout = 'file': must be 'graded' with geometry.file"),
     ("check part.toml excitation.point=none", "excitation.point is missing: give the point of the force, [x, y, z], on the part or near it [m]"),
-    ("check part.toml crack.point=none", "crack.point is missing: give a point [x, y, z] in the crack's plane [m]"),
+    ("check part.toml crack.point=none", "crack.point is missing: give a point [x, y, z] of the crack [m], with geometry.file"),
     ("check part.toml disk.sectors=8 excitation.order=1", "disk = 'a table': not allowed with geometry.file"),
     ("check part.toml geometry.file=none geometry.faces={} geometry.width=1 geometry.height=1 geometry.thickness=1 crack.point=none crack.normal=none crack.direction=none crack.radii=none crack.front=through", "crack.front = 'through': must be 'straight' or 'elliptical' without crack.point"),
     ("check lists.toml", "cracks.2.edge = 'top': must be one of 'left', 'right'"),

@@ -888,7 +888,7 @@ def _check_cad_part(scene: Scene) -> None:
             raise missing_table_error("contact", ", as there is a crack")
     for crack_name, crack in scene.crack_by_name.items():
         with use_table_name_in_errors(crack_name):
-            crack.given("point", "given: a point [x, y, z] in the crack's plane [m]")
+            crack.given("point", "given: a point [x, y, z] of the crack [m], with geometry.file")
             crack.check_plane_keys()
 
 
