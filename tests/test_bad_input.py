@@ -400,7 +400,9 @@ def test_every_message_of_the_scene_is_in_the_table(name: str) -> None:
                     if isinstance(part, ast.Constant) and isinstance(part.value, str)
                 ]
                 longest = max(words, key=len, default="")
-                longest = longest.strip("' ").removeprefix("left out").removeprefix("given:").strip()
+                longest = (
+                    longest.strip("' ").removeprefix("left out").removeprefix("given:").strip()
+                )
                 if longest not in table_text and longest not in ("allowed", "a"):
                     missing_messages.append(longest)
     assert not missing_messages

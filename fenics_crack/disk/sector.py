@@ -117,7 +117,7 @@ def record_matched_side_nodes(scene: Scene, dofs: Dofs) -> None:
     if largest_distance > RELATIVE_POSITION_TOLERANCE * mesh_extent:
         place_text = format_point(points[left_nodes[worst_node_index]])
         distance_text = (
-            f"is {largest_distance:.2g} m from the nearest"
+            f"is {largest_distance:.2g} m from the nearest right one"
             if math.isfinite(largest_distance)
             else "has no partner"
         )
@@ -161,7 +161,7 @@ def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
         )
         if largest_distance > RELATIVE_POSITION_TOLERANCE * float(np.ptp(points, axis=0).max()):
             place_text = format_point(points[lower_nodes[worst_node_index]])
-            requirement = f"crack faces with equal nodes; the faces differ at {place_text} m"
+            requirement = f"crack faces with the same nodes; these differ at {place_text} m"
             raise InputError(
                 "lips", f"{len(lower_nodes)} lower and {len(upper_nodes)} upper nodes", requirement
             )

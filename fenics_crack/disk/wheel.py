@@ -219,7 +219,7 @@ class Wheel(Structure):
     def with_harmonics(self, harmonics: Mapping[int, tuple[Any, Any]]) -> Structure:
         """Raise InputError, as the load's harmonics turn with the engine order."""
         requirement = (
-            "built from a scene with [[excitation.harmonics]], as a load on [disk] needs its order"
+            "built from a scene with [[excitation.harmonics]]: a bladed disk cannot get them later"
         )
         raise InputError("structure", repr(self), requirement)
 

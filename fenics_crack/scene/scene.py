@@ -136,7 +136,7 @@ class Scene:
             self.curve.require(self.excitation.order is not None, "parameter", requirement)
         if self.curve is not None and self.curve.parameter_and_range[0] == "load":
             requirement = (
-                "another one with a rotation.speed > 0, as the mean load is partly "
+                "another parameter with a rotation.speed > 0, as the mean load is partly "
                 "centrifugal; or add curve.at = 'resonance', which keeps the mean load"
             )
             self.curve.require(self.speed == 0.0, "parameter", requirement)
@@ -803,7 +803,7 @@ def _check_disk(scene: Scene, disk: kinds.Disk) -> None:
         )
         scene.excitation.given("omega", requirement)
     if scene.curve is not None:
-        requirement = "another one with [disk], for example 'omega' or 'frequency'"
+        requirement = "another parameter with [disk], for example 'omega' or 'frequency'"
         scene.curve.require(scene.curve.parameter_and_range[0] != "speed", "parameter", requirement)
     for crack_name, crack in scene.crack_by_name.items():
         with use_table_name_in_errors(crack_name):

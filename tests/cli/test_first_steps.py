@@ -146,7 +146,7 @@ WRONG = {
     "point = [0.1, 0.3]": ("", "excitation.point is missing: .*; for example point = [0.1, 0.3]"),
     "frequency = 780.0 ": ("", "excitation.omega is missing: .*; for example frequency = 780.0"),
     "lip_elements = 10": ("", "mesh.lip_elements is missing: .*; for example lip_elements = 10"),
-    '[contact] ': ("[output.points]", "contact is missing: give a table [contact], as there is a crack"),
+    '[contact] ': ("[output.points]", "contact is missing: give a table [contact]"),
 }  # fmt: skip
 """Text of a new scene, what takes its place, and the line about it."""
 
