@@ -111,11 +111,7 @@ class Scene:
             if not has_right_type:
                 if table is None:
                     raise missing_table_error(table_name)
-                type_text = "a tuple of" if table_name in _LIST_TABLE_NAMES else "of the class"
-                requirement = f"{type_text} {table_class.__name__}"
-                if isinstance(table, str | Path):
-                    requirement += "; to read the file of a scene, use Scene.load(path)"
-                raise InputError(table_name, table, requirement)
+                raise InputError(table_name, table, _describe_table_type(table_name, table))
         if self.rotation is not None:
             self.rotation.check_axis_position(self.disk)
         if self.excitation.order is not None and (self.disk is None or self.speed > 0.0):
@@ -463,6 +459,14 @@ class Scene:
             elif tables is not None:
                 table_texts.append(tables.as_toml())
         return "\n".join(table_texts)
+
+
+def _describe_table_type(table_name: str, table: object) -> str:
+    """Describe the type that a table must have, in place of a wrong one."""
+    type_text = "a tuple of" if table_name in _LIST_TABLE_NAMES else "of the class"
+    advice_text = "; to read the file of a scene, use Scene.load(path)"
+    class_name = _TABLE_CLASS_BY_NAME[table_name].__name__
+    return f"{type_text} {class_name}{advice_text * isinstance(table, str | Path)}"
 
 
 def missing_table_error(table_name: str, circumstance: str = "") -> InputError:
