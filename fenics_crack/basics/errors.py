@@ -53,7 +53,7 @@ class InputError(ValueError):
     value : object
         The value of this key.
     allowed : str
-        Description of the allowed values, which follows "must be". "left out with ..." is printed
+        Description of the allowed values, printed after "must be". "left out with ..." is printed
         as "not allowed with ...", and "given: a number" as "give a number".
     others : tuple of InputError
         Errors of further keys of the same scene.

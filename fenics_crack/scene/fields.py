@@ -708,7 +708,7 @@ class Table:
     def forbid_keys(self, keys: Iterable[str], circumstance: str) -> None:
         """Raise InputError if a key is neither None nor the default.
 
-        The circumstance follows "with" in the error, unless it begins with "without".
+        In the error, the circumstance follows "with" or begins with "without".
         """
         preposition = "" if circumstance.startswith("without ") else "with "
         for key in keys:

@@ -462,7 +462,7 @@ class Scene:
 
 
 def _describe_table_type(table_name: str, table: object) -> str:
-    """Describe the type that a table must have, in place of a wrong one."""
+    """Describe the required type of a table."""
     type_text = "a tuple of" if table_name in _LIST_TABLE_NAMES else "of the class"
     advice_text = "; to read the file of a scene, use Scene.load(path)"
     class_name = _TABLE_CLASS_BY_NAME[table_name].__name__
@@ -470,7 +470,7 @@ def _describe_table_type(table_name: str, table: object) -> str:
 
 
 def missing_table_error(table_name: str, circumstance: str = "") -> InputError:
-    """Return the error for a missing table; its text has the required keys."""
+    """Return the error for a missing table, with the required keys."""
     keys_text = ", ".join(_TABLE_CLASS_BY_NAME[table_name].required_keys())
     requirement = f"given: a table [{table_name}]{' with ' * bool(keys_text)}{keys_text}"
     return InputError(table_name, None, requirement + circumstance)
