@@ -1104,7 +1104,7 @@ def outcome_of(code: int, errors: str, noise: str) -> tuple[str, str]:
         last_line = lines[-1]
     message_lines = [line for line in lines if line.startswith("fenics-crack: ")]
     of_keys = len(message_lines) > 1 and all(
-        re.search(": must be |: not allowed", line) for line in message_lines
+        re.search(": must be |: not allowed|: give ", line) for line in message_lines
     )
     if (
         code == 2

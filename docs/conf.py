@@ -110,8 +110,7 @@ def say_what_is_allowed(
     """Add the allowed values and the unit below each key of a scene, in the words of its error."""
     kind, _, key = name.removeprefix("fenics_crack.scene.tables.").partition(".")
     if field := getattr(getattr(tables, kind, None), "__dataclass_fields__", {}).get(key):
-        unit = f" [{field.metadata['unit']}]" if field.metadata["unit"] else ""
-        lines += ["", f"Allowed: {field.metadata['allowed']}{unit}.", ""]
+        lines += ["", f"Allowed: {field.metadata['allowed']}.", ""]
 
 
 def typeset(page: HTML5Translator, node: nodes.Element) -> None:

@@ -53,7 +53,8 @@ class InputError(ValueError):
     value : object
         The value of this key.
     allowed : str
-        Description of the allowed values.
+        Description of the allowed values, printed after "must be". "left out with ..." is printed
+        as "not allowed with ...", and "given: a number" as "give a number".
     others : tuple of InputError
         Errors of further keys of the same scene.
     example : str or None
@@ -83,9 +84,8 @@ class InputError(ValueError):
             value = f"({type(self.value).__name__} too long to be shown)"
         key, value = (re.sub("(?s)(.{1000}).+", r"\1...", text) for text in (key, value))
         key_and_value_text = f"{key} is missing" if self.value is None else f"{key} = {value}"
-        text = f"{key_and_value_text}: must be {self.allowed}".replace(
-            "must be left out", "not allowed"
-        )
+        text = f"{key_and_value_text}: must be {self.allowed}"
+        text = text.replace("must be left out", "not allowed").replace("must be given: ", "give ")
         return text if text.isprintable() else " ".join(text.split())
 
 
@@ -192,9 +192,8 @@ def check_rayleigh_damping_ratios(
     max_allowed_ratio = low_ratio * (high_omega / low_omega)
     if not min_allowed_ratio * (1.0 - 1e-15) <= high_ratio <= max_allowed_ratio * (1.0 + 1e-15):
         requirement = (
-            f"such that no coefficient is negative: with {low_ratio:g} at {low_omega:g} rad/s,"
-        )
-        requirement += (
-            f" from {min_allowed_ratio:g} to {max_allowed_ratio:g} at {high_omega:g} rad/s"
+            "ratios with which both Rayleigh coefficients are >= 0: for "
+            f"{low_ratio:g} at {low_omega:g} rad/s, a ratio from {min_allowed_ratio:g} to "
+            f"{max_allowed_ratio:g} at {high_omega:g} rad/s"
         )
         raise InputError(key, tuple(damping_ratios), requirement)

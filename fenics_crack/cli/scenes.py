@@ -27,7 +27,7 @@ from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modes import damped_count_and_max_omega
 from fenics_crack.model.structure import Structure
-from fenics_crack.scene.scene import Scene, list_requested_extra_quantities
+from fenics_crack.scene.scene import Scene, list_requested_extra_quantities, missing_table_error
 from fenics_crack.scene.words import word_for_crack_faces
 from fenics_crack.study.plausibility import (
     FACTOR_AND_UNIT_BY_CURVE_PARAMETER,
@@ -128,7 +128,7 @@ def make_missing_curve_error(scene: Scene, console: Console) -> InputError:
 
     The error's example is a curve through the resonance nearest to the load, if it is found.
     """
-    error = InputError("curve", None, "given for this command: a table")
+    error = missing_table_error("curve", ", which this command needs")
     error.example = ""
     with console.report_stage("natural frequencies"), suppress(InputError):
         study = prepare(scene, console.comm, whole=True)

@@ -69,7 +69,7 @@ def wheel_of(structure: Structure) -> Wheel:
         The structure does not belong to a scene with [disk].
     """
     if not isinstance(structure, Structure) or not isinstance(structure.whole, Wheel):
-        raise InputError("structure", repr(structure), "that of a scene with [disk]")
+        raise InputError("structure", repr(structure), "the structure of a scene with [disk]")
     return structure.whole
 
 
@@ -162,7 +162,11 @@ def blades(found: Any, dof: int | None = None) -> Blades:
     solution_or_curve = getattr(found, "result", found)
     is_solution = isinstance(solution_or_curve, PeriodicSolution)
     if not is_solution and not isinstance(solution_or_curve, ResponseCurve):
-        raise InputError("found", type(found).__name__, "a solution or a response curve")
+        raise InputError(
+            "found",
+            type(found).__name__,
+            "a PeriodicSolution, a ResponseCurve, or a Run with one of them",
+        )
     structure = solution_or_curve.structure
     wheel = wheel_of(structure)
     blade_dofs = wheel.dofs_of_blades(int(wheel.as_dof_numbers([dof])[0]))
@@ -258,10 +262,10 @@ class NodalDiameters(SavedResult):
             f"{omega / RAD_PER_TURN:.6g}" for omega in self.omega[self.excited]
         )
         answer = (
-            f"engine order {self.order} excites nodal diameter {self.excited}: "
-            f"{frequencies_text} Hz"
+            f"engine order {self.order} excites nodal diameter {self.excited}, whose natural "
+            f"frequencies are {frequencies_text} Hz"
         )
-        remarks = ["without the Coriolis force"] if self.scene.speed > 0.0 else []
+        remarks = ["the Coriolis force is neglected"] if self.scene.speed > 0.0 else []
         return Conclusion(
             f"{format_count(len(self.omega), 'nodal diameter')} found",
             answer,
@@ -376,7 +380,7 @@ class Amplification(SavedResult):
     def build_conclusion(self) -> Conclusion:
         """Return the concluding sentence's parts: factors and Whitehead's bound."""
         answer = f"95 % of the amplification factors are at most {self.percentile(95.0):.4g}"
-        answer += f", the largest {self.factor.max():.4g}; Whitehead's bound {self.bound:.4g}"
+        answer += f", the largest is {self.factor.max():.4g}; Whitehead's bound is {self.bound:.4g}"
         return Conclusion(f"{format_count(len(self.factor), 'pattern')} solved", answer)
 
     def _repr_text(self) -> str:
@@ -470,7 +474,7 @@ def report_of_amplification(amplification_result: Amplification) -> Report:
         f"{amplification_result.tuned_omega / RAD_PER_TURN:.6g} Hz"
     )
     percentile_table = Table(["share of patterns [%]", "amplification factor"], table_rows)
-    notes = [f"the tuned wheel without a crack: {tuned_peak_text}"]
+    notes = [f"largest amplitude of the tuned bladed disk without cracks: {tuned_peak_text}"]
     return Report(
         amplification_result.table(),
         amplification_result.build_conclusion(),
@@ -501,9 +505,9 @@ def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
     damping_rule = wheel.damping
     complex_load = wheel_structure.force[1] - 1j * wheel_structure.force[2]
     if not np.any(complex_load):
-        raise InputError("load", "steady", "one that changes in time: nothing vibrates")
+        raise InputError("load", "steady", "one that changes in time, such as excitation.force_sin")
     if not isinstance(damping_rule, DampingRule):
-        raise InputError("damping", None, "modal or Rayleigh damping, which bounds a peak")
+        raise InputError("damping", None, "modal or Rayleigh damping, which limits the amplitude")
     omegas_of_diameters = np.array(wheel.cyclic_modes().omega)
     excited_omegas = omegas_of_diameters[excited_diameter(wheel.order, n_sectors)]
     family_omega = excited_omegas[np.argmin(np.abs(excited_omegas - load_omega))]

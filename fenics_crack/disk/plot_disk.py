@@ -179,7 +179,7 @@ def draw_blades(
         )
     n_grey_blades = len(uncracked_blades) - 1
     if n_grey_blades > 0:
-        panel.plot([], [], color="#b4b4b4", lw=0.8, label=f"the {n_grey_blades} others")
+        panel.plot([], [], color="#b4b4b4", lw=0.8, label=f"other blades: {n_grey_blades}")
     panel.set_yscale("log")
     panel.set_xlabel(f"{parameter_name_and_unit[0]} [{parameter_name_and_unit[1]}]")
     label_axis(panel.yaxis, "amplitude", "m")

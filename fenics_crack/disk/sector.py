@@ -91,8 +91,11 @@ def record_matched_side_nodes(scene: Scene, dofs: Dofs) -> None:
     )
     for side_name in side_names:
         if side_name not in dofs.part_mesh.tags_by_group:
-            requirement = "a mesh of one sector whose sides are named 'left' and 'right'"
-            raise InputError("mesh.file", f"without a side named {side_name!r}", requirement)
+            requirement = (
+                "the mesh of a sector with the physical groups 'left' and 'right' on the sides; it "
+                f"has no {side_name!r}"
+            )
+            raise InputError("mesh.file", scene.mesh.file, requirement)
     left_nodes, right_nodes = (dofs.nodes_on(side_name) for side_name in side_names)
     spatial_points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
     turn_angles = (2.0 * math.pi / disk.sectors, -2.0 * math.pi / disk.sectors)
@@ -113,19 +116,22 @@ def record_matched_side_nodes(scene: Scene, dofs: Dofs) -> None:
     )
     if largest_distance > RELATIVE_POSITION_TOLERANCE * mesh_extent:
         place_text = format_point(points[left_nodes[worst_node_index]])
-        side_counts_text = (
-            f"{len(left_nodes)} nodes of the left side and {len(right_nodes)} of the right one"
+        distance_text = (
+            f"is {largest_distance:.2g} m from the nearest right one"
+            if math.isfinite(largest_distance)
+            else "has no partner"
         )
-        requirement = f"sides that match: the left one, turned about the axis by 360/{disk.sectors}"
-        requirement += " degrees, is the right one node by node;"
-        requirement += f" that at {place_text} is {largest_distance:.2g} m from the nearest"
-        raise InputError(
-            "mesh.file" if side_names[0] == "left" else "disk", side_counts_text, requirement
+        requirement = (
+            f"a sector whose left side, turned about the axis by 360/{disk.sectors} degrees, is "
+            f"the right side: the left one has {len(left_nodes)} nodes, the right one "
+            f"{len(right_nodes)}; the left node at {place_text} m {distance_text}"
         )
+        key = "mesh.file" if side_names[0] == "left" else "disk"
+        raise InputError(key, scene.mesh.file or "a table", requirement)
     if len(common_nodes := np.intersect1d(left_nodes, right_nodes)):
         place_text = format_point(points[common_nodes[0]])
-        requirement = f"a disk with a hole: both sides have the node at {place_text}"
-        raise InputError("mesh.file", "a sector that reaches the axis", requirement)
+        requirement = f"a sector that does not reach the axis, as at the node {place_text} m"
+        raise InputError("mesh.file", scene.mesh.file, requirement)
     dimension = points.shape[1]
     dofs.set_sector_sides(
         np.array([left_nodes, right_nodes[right_partners]]), rotation_matrix[:dimension, :dimension]
@@ -155,15 +161,14 @@ def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
         )
         if largest_distance > RELATIVE_POSITION_TOLERANCE * float(np.ptp(points, axis=0).max()):
             place_text = format_point(points[lower_nodes[worst_node_index]])
-            requirement = f"meshed identically, so that they can be bonded, but not at {place_text}"
+            requirement = f"crack faces with the same nodes; these differ at {place_text} m"
             raise InputError(
                 "lips", f"{len(lower_nodes)} lower and {len(upper_nodes)} upper nodes", requirement
             )
         crack_face_nodes = np.array([lower_nodes, upper_nodes[upper_partners]])
     if len(common_nodes := np.intersect1d(crack_face_nodes, side_node_pairs)):
-        requirement = (
-            f"away from the sides of its sector, not at {format_point(points[common_nodes[0]])}"
-        )
+        place_text = format_point(points[common_nodes[0]])
+        requirement = f"one inside the sector; it reaches a side of the sector at {place_text} m"
         raise InputError("lips", "a crack", requirement)
     center = scene.axis_point_and_direction[0][: points.shape[1]]
     rotation_matrix = node_rotations[side_node_pairs[1, 0]]

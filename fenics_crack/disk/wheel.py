@@ -219,7 +219,7 @@ class Wheel(Structure):
     def with_harmonics(self, harmonics: Mapping[int, tuple[Any, Any]]) -> Structure:
         """Raise InputError, as the load's harmonics turn with the engine order."""
         requirement = (
-            "of a scene whose [[excitation.harmonics]] has them, which turn with its order"
+            "built from a scene with [[excitation.harmonics]]: a bladed disk cannot get them later"
         )
         raise InputError("structure", repr(self), requirement)
 
@@ -333,7 +333,7 @@ def _read_deviations(given_deviations: Any, n_sectors: int) -> np.ndarray:
         or not np.all(deviations > -1.0)
         or not np.all(deviations < 1e3)
     ):
-        requirement = f"one number above -1, or one for each of the {n_sectors} sectors"
+        requirement = f"a number > -1 and < 1000, or one for each of the {n_sectors} sectors"
         raise InputError("mistuning", given_deviations, requirement)
     return np.broadcast_to(deviations, (n_sectors,)).copy()
 
@@ -459,7 +459,7 @@ class WheelInFewCoordinates(Structure):
         """
         begin_stage(f"modes of {len(wheel.sector.nodal_diameter_range)} nodal diameters")
         basis, sector_structure, comm = wheel.basis(families), wheel.sector.structure, MPI.COMM_SELF
-        begin_stage("matrices of the wheel")
+        begin_stage("matrices of the bladed disk")
         mass, stiffness = basis.tuned_mass_and_stiffness
         if np.any(wheel.mistuning):
             stiffness = stiffness + np.tensordot(wheel.mistuning, basis.sector_stiffnesses, 1)
@@ -661,11 +661,11 @@ def reduce_wheel(
     max_allowed_families = len(wheel.sector.dof_numbering.own_members) // 2
     if families > max_allowed_families:
         raise InputError(
-            "families", families, f"at most {max_allowed_families}, half of a sector's dofs"
+            "families", families, f"at most {max_allowed_families}, half the dofs of a sector"
         )
     max_allowed_more_modes = (count_basis_families(families) - families) * wheel.sector.n_sectors
     if more > max_allowed_more_modes:
-        raise InputError("more", more, f"at most {max_allowed_more_modes}, those of four families")
+        raise InputError("more", more, f"at most {max_allowed_more_modes}, four for each sector")
     wheel_structure = WheelInFewCoordinates(
         wheel._in_setting(DEFAULT_SETTING), count_basis_families(families, more)
     )

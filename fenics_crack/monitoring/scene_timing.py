@@ -464,7 +464,7 @@ def find_probed_displacement_and_reversal(scene: Scene) -> tuple[str, bool]:
             f"{direction_component:.3g}" for direction_component in direction
         )
         requirement_text = (
-            f"given, since the tip moves along ({components_text}), not along x, y or z: this "
+            f"given, as since the tip moves along ({components_text}), not along x, y or z: this "
             "displacement over the first one of [output.points]"
         )
         raise InputError("tip_timing.tangential", None, requirement_text)

@@ -33,7 +33,7 @@ Vector = tuple[float, ...]
 MIN_ALLOWED_MAGNITUDE, MAX_ALLOWED_MAGNITUDE = 1e-30, 1e30
 """Limits for nonzero numbers in a scene; products and squares neither overflow nor underflow."""
 ALLOWED_MAGNITUDES_TEXT = f"{MIN_ALLOWED_MAGNITUDE:g} to {MAX_ALLOWED_MAGNITUDE:g}"
-ZERO_OR_MAGNITUDE_TEXT = f"(0, or of size {ALLOWED_MAGNITUDES_TEXT})"
+ZERO_OR_MAGNITUDE_TEXT = f"(0, or of magnitude {ALLOWED_MAGNITUDES_TEXT})"
 
 
 @dataclass(frozen=True)
@@ -278,9 +278,9 @@ def _read_axis_values(name: str, values_or_range: object) -> tuple[Any, ...]:
     key_suffix = f'."{name}"'  # behind the name of the key: Table.convert_value
     if not is_valid_range or spacing not in ("linear", "logarithmic"):
         requirement = (
-            "a list of values, or a table of start, stop, count (2 to 1e6) and, if wanted,"
+            "a list of values, or a table with start, stop, count (2 to 1e6) and, optionally,"
+            " spacing = 'linear' or 'logarithmic'"
         )
-        requirement += " spacing = 'linear' or 'logarithmic'"
         if range_table and not range_table.keys() & {"start", "stop", "count"}:
             requirement += f'; did you mean "{name}.{next(iter(range_table))}", in quotes?'
         raise InputError(key_suffix, values_or_range, requirement)
@@ -288,7 +288,9 @@ def _read_axis_values(name: str, values_or_range: object) -> tuple[Any, ...]:
         return tuple(map(float, np.linspace(start, stop, n_values)))
     if start * stop <= 0.0:
         raise InputError(
-            key_suffix, values_or_range, "of one sign from start to stop with that spacing"
+            key_suffix,
+            values_or_range,
+            "a range with start and stop both > 0 or both < 0, for that spacing",
         )
     return tuple(map(float, np.sign(start) * np.geomspace(abs(start), abs(stop), n_values)))
 
@@ -367,7 +369,8 @@ def value_field(
     more_metadata
         Further metadata of the field.
     """
-    metadata = {"allowed": requirement, "accepts": is_allowed, "unit": unit} | more_metadata
+    allowed_text = f"{requirement} [{unit}]".removesuffix(" []")
+    metadata = {"allowed": allowed_text, "accepts": is_allowed, "unit": unit} | more_metadata
     return field(default=default, metadata=metadata)
 
 
@@ -408,7 +411,7 @@ def vector_value_field(
     """
     requirement = describe_components(component_letter, 3 if of_solid else 2)
     if not of_solid:
-        requirement += f", or {_format_component_names(component_letter, 3)} of a solid"
+        requirement += f", or {_format_component_names(component_letter, 3)} in a solid"
     return value_field(requirement, default=default, unit=unit, letter=component_letter)
 
 
@@ -427,10 +430,8 @@ def _format_component_names(component_letter: str, dimension: int) -> str:
 def harmonics_field() -> Any:
     """Return a field for the harmonics of a load."""
     requirement = (
-        f"a list of tables with an order, a whole number from 1 to {MAX_HARMONIC_ORDER} and"
-    )
-    requirement += (
-        " another in each, and cos or sin, or amplitude and phase [degrees] by which it lags"
+        f"a list of tables: each has a different order from 1 to {MAX_HARMONIC_ORDER}, and cos or"
+        " sin or both, or amplitude and, optionally, phase (the lag in degrees)"
     )
     return value_field(requirement, default=())
 
@@ -552,7 +553,10 @@ class Table:
                 si_value = scale_numbers(
                     twin_value, self.field_by_key()[twin_key].metadata["factor"]
                 )
-                requirement = f"left out with {self.full_key(si_key)} = {getattr(self, si_key)}"
+                requirement = (
+                    f"left out with {self.full_key(si_key)} = {getattr(self, si_key)}: "
+                    "give one of the two"
+                )
                 self.require(getattr(self, si_key) in (None, si_value), twin_key, requirement)
                 object.__setattr__(self, si_key, si_value)
 
@@ -610,22 +614,15 @@ class Table:
             ]
             if "tuple[int, ...]" in type_names:  # one number stands for a list of it
                 json_types.append("integer")
-            description_text = f"{key_field.metadata['allowed']} [{key_field.metadata['unit']}]"
-            schema_by_key[key] = {
-                "type": json_types,
-                "description": description_text.removesuffix(" []"),
-            }
+            schema_by_key[key] = {"type": json_types, "description": key_field.metadata["allowed"]}
             if "words" in key_field.metadata:
                 schema_by_key[key]["enum"] = key_field.metadata["words"]
             if key_field.default not in (MISSING, None, ()):
                 schema_by_key[key]["default"] = key_field.default
-        required_keys = [
-            key for key, key_field in cls.field_by_key().items() if key_field.default is MISSING
-        ]
         table_schema: dict[str, Any] = {
             "type": "object",
             "properties": schema_by_key,
-            "required": required_keys,
+            "required": cls.required_keys(),
         }
         table_schema["additionalProperties"] = False
         return (
@@ -633,6 +630,13 @@ class Table:
             if cls.SHORTHAND_KEY is None
             else {"anyOf": [table_schema, schema_by_key[cls.SHORTHAND_KEY]]}
         )
+
+    @classmethod
+    def required_keys(cls) -> list[str]:
+        """Return the keys without a default value."""
+        return [
+            key for key, key_field in cls.field_by_key().items() if key_field.default is MISSING
+        ]
 
     @classmethod
     def si_key_by_twin(cls) -> dict[str, str]:
@@ -702,10 +706,14 @@ class Table:
         return getattr(self, key)
 
     def forbid_keys(self, keys: Iterable[str], circumstance: str) -> None:
-        """Raise InputError if a key is neither None nor the default."""
+        """Raise InputError if a key is neither None nor the default.
+
+        In the error, the circumstance follows "with" or begins with "without".
+        """
+        preposition = "" if circumstance.startswith("without ") else "with "
         for key in keys:
             is_absent = getattr(self, key) in (None, self.field_by_key()[key].default)
-            self.require(is_absent, key, f"left out with {circumstance}")
+            self.require(is_absent, key, f"left out {preposition}{circumstance}")
 
     @classmethod
     def suggest_keys(cls, key: str) -> list[str]:
@@ -767,7 +775,8 @@ class Table:
         for twin_key, si_key in cls.si_key_by_twin().items():
             if value_by_key.get(twin_key) is not None and value_by_key.get(si_key) is not None:
                 requirement = (
-                    f"left out with {cls.full_key(si_key)} = {value_by_key[si_key]}: one of the two"
+                    f"left out with {cls.full_key(si_key)} = {value_by_key[si_key]}: "
+                    "give one of the two"
                 )
                 raise InputError(cls.full_key(twin_key), value_by_key[twin_key], requirement)
 

@@ -126,10 +126,9 @@ class Scene:
                 )
                 has_right_type = isinstance(table, table_class) or may_be_missing
             if not has_right_type:
-                requirement = "given: a table" if table is None else f"a {table_class.__name__}"
-                if isinstance(table, str | Path):
-                    requirement += "; Scene.load(path) reads the file of a scene"
-                raise InputError(table_name, table, requirement)
+                if table is None:
+                    raise missing_table_error(table_name)
+                raise InputError(table_name, table, _describe_table_type(table_name, table))
         if self.rotation is not None:
             self.rotation.check_axis_position(self.disk)
         if self.excitation.order is not None and (self.disk is None or self.speed > 0.0):
@@ -144,12 +143,14 @@ class Scene:
             harmonic_balance.form == "condensed" or not contact_has_friction, "form", requirement
         )
         if self.curve is not None and self.curve.parameter_and_range[0] == "speed":
-            requirement = "another one without an excitation.order, which needs a rotation"
+            requirement = (
+                "used with excitation.order, by which the load's frequency follows the speed"
+            )
             self.curve.require(self.excitation.order is not None, "parameter", requirement)
         if self.curve is not None and self.curve.parameter_and_range[0] == "load":
-            requirement = "another one with a rotation.speed > 0: "
-            requirement += (
-                "the mean load is partly centrifugal; or curve.at = 'resonance', where it stays"
+            requirement = (
+                "another parameter with a rotation.speed > 0, as the mean load is partly "
+                "centrifugal; or add curve.at = 'resonance', which keeps the mean load"
             )
             self.curve.require(self.speed == 0.0, "parameter", requirement)
         if self.integration is not None and self.rotation is not None:
@@ -179,7 +180,7 @@ class Scene:
         if self.identify is not None and (self.mesh is None or self.mesh.layout != "file"):
             requirement = "left out without mesh.layout = 'file'"
             self.identify.require(not self.identify.meshes, "meshes", requirement)
-            self.identify.forbid_keys(("uncracked",), "a mesh that is not a file")
+            self.identify.forbid_keys(("uncracked",), "without mesh.layout = 'file'")
 
     def __repr__(self) -> str:
         return f"Scene({_describe_scene(self)})"
@@ -319,9 +320,9 @@ class Scene:
     def given(self, name: str) -> Any:
         """Return a table for a command; raise InputError if the table is missing."""
         if getattr(self, name) is None:
-            raise InputError(name, None, "given for this command: a table")
+            raise missing_table_error(name, ", which this command needs")
         has_condensed_form = self.harmonic_balance.form == "condensed"
-        requirement = f"'condensed' for this command, by the table [{name}]"
+        requirement = f"'condensed' for a command that uses [{name}]"
         self.harmonic_balance.require(
             has_condensed_form or name not in MANY_SOLUTION_TABLE_NAMES, "form", requirement
         )
@@ -477,6 +478,21 @@ class Scene:
         return "\n".join(table_texts)
 
 
+def _describe_table_type(table_name: str, table: object) -> str:
+    """Describe the required type of a table."""
+    type_text = "a tuple of" if table_name in _LIST_TABLE_NAMES else "of the class"
+    advice_text = "; to read the file of a scene, use Scene.load(path)"
+    class_name = _TABLE_CLASS_BY_NAME[table_name].__name__
+    return f"{type_text} {class_name}{advice_text * isinstance(table, str | Path)}"
+
+
+def missing_table_error(table_name: str, circumstance: str = "") -> InputError:
+    """Return the error for a missing table, with the required keys."""
+    keys_text = ", ".join(_TABLE_CLASS_BY_NAME[table_name].required_keys())
+    requirement = f"given: a table [{table_name}]{' with ' * bool(keys_text)}{keys_text}"
+    return InputError(table_name, None, requirement + circumstance)
+
+
 def _is_replaced_by_matrices(scene: Scene, table_name: str) -> bool:
     """Return True if matrices replace a table that a plate needs."""
     if scene.structure is None:
@@ -489,33 +505,33 @@ def _is_replaced_by_matrices(scene: Scene, table_name: str) -> bool:
 def reason_without_stress_intensity(scene: Scene) -> str:
     """Return why a scene has no stress intensities; empty for a mesh with a crack."""
     if scene.structure is not None:
-        return "with [structure]: stress intensities take a mesh"
+        return "with [structure]: stress intensities need a mesh"
     if scene.disk is not None:
-        return "with [disk]: stress intensities are of one structure"
+        return "with [disk]: stress intensities are not computed for bladed disks"
     if not scene.crack_by_name and (scene.contact is None or scene.mesh.layout != "file"):
-        return "without a crack, which has a stress intensity"
+        return "without a crack: stress intensities belong to crack tips"
     if scene.has_friction:
-        return "with contact.friction: stress intensities leave out what friction does at the faces"
+        return "with contact.friction: stress intensities neglect friction forces on crack faces"
     if any(crack.clearance < 0.0 for crack in scene.crack_by_name.values()):
-        return "with crack.clearance < 0: a wedge up to the tip, where K grows without limit"
+        return "with crack.clearance < 0: a wedge up to the tip makes K infinite"
     return ""
 
 
 def reason_without_elliptical_growth(scene: Scene) -> str:
     """Return why a scene's crack does not grow as an ellipse; empty if it does."""
     if scene.crack is None or not scene.crack.is_elliptical or scene.cracks:
-        return "without one crack with crack.front = 'elliptical', or around a point"
+        return "without a single crack that has crack.front = 'elliptical' or crack.point"
     return reason_without_stress_intensity(scene)
 
 
 def reason_without_clamp_forces(scene: Scene) -> str:
     """Return why clamp forces are unknown; empty if they are known."""
     if scene.structure is not None:
-        return "with [structure]: matrices have no clamp, a mesh has"
+        return "with [structure]: clamp forces need a mesh"
     if scene.disk is not None:
-        return "with [disk]: reactions are of the clamp of one structure"
+        return "with [disk]: clamp forces are not computed for bladed disks"
     if scene.rotation is not None:
-        return "with [rotation]: reactions are of what vibrates at rest"
+        return "with [rotation]: clamp forces are computed without rotation only"
     return ""
 
 
@@ -530,7 +546,7 @@ def _reason_without_observable(scene: Scene, observable: Observable) -> str:
     if ObservableFlag.REQUIRES_FRICTION in observable.flags and not scene.has_friction:
         return "without contact.friction"
     if ObservableFlag.REQUIRES_GROWTH_LAW in observable.flags and scene.growth is None:
-        return "without a table [growth], which has its exponent"
+        return "without a table [growth], whose exponent it needs"
     if ObservableFlag.REQUIRES_SOLID in observable.flags and (
         scene.structure is not None or scene.dimension == 2
     ):
@@ -696,33 +712,45 @@ def _check_tables_beside_matrices(scene: Scene, structure: kinds.Structure) -> N
         _forbid_tables(scene, ("damping",), "structure.damping")
     if structure.model is None:
         force_key = scene.excitation.first_force_key
-        requirement = "left out with [structure], which has files, or has no model with the places"
+        requirement = (
+            "left out with [structure] without structure.model: give the load by "
+            "structure.force_sin, structure.force_cos or structure.force_mean"
+        )
         has_no_force = not force_key and scene.excitation.point is None
         scene.excitation.require(has_no_force, force_key or "point", requirement)
         matrix_paths = structure.mass, structure.stiffness, structure.damping or ""
         if not any(
             Path(matrix_path).suffix.lower() in (".sti", ".mas") for matrix_path in matrix_paths
         ):
-            structure.forbid_keys(("dofs",), "matrices that have no model, and are not CalculiX's")
+            structure.forbid_keys(
+                ("dofs",), "without structure.model or CalculiX files (.sti, .mas)"
+            )
     if structure.gap is None and (structure.model is None or scene.contact is None):
         pair_keys = ("clearance", "areas", "tangential")
-        structure.forbid_keys(pair_keys, "no pairs: no gap, nor a model with [contact]")
+        structure.forbid_keys(
+            pair_keys, "without contact pairs: give structure.gap, or structure.model and [contact]"
+        )
     _set_vector_dimension(scene)
     if scene.excitation.point is None:
         force_paths = (structure.force_sin, structure.force_cos, structure.force_mean)
-        requirement = "given: where the force acts; or a file structure.force_sin, _cos or _mean"
+        requirement = (
+            "given: the point of the force [m]; or a load by structure.force_sin, "
+            "structure.force_cos or structure.force_mean"
+        )
         scene.excitation.require(
             any(force_paths) and not scene.excitation.first_force_key, "point", requirement
         )
     if structure.gap is not None and scene.contact is None:
-        raise InputError("contact", None, "given with structure.gap: a table")
+        raise missing_table_error("contact", ", as structure.gap is given")
     if scene.contact is not None:
         requirement = "'all' with [structure]"
         scene.contact.require(scene.contact.pairs == "all", "pairs", requirement)
         if structure.areas is None and (structure.model is None or structure.gap is not None):
-            scene.contact.forbid_keys(("stiffness_per_area",), "[structure], which has no areas")
+            scene.contact.forbid_keys(
+                ("stiffness_per_area",), "without structure.areas: give contact.stiffness"
+            )
         if structure.model is None and structure.gap is None:
-            requirement = "left out without structure.gap or model: there are no pairs"
+            requirement = "left out without contact pairs: give structure.gap or structure.model"
             raise InputError("contact", "a table", requirement)
 
 
@@ -730,7 +758,8 @@ def _forbid_tables(scene: Scene, table_names: Iterable[str], circumstance: str) 
     """Raise InputError for the first named table that is present."""
     for table_name in table_names:
         if getattr(scene, table_name):
-            raise InputError(table_name, "a table", f"left out with {circumstance}")
+            requirement = f"left out with {circumstance}: remove the table [{table_name}]"
+            raise InputError(table_name, "a table", requirement)
 
 
 def _set_vector_dimension(scene: Scene) -> None:
@@ -757,14 +786,16 @@ def _check_dimension(scene: Scene) -> None:
     """Raise InputError if a table does not fit a plate, or a solid."""
     geometry, dimension = scene.geometry, scene.dimension
     if dimension == 2 and scene.rotation is not None:
-        scene.rotation.forbid_keys(("axis", "center"), "a plate: its axis is parallel to x")
+        scene.rotation.forbid_keys(
+            ("axis", "center"), "geometry.kind = 'plate': its rotor axis is parallel to x"
+        )
     for crack_name, crack in scene.crack_by_name.items() if dimension == 2 else ():
         with use_table_name_in_errors(crack_name):
             crack.forbid_keys(kinds.PLANE_CRACK_KEYS, "geometry.kind = 'plate'")
     _set_vector_dimension(scene)
     mesh = scene.mesh
     if scene.contact is not None and scene.contact.pairs == "mouth":
-        mesh.forbid_keys(("patches",), "contact.pairs = 'mouth', which keeps one")
+        mesh.forbid_keys(("patches",), "contact.pairs = 'mouth', which keeps a single pair")
     if dimension == 3:
         requirement = "2 with geometry.kind = 'solid': tetrahedra of order 1 are much too stiff"
         mesh.require(mesh.order == 2, "order", requirement)
@@ -772,49 +803,58 @@ def _check_dimension(scene: Scene) -> None:
         mesh.require(mesh.layout != "grid", "layout", requirement)
         mesh.forbid_keys(("cells",), "geometry.kind = 'solid', which is meshed by tetrahedra")
         if scene.contact is not None and scene.contact.friction and scene.disk is not None:
-            requirement = "0, or left out, with [disk] and geometry.kind = 'solid': not there yet"
+            requirement = (
+                "0, or left out, with [disk] and geometry.kind = 'solid', for which"
+                " friction is not implemented"
+            )
             scene.contact.require(False, "friction", requirement)
     if geometry.file is None:
-        mesh.forbid_keys(("per_turn",), "no geometry.file: it has no curved faces")
+        mesh.forbid_keys(("per_turn",), "without geometry.file: only such parts have curved faces")
     if dimension == 2 or (mesh.layout != "file" and geometry.file is None):
-        geometry.given("thickness", "given: a finite number > 0")
+        geometry.given("thickness")
 
 
 def _check_disk(scene: Scene, disk: kinds.Disk) -> None:
     """Raise InputError if a bladed disk excludes a table, or the rim is wrong."""
     _forbid_tables(scene, ("base", "growth", "identify", "reduction"), "[disk]")
-    scene.excitation.given("order", "given with [disk]: the engine order, a whole number >= 1")
+    scene.excitation.given(
+        "order", "given: the engine order of the load on [disk], a whole number >= 1"
+    )
     if scene.speed == 0.0:
-        requirement = "given [rad/s] with [disk] at rest, or excitation.frequency [Hz]"
+        requirement = (
+            "given: a finite number > 0 [rad/s], or excitation.frequency [Hz], as [disk] is at rest"
+        )
         scene.excitation.given("omega", requirement)
     if scene.curve is not None:
-        requirement = "another one with [disk]: the load's frequency, for example"
+        requirement = "another parameter with [disk], for example 'omega' or 'frequency'"
         scene.curve.require(scene.curve.parameter_and_range[0] != "speed", "parameter", requirement)
     for crack_name, crack in scene.crack_by_name.items():
         with use_table_name_in_errors(crack_name):
-            crack.forbid_keys(("first_omega", "first_frequency"), "[disk]")
+            crack.forbid_keys(("first_omega", "first_frequency"), "[disk]: give crack.length")
     radius_keys = ("inner_radius", "outer_radius")
     if scene.mesh.layout == "file":
         disk.forbid_keys(radius_keys, "mesh.layout = 'file'")
         return
-    disk.forbid_keys(("center", "axis"), "a blade on a rim that is made here")
+    disk.forbid_keys(("center", "axis"), "without mesh.layout = 'file'")
     inner_radius, outer_radius = (disk.given(radius_key) for radius_key in radius_keys)
     disk.require(
         inner_radius < outer_radius,
         "inner_radius",
-        f"less than disk.outer_radius = {outer_radius:g}",
+        f"less than disk.outer_radius = {outer_radius:g} m",
     )
     blade_width = scene.geometry.circumferential_width
     foot_spacing = 2.0 * outer_radius * math.sin(math.pi / disk.sectors)
-    requirement = f"so large that blades {blade_width:g} m across stand apart: "
-    requirement += f"their feet have {foot_spacing:g} m"
+    requirement = (
+        f"larger, as blades {blade_width:g} m wide would overlap: "
+        f"their roots are {foot_spacing:g} m apart"
+    )
     disk.require(
         blade_width < foot_spacing * (1.0 - MIN_ALLOWED_RELATIVE_DISTANCE),
         "outer_radius",
         requirement,
     )
     foot_depth = outer_radius - math.sqrt(outer_radius**2 - 0.25 * blade_width**2)
-    requirement = f"less than the {outer_radius - foot_depth:g} m at which the blade meets the rim"
+    requirement = f"less than {outer_radius - foot_depth:g} m, where the blade meets the rim"
     disk.require(inner_radius < outer_radius - foot_depth, "inner_radius", requirement)
 
 
@@ -828,10 +868,14 @@ def _check_plate(scene: Scene) -> None:
             <= getattr(geometry, side_key)
             <= height * MAX_ALLOWED_SIDE_RATIO
         )
-        requirement = f"within a factor {MAX_ALLOWED_SIDE_RATIO:g} of geometry.height = {height:g}"
+        requirement = (
+            f"within a factor {MAX_ALLOWED_SIDE_RATIO:g} of geometry.height = {height:g} m"
+        )
         geometry.require(is_similar_size, side_key, requirement)
     if not scene.has_other_loads:
-        scene.excitation.given("point", "given: [x, y] on the plate")
+        scene.excitation.given(
+            "point", "given: the point of the force, [x, y], or [x, y, z] in a solid [m]"
+        )
     if scene.excitation.point is None and (force_key := scene.excitation.first_force_key):
         scene.excitation.require(False, force_key, "left out without excitation.point")
     load_by_name = {f"loads.{load_number}": load for load_number, load in enumerate(scene.loads, 1)}
@@ -842,30 +886,32 @@ def _check_plate(scene: Scene) -> None:
             for coordinate, side in zip(load.point or (), sides, strict=False)
         ]
         with use_table_name_in_errors(load_name):
-            ranges_text = ", ".join(f"0..{side:g}" for side in sides)
-            load.require(
-                all(within_side_flags), "point", f"on the {geometry.kind}: [{ranges_text}]"
+            ranges_text = ", ".join(
+                f"{axis_letter} from 0 to {side:g} m"
+                for axis_letter, side in zip("xyz", sides, strict=False)
             )
+            load.require(all(within_side_flags), "point", f"on the {geometry.kind}: {ranges_text}")
     if scene.crack_by_name:
         _check_cracks(scene)
         if scene.contact is None:
-            raise InputError("contact", None, "given where there is a crack: a table")
+            raise missing_table_error("contact", ", as there is a crack")
 
 
 def _check_cad_part(scene: Scene) -> None:
     """Raise InputError if a part from a CAD file cannot be meshed as requested."""
     scene.mesh.require(scene.mesh.layout == "graded", "layout", "'graded' with geometry.file")
-    if scene.disk is not None:
-        raise InputError("disk", "a table", "left out with geometry.file")
+    _forbid_tables(scene, ("disk",), "geometry.file")
     if not scene.has_other_loads:
-        scene.excitation.given("point", "given: [x, y, z], on the part or near it")
+        scene.excitation.given(
+            "point", "given: the point of the force, [x, y, z], on the part or near it [m]"
+        )
     if scene.crack_by_name:
-        scene.mesh.given("lip_elements", "given where there is a crack")
+        scene.mesh.given("lip_elements", LIP_ELEMENTS_TEXT)
         if scene.contact is None:
-            raise InputError("contact", None, "given where there is a crack: a table")
+            raise missing_table_error("contact", ", as there is a crack")
     for crack_name, crack in scene.crack_by_name.items():
         with use_table_name_in_errors(crack_name):
-            crack.given("point", "given with geometry.file: [x, y, z]")
+            crack.given("point", "given: a point [x, y, z] of the crack [m], with geometry.file")
             crack.check_plane_keys()
 
 
@@ -880,6 +926,8 @@ def _forbid_keys_of_mesh_file(scene: Scene) -> None:
 
 # --- where the cracks of a plate may be -----------------------------------------------------------
 
+LIP_ELEMENTS_TEXT = "given: a whole number >= 1, the elements along each crack face"
+"""Error text for a missing ``mesh.lip_elements``."""
 MIN_ALLOWED_RELATIVE_DISTANCE = 1e-4
 """Minimum distance between cracks, tips and edges, relative to the side."""
 _CRACK_SHAPE_KEYS = (*kinds.BOX_CRACK_KEYS, "length", "depth", "front", *kinds.PLANE_CRACK_KEYS)
@@ -894,14 +942,16 @@ def _check_cracks(scene: Scene) -> None:
             if crack.point is not None:
                 crack.check_plane_keys()
                 continue
-            crack.forbid_keys(kinds.PLANE_CRACK_KEYS, "no crack.point")
-            crack.require(crack.front != "through", "front", "another one without crack.point")
+            crack.forbid_keys(kinds.PLANE_CRACK_KEYS, "without crack.point")
+            crack.require(
+                crack.front != "through", "front", "'straight' or 'elliptical' without crack.point"
+            )
             _check_crack(crack, geometry, list(crack_by_name))
             _check_crack_front(crack, geometry)
             if mesh.layout == "grid":
                 _check_crack_on_grid(crack, geometry, mesh)
     if mesh.layout == "graded":
-        mesh.given("lip_elements", "given where there is a crack")
+        mesh.given("lip_elements", LIP_ELEMENTS_TEXT)
     for first_name, second_name in combinations(
         [crack_name for crack_name, crack in crack_by_name.items() if crack.point is None], 2
     ):
@@ -912,7 +962,7 @@ def _check_crack(crack: kinds.Crack, geometry: kinds.Geometry, crack_names: list
     """Raise InputError if a crack's keys are inconsistent, or outside the plate."""
     width, height, *_ = geometry.sides
     geometry_kind = geometry.kind
-    margin_text = f"at least {MIN_ALLOWED_RELATIVE_DISTANCE:g} of that from both"
+    margin_text = f"and at least {MIN_ALLOWED_RELATIVE_DISTANCE:g} of this length from both"
     is_internal_crack = crack.center is not None
     if is_internal_crack:
         crack.forbid_keys(("edge",), "crack.center")
@@ -920,23 +970,32 @@ def _check_crack(crack: kinds.Crack, geometry: kinds.Geometry, crack_names: list
         crack.given(
             "edge", f"given: 'left' or 'right'; or center, for a crack inside the {geometry_kind}"
         )
-    requirement = f"inside the {geometry_kind}: between 0 and geometry.height = {height:g}, "
-    requirement += margin_text
+    requirement = (
+        f"inside the {geometry_kind}: between 0 and geometry.height = {height:g} m, {margin_text}"
+    )
     crack.require(_is_inside_with_margin(crack.height or 0.0, height), "height", requirement)
     if len(crack_names) > 1:
-        circumstance = "several cracks: it finds the length of the only one"
+        circumstance = "several cracks: it sets the length of a single crack"
         crack.forbid_keys(("first_frequency", "first_omega"), circumstance)
-    requirement = "given, or left out where crack.first_omega determines it, or first_frequency"
+    requirement = (
+        "given: a finite number > 0 [m]; or crack.first_omega or crack.first_frequency"
+        if crack.length is None
+        else "left out with crack.first_omega or crack.first_frequency: give one of them"
+    )
     crack.require((crack.length is None) != (crack.first_omega is None), "length", requirement)
-    requirement = f"shorter than the {geometry_kind}: between 0 and geometry.width = {width:g}, "
-    requirement += margin_text
+    requirement = (
+        f"shorter than the {geometry_kind}: between 0 and geometry.width = {width:g} m, "
+        f"{margin_text}"
+    )
     crack.require(
         crack.length is None or _is_inside_with_margin(crack.length, width), "length", requirement
     )
     if is_internal_crack:
         tip_positions = [crack.center] if crack.length is None else crack.span(width)
-        requirement = f"such that both tips are inside the {geometry_kind}: "
-        requirement += f"between 0 and {width:g}, {margin_text}"
+        requirement = (
+            f"such that both tips are inside the {geometry_kind}: "
+            f"between 0 and {width:g} m, {margin_text}"
+        )
         crack.require(
             all(
                 _is_inside_with_margin(tip_position or 0.0, width) for tip_position in tip_positions
@@ -951,18 +1010,19 @@ def _check_crack_front(crack: kinds.Crack, geometry: kinds.Geometry) -> None:
     if geometry.dimension == 2:
         crack.forbid_keys(("depth", "front"), "geometry.kind = 'plate'")
     elif crack.depth is None:
-        crack.forbid_keys(("front",), "a crack through the thickness: there is no crack.depth")
+        crack.forbid_keys(("front",), "without crack.depth: the crack goes through the thickness")
     else:
         thickness = geometry.sides[2]
-        thickness_text = f"geometry.thickness = {thickness:g}"
-        requirement = f"less than {thickness_text}, by {MIN_ALLOWED_RELATIVE_DISTANCE:g} of that; "
-        requirement += "left out: through it"
+        requirement = (
+            f"less than geometry.thickness = {thickness:g} m, by at least "
+            f"{MIN_ALLOWED_RELATIVE_DISTANCE:g} of it; or left out for a crack through it"
+        )
         crack.require(_is_inside_with_margin(crack.depth, thickness), "depth", requirement)
 
 
 def _check_crack_on_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kinds.Mesh) -> None:
     """Raise InputError unless crack and tips are on lines of the grid."""
-    crack.given("length", "given with mesh.layout = 'grid'")
+    crack.given("length", "given: a finite number > 0 [m]; a grid cannot have crack.first_omega")
     (width, height), n_columns = geometry.sides, mesh.given("columns")
     extent_and_cells_by_key = {"length": (width, n_columns), "height": (height, mesh.given("rows"))}
     for extent_key, (extent, n_cells) in extent_and_cells_by_key.items():
@@ -973,12 +1033,14 @@ def _check_crack_on_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kin
             and abs(n_crack_cells - round(n_crack_cells)) < 1e-9 * n_cells
         )
         requirement = (
-            f"a whole number of grid cells of {cell_size_text}, at least one from each end"
+            f"a whole number of grid cells of {cell_size_text}, at least one cell from each end"
         )
         crack.require(is_on_grid_line, extent_key, requirement)
     if crack.center is not None:
         tip_column = crack.span(width)[0] / width * n_columns
-        requirement = f"such that both tips are on grid lines, {width / n_columns:g} m apart"
+        requirement = (
+            f"such that both tips are on grid lines, which are {width / n_columns:g} m apart"
+        )
         crack.require(abs(tip_column - round(tip_column)) < 1e-9 * n_columns, "center", requirement)
 
 
@@ -998,10 +1060,12 @@ def _check_crack_distance(scene: Scene, first_name: str, second_name: str) -> No
         min_distance_text = f"{MIN_ALLOWED_RELATIVE_DISTANCE * height:g} m above or below"
         if has_same_height:
             min_distance_text += (
-                f", or with {MIN_ALLOWED_RELATIVE_DISTANCE * width:g} m between their tips"
+                f", or with {MIN_ALLOWED_RELATIVE_DISTANCE * width:g} m between the tips"
             )
-        requirement = f"apart from that of {first_name}: cracks may not touch; "
-        requirement += f"at least {min_distance_text}"
+        requirement = (
+            f"farther from {first_name}.height = {first_crack.height:g} m, as cracks "
+            f"may not touch: at least {min_distance_text}"
+        )
         raise InputError(f"{second_name}.height", second_crack.height, requirement)
 
 
@@ -1034,7 +1098,10 @@ def _check_and_convert_axes(
         )
         if not (is_sweepable_key and table_exists) or axis.key in seen_keys:
             tables_text = ", ".join(_SWEEPABLE_TABLE_NAMES)
-            requirement = f"a table.key of the scene, given once, with a table of {tables_text}"
+            requirement = (
+                "a key of the scene with its table, as 'crack.length', given once; "
+                f"the tables are {tables_text}"
+            )
             if (
                 suggestion_text := did_you_mean_text(_suggest_keys(axis.key))
             ) and axis.key not in seen_keys:
@@ -1047,7 +1114,7 @@ def _check_and_convert_axes(
                 twin_keys := [f"{table_name_text}.{twin_key}" for twin_key in twin_pair]
             ):
                 other_twin_key = twin_keys[0] if axis.key == twin_keys[1] else twin_keys[1]
-                requirement = f"without {other_twin_key}: one of them"
+                requirement = f"left out with {other_twin_key}: give one of the two"
                 raise InputError(axes_key, axis.key, requirement)
         with use_table_name_in_errors(axis.key.removesuffix(f".{key_in_table}")):
             axis_values = tuple(
@@ -1055,7 +1122,9 @@ def _check_and_convert_axes(
                 for axis_value in axis.values
             )
         if len(set(axis_values)) != len(axis_values) or not axis_values:
-            raise InputError(f'{axes_key}."{axis.key}"', axis_values, "values, each given once")
+            raise InputError(
+                f'{axes_key}."{axis.key}"', axis_values, "one or more different values"
+            )
         checked_axes.append(Axis(axis.key, axis_values))
     return tuple(checked_axes)
 
@@ -1093,7 +1162,7 @@ def _make_table_or_tuple(table_name: str, raw_tables: object) -> Any:
             else table_class.from_mapping(raw_tables)
         )
     if not isinstance(raw_tables, list | tuple):
-        raise InputError(table_name, raw_tables, f"a list of tables: [[{table_name}]]")
+        raise InputError(table_name, raw_tables, f"a list of tables headed [[{table_name}]]")
     tables = []
     for list_position, raw_table in enumerate(raw_tables, 1):
         with use_table_name_in_errors(f"{table_name}.{list_position}"):
@@ -1123,18 +1192,22 @@ def _split_changed_key(full_key: str, value: object) -> tuple[str, int | None, s
             or table_name not in (*_OPTIONAL_TABLE_NAMES, *_LIST_TABLE_NAMES)
         ):
             removable_names = ", ".join((*_OPTIONAL_TABLE_NAMES, *_LIST_TABLE_NAMES))
-            requirement = f"changed key by key; only {removable_names} can be removed, by none"
-            raise InputError(full_key, value, requirement)
+            first_key = next(key for key in known_keys() if key.startswith(f"{table_name}."))
+            requirement = (
+                f"changed key by key, as {first_key}=...; only these tables can be "
+                f"removed, by TABLE=none (in Python None): {removable_names}"
+            )
+            raise InputError(full_key, "none" if value is None else value, requirement)
     elif (list_position is None) == (table_name in _LIST_TABLE_NAMES):
         known_keys_text = ", ".join(
             f"{table_name}.1.{subkey}" for subkey in table_class.field_by_key()
         )
         raise InputError(full_key, value, f"left out; known keys: {known_keys_text}")
     elif key_in_table not in table_class.field_by_key():
-        parent_key, _, subkey = key_in_table.partition(".")
+        parent_key, _, subkey = key_in_table.replace('"', "").partition(".")
         if parent_key in table_class.field_by_key() and subkey:
             raise InputError(
-                full_key, value, f"changed as a whole: {table_name}.{parent_key}={{{subkey}=...}}"
+                full_key, value, f'changed as a whole: {table_name}.{parent_key}={{"{subkey}"=...}}'
             )
         raise InputError(full_key, value, table_class.unknown_key_text(key_in_table))
     return table_name, list_position, key_in_table
@@ -1190,10 +1263,13 @@ def _merge_list_changes(
 ) -> tuple[Any, ...]:
     """Return a list of tables with changes to one, or with a next table."""
     if not isinstance(tables, list | tuple):
-        raise InputError(table_name, tables, f"a list of tables: [[{table_name}]]")
+        raise InputError(table_name, tables, f"a list of tables headed [[{table_name}]]")
     if list_position > len(tables) + 1:
         first_changed_key = f"{table_name}.{list_position}.{next(iter(value_by_key))}"
-        requirement = f"one of the {len(tables)} [[{table_name}]], or of the next one"
+        requirement = (
+            f"in {table_name}.{len(tables) + 1}, the next new table, as the scene has "
+            f"{len(tables)} tables [[{table_name}]]"
+        )
         raise InputError(first_changed_key, next(iter(value_by_key.values())), requirement)
     current_table = tables[list_position - 1] if list_position <= len(tables) else None
     with use_table_name_in_errors(f"{table_name}.{list_position}"):

@@ -22,6 +22,7 @@ from fenics_crack.basics.errors import (
 from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN
 from fenics_crack.scene.fields import (
+    ALLOWED_MAGNITUDES_TEXT,
     ZERO_OR_MAGNITUDE_TEXT,
     Axis,
     FacePoints,
@@ -82,8 +83,8 @@ class Geometry(Table):
     unit: str | None = choice_field("mm", "m", "inch", default=None)
     """Length unit of a .brep file, which does not state the unit."""
     faces: tuple[FacePoints, ...] = value_field(
-        "names with lists of points [x, y, z] in m, one on each face, "
-        f"at most {MAX_ALLOWED_FACE_POINTS}",
+        "a table of face names, each with a list of points [x, y, z] in m on faces of the part; "
+        f"at most {MAX_ALLOWED_FACE_POINTS} points",
         lambda faces: sum(len(face.values) for face in faces) <= MAX_ALLOWED_FACE_POINTS,
         (),
     )
@@ -92,16 +93,18 @@ class Geometry(Table):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.file is None:
-            self.forbid_keys(("unit", "faces"), "no geometry.file")
+            self.forbid_keys(("unit", "faces"), "without geometry.file")
             return
         self.require(self.kind == "solid", "kind", "'solid' with geometry.file")
         self.forbid_keys(("width", "height", "thickness"), "geometry.file")
         has_clamp = any(face.key == "clamp" and face.values for face in self.faces)
-        self.require(has_clamp, "faces", "names with lists of points, one of them clamp")
+        self.require(
+            has_clamp, "faces", "a table with points on the clamped faces, clamp = [[x, y, z]]"
+        )
         if self.file.lower().endswith(".brep"):
-            self.given("unit", "given: 'mm', 'm' or 'inch', as a .brep file has none")
+            self.given("unit", "given: 'mm', 'm' or 'inch', as a .brep file does not state it")
         else:
-            self.forbid_keys(("unit",), "a STEP file, which has one")
+            self.forbid_keys(("unit",), "a STEP file, which states the unit")
 
     @property
     def dimension(self) -> int:
@@ -138,7 +141,7 @@ class Crack(Table):
 
     _ADVICE_TEXT_BY_MISTAKE: ClassVar[Mapping[str, str]] = dict.fromkeys(
         ("edge = top", "edge = bottom"),
-        "cracks run across the plate; one that does not comes in a mesh (mesh.layout = 'file')",
+        "cracks of a plate are horizontal; for other directions use mesh.layout = 'file'",
     )
 
     edge: str | None = choice_field("left", "right", default=None)
@@ -187,24 +190,30 @@ class Crack(Table):
         self.forbid_keys(BOX_CRACK_KEYS, "crack.point")
         normal = np.array(self.given("normal"))
         self.require(any(normal), "normal", "a vector that is not zero")
-        self.require(self.front in (None, "through"), "front", "'through', or left out with radii")
+        self.require(
+            self.front in (None, "through"), "front", "'through', or left out, with crack.point"
+        )
         given_keys = [
             given_key for given_key in ("length", "depth") if getattr(self, given_key) is not None
         ]
         if self.front == "through":
-            self.forbid_keys(("radii", "depth"), "front = 'through'")
+            self.forbid_keys(("radii", "depth"), "crack.front = 'through'")
         elif self.radii is not None:
             self.forbid_keys(given_keys, "crack.radii")
         else:
-            requirement = "given: [a, b]; or front = 'through', or crack.length and depth"
+            requirement = (
+                "given: [a, b] [m]; or crack.length and crack.depth; or crack.front = 'through'"
+            )
             self.require(len(given_keys) == 2, "radii", requirement)
         if self.front == "through" or self.half_axes[0] != self.half_axes[1]:
-            self.given("direction", "given: of the first radius, or in which a half-plane grows")
+            self.given(
+                "direction", "given: [dx, dy, dz], the direction of the first radius or of growth"
+            )
         if self.direction is not None:
             cross_norm = np.linalg.norm(np.cross(normal, self.direction))
             norm_product = np.linalg.norm(normal) * np.linalg.norm(self.direction)
             self.require(
-                cross_norm > 1e-3 * norm_product, "direction", "a vector across crack.normal"
+                cross_norm > 1e-3 * norm_product, "direction", "a vector not along crack.normal"
             )
 
     @property
@@ -241,7 +250,7 @@ class Material(Table):
     """Isotropic linear elastic material."""
 
     _ADVICE_TEXT_BY_MISTAKE: ClassVar[Mapping[str, str]] = {
-        "name": "no material is known by its name: steel has young = 2.1e11, poisson = 0.3 and "
+        "name": "give the numbers of the material, for steel young = 2.1e11, poisson = 0.3 and "
         "density = 7850.0;",
         "E": "did you mean material.young?",
         "nu": "did you mean material.poisson?",
@@ -306,20 +315,31 @@ class Damping(Table):
             for key in key_group
             if getattr(self, key) is not None
         ]
-        requirement = "given, or damping.mass or damping.stiffness, or damping.ratios with omegas"
-        self.require(bool(given_groups_and_keys), "ratio", f"{requirement} or frequencies")
+        requirement = (
+            "given; or damping.mass or damping.stiffness; or damping.ratios with damping.omegas or "
+            "damping.frequencies"
+        )
+        self.require(bool(given_groups_and_keys), "ratio", requirement)
         (chosen_key_group, key), *_ = given_groups_and_keys
         for key_group in key_groups:
             if key_group is not chosen_key_group:
-                self.forbid_keys(key_group, f"{key} = {getattr(self, key)}")
+                self.forbid_keys(key_group, f"damping.{key} = {getattr(self, key)}")
         if self.ratio is None:
-            self.require(self.modes == "all", "modes", f"left out with {key}: all are damped")
+            self.require(
+                self.modes == "all", "modes", f"left out with damping.{key}, which damps all modes"
+            )
         elif isinstance(self.ratio, tuple):
             has_right_length = self.modes in ("all", len(self.ratio))
-            self.require(has_right_length, "ratio", f"a list of damping.modes = {self.modes}")
+            self.require(
+                has_right_length, "ratio", f"a list with damping.modes = {self.modes} ratios"
+            )
         if "ratios" in chosen_key_group:
-            ratios = self.given("ratios", f"given with omegas = {self.omegas}")
-            omegas = self.given("omegas", f"given with ratios = {self.ratios}")
+            ratios = self.given("ratios", f"given: [xi_1, xi_2] at damping.omegas = {self.omegas}")
+            omegas = self.given(
+                "omegas",
+                "given: [omega_1, omega_2] [rad/s], or damping.frequencies, for "
+                f"damping.ratios = {self.ratios}",
+            )
             check_rayleigh_damping_ratios(self.full_key("ratios"), ratios, omegas)
 
     @property
@@ -368,7 +388,9 @@ class Excitation(Table, PeriodicLoad):
 
     Or ``order`` with ``amplitude`` and ``phase``, the lag [degrees].
     """
-    wave: str | None = path_field("a CSV file with a line of words, then rows of a time and forces")
+    wave: str | None = path_field(
+        "the path of a CSV file: headings, then rows of a time and forces"
+    )
     """File with one period of a force, which is added.
 
     Each row has a time, in any unit, and the force components [N]. Values are linear in between;
@@ -380,14 +402,17 @@ class Excitation(Table, PeriodicLoad):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.wave is None:
-            self.forbid_keys(("wave_harmonics",), "no excitation.wave")
+            self.forbid_keys(("wave_harmonics",), "without excitation.wave")
         if self.order is None:
-            self.given("omega", "given [rad/s], or excitation.frequency [Hz]: a finite number > 0")
+            self.given("omega", "given: a finite number > 0 [rad/s], or excitation.frequency [Hz]")
 
     def at_speed(self, speed: float) -> Excitation:
         """Return the excitation with omega from the order and a rotor speed [rad/s]."""
         if "_inferred_keys" not in vars(self):
-            self.forbid_keys(("frequency", "omega"), f"excitation.order = {self.order} and a speed")
+            self.forbid_keys(
+                ("frequency", "omega"),
+                f"excitation.order = {self.order}: the rotor speed sets the frequency",
+            )
         return self.with_unchecked_values(omega=speed * (self.order or 0), _inferred_keys={"omega"})
 
     @classmethod
@@ -470,23 +495,26 @@ class Load(Table, PeriodicLoad):
         )
         allowed_keys, forbidden_keys = force_keys, pressure_keys + traction_keys
         if self.point is not None:
-            self.forbid_keys(("edge",), "point")
+            self.forbid_keys(("edge",), "point: a load acts on an edge or at a point")
         else:
-            self.given("edge", "given, or point: where the load acts")
+            self.given("edge", "given: 'top', 'left', 'right' or a curve of the mesh; or point")
             allowed_keys, forbidden_keys = forbidden_keys, allowed_keys
-        self.forbid_keys(forbidden_keys, "edge" if self.point is None else "point")
+        self.forbid_keys(
+            forbidden_keys,
+            "edge: a force needs point"
+            if self.point is None
+            else "point: pressures and tractions need edge",
+        )
         has_load = any(getattr(self, key) is not None for key in allowed_keys) or bool(
             self.harmonics
         )
         has_vectors = self.point is None or all(
             len(harmonic.cos) > 1 for harmonic in self.harmonics
         )
-        self.require(has_vectors, "harmonics", "vectors at a point: components of a force")
-        self.require(
-            has_load, allowed_keys[-1], f"given, or another of {', '.join(allowed_keys[:-1])}"
-        )
+        self.require(has_vectors, "harmonics", "a list with forces at a point, as cos = [fx, fy]")
+        self.require(has_load, allowed_keys[-1], f"given, or one of {', '.join(allowed_keys[:-1])}")
         if all(getattr(self, key) is None for key in allowed_keys if not key.endswith("_mean")):
-            self.forbid_keys(("phase",), "a mean load alone")
+            self.forbid_keys(("phase",), "a mean load alone, which has no phase")
 
     @staticmethod
     def _component_keys(load_kind: str) -> tuple[str, ...]:
@@ -559,7 +587,11 @@ class Base(Table, PeriodicLoad):
         has_acceleration = bool(self.harmonics) or any(
             any(acceleration) for acceleration in accelerations if acceleration
         )
-        self.require(has_acceleration, "acceleration_sin", "given, or acceleration_cos, not zero")
+        self.require(
+            has_acceleration,
+            "acceleration_sin",
+            "given and not zero, or base.acceleration_cos or base.harmonics given",
+        )
 
     @property
     def accelerations(self) -> list[Vector]:
@@ -620,17 +652,17 @@ class Rotation(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.given("speed", "given [rad/s], or rotation.rpm: a finite number >= 0")
+        self.given("speed", "given: a finite number >= 0 [rad/s], or rotation.rpm")
         if self.center is not None:
-            self.forbid_keys(("hub_radius",), "center")
+            self.forbid_keys(("hub_radius",), "rotation.center, which places the axis")
         self.require(self.axis is None or any(self.axis), "axis", "a vector that is not zero")
 
     def check_axis_position(self, disk: Disk | None) -> None:
         """Raise InputError unless the position of the axis is known."""
         if disk is not None:
-            self.forbid_keys(("hub_radius", "axis", "center"), "[disk], which has an axis")
+            self.forbid_keys(("hub_radius", "axis", "center"), "[disk], which defines the axis")
         elif self.center is None:
-            self.given("hub_radius", "given: a finite number >= 0")
+            self.given("hub_radius", "given: a finite number >= 0 [m]")
 
     def locate_axis(self, box_center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return a point on the axis [m] and the unit direction: (3,) each.
@@ -660,7 +692,7 @@ class Disk(Table):
 
     sectors: int = value_field("a whole number from 3 to 1000", lambda count: 3 <= count <= 1000)
     cracked: tuple[int, ...] = value_field(
-        "the number of a sector, from 1, or a list of different ones",
+        "the number of a sector, from 1, or a list of different numbers",
         lambda numbers: min(numbers, default=1) >= 1,
         (1,),
     )
@@ -694,7 +726,7 @@ class Disk(Table):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.require(max(self.cracked, default=1) <= self.sectors, "cracked",
-                     f"numbers of sectors, from 1 to disk.sectors = {self.sectors}")  # fmt: skip
+                     f"sector numbers from 1 to disk.sectors = {self.sectors}")  # fmt: skip
         if self.mistuning is not None:
             requirement = f"one number for each of the {self.sectors} sectors"
             self.require(len(self.mistuning) == self.sectors, "mistuning", requirement)
@@ -743,7 +775,7 @@ class Contact(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        law_text = f"law = {self.law!r}"
+        law_text = f"contact.law = {self.law!r}"
         if self.law == "unilateral":
             self.forbid_keys(("stiffness", "stiffness_per_area"), law_text)
         else:
@@ -751,14 +783,14 @@ class Contact(Table):
             self.require(
                 has_one_stiffness,
                 "stiffness",
-                f"given, or contact.stiffness_per_area, with {law_text}",
+                f"given, or contact.stiffness_per_area, but not both, with {law_text}",
             )
         if self.law == "smoothed":
-            self.given("sharpness", f"given with {law_text}")
+            self.given("sharpness", "given: a finite number > 0 [1/m], for the smoothed law")
         else:
             self.forbid_keys(("sharpness",), law_text)
         if not self.friction:
-            self.forbid_keys(("tangential_stiffness_per_area",), "contact.friction = 0")
+            self.forbid_keys(("tangential_stiffness_per_area",), "without contact.friction > 0")
         elif not self.is_unilateral:
             self.require(False, "friction", f"0, or left out, with {law_text}")
 
@@ -803,21 +835,21 @@ class HarmonicBalance(Table):
         if self.harmonics is not None or self.samples is not None or not self.error:
             del default_by_key["tolerance"]
         if self.form == "block":
-            self.forbid_keys(("tolerance",), "form = 'block'")
+            self.forbid_keys(("tolerance",), "harmonic_balance.form = 'block'")
             default_by_key.pop("tolerance", None)
         inferred_keys = {key for key in default_by_key if getattr(self, key) is None}
         vars(self).update(
             {key: default_by_key[key] for key in inferred_keys}, _inferred_keys=inferred_keys
         )
         if self.tolerance is not None:
-            self.forbid_keys(("samples",), "a tolerance")
-            self.require(self.error, "error", "true, or left out, with a tolerance")
+            self.forbid_keys(("samples",), "harmonic_balance.tolerance")
+            self.require(self.error, "error", "true, or left out, with harmonic_balance.tolerance")
         min_samples = 4 * self.harmonics + 1
         has_allowed_samples = (
             self.samples is None or min_samples <= self.samples <= MAX_SAMPLES_PER_PERIOD
         )
         requirement = (
-            f"a whole number from {min_samples} (4 harmonics + 1) to "
+            f"a whole number from {min_samples} (4 times harmonics + 1) to "
             f"{MAX_SAMPLES_PER_PERIOD}, or left out"
         )
         self.require(has_allowed_samples, "samples", requirement)
@@ -895,12 +927,13 @@ class Mesh(Table):
         }
         layout_keys = keys_by_layout.pop(self.layout)
         for other_keys in keys_by_layout.values():
-            self.forbid_keys(other_keys, f"layout = {self.layout!r}")
+            self.forbid_keys(other_keys, f"mesh.layout = {self.layout!r}")
         for key in layout_keys:
             if key not in ("lip_elements", "coarser"):  # an uncracked plate has no crack faces
-                self.given(key, f"given with layout = {self.layout!r}")
+                allowed_text = self.field_by_key()[key].metadata["allowed"]
+                self.given(key, f"given: {allowed_text}, with layout = {self.layout!r}")
         if self.layout == "file":
-            self.forbid_keys(("cells",), "layout = 'file', whose mesh has its own")
+            self.forbid_keys(("cells",), "mesh.layout = 'file': the mesh file has the cells")
 
     def with_dimension(self, dimension: int) -> Mesh:
         """Return the mesh with the default order for a plane (1) or space (2)."""
@@ -921,9 +954,9 @@ class Structure(Table):
     if there is contact without a file for the gaps.
     """
 
-    mass: str = path_field("the path of a file: (n, n)", MISSING)
+    mass: str = path_field("the path of a file with an (n, n) matrix", MISSING)
     """[kg]"""
-    stiffness: str = path_field("the path of a file: (n, n)", MISSING)
+    stiffness: str = path_field("the path of a file with an (n, n) matrix", MISSING)
     """[N/m]"""
     model: str | None = path_field(
         "the path of the input file of the program that made the matrices"
@@ -932,38 +965,42 @@ class Structure(Table):
 
     Or a table with node, x, y, z [m], separated by commas.
     """
-    dofs: str | None = path_field("the path of a file: node and direction of each row")
+    dofs: str | None = path_field("the path of a file with node and direction of each row")
     """For Matrix Market files with a model: "12.3" or "7 12 UZ" on each line.
 
     For CalculiX, if left out, the .dof file beside the stiffness.
     """
-    gap: str | None = path_field("the path of a file: (n, n_pairs)")
+    gap: str | None = path_field("the path of a file with an (n, n_pairs) matrix")
     """B, which gives the gaps of contact pairs from displacements.
 
     Left out: no gaps, or those of the model.
     """
-    tangential: str | None = path_field("the path of a file: (n, n_pairs)")
+    tangential: str | None = path_field("the path of a file with an (n, n_pairs) matrix")
     """B_t for the tangential gaps, for friction."""
-    damping: str | None = path_field("the path of a file: (n, n)")
+    damping: str | None = path_field("the path of a file with an (n, n) matrix")
     """C [N s/m]; or the table [damping]."""
-    force_sin: str | None = path_field("the path of a Matrix Market file: (n, 1), or more columns")
+    force_sin: str | None = path_field("the path of a Matrix Market file with n rows")
     """[N]; column k acts at k times the load frequency. Or the force in [excitation] at a point."""
-    force_cos: str | None = path_field("the path of a Matrix Market file: (n, 1), or more columns")
-    force_mean: str | None = path_field("the path of a Matrix Market file: (n, 1)")
+    force_cos: str | None = path_field("the path of a Matrix Market file with n rows")
+    force_mean: str | None = path_field("the path of a Matrix Market file with n rows and a column")
     clearance: float | str = path_field(
         f"a finite number {ZERO_OR_MAGNITUDE_TEXT}, "
-        "or the path of a Matrix Market file: (n_pairs, 1)",
+        "or the path of a Matrix Market file with n_pairs rows",
         0.0,
         "m",
     )
     """g0 for all pairs, or for each; < 0: preload."""
-    areas: str | None = path_field("the path of a Matrix Market file: (n_pairs, 1)")
+    areas: str | None = path_field("the path of a Matrix Market file with n_pairs rows")
     """Area of each pair [m^2], for stiffnesses per area; known for a model's pairs."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         has_load = any((self.force_sin, self.force_cos, self.force_mean, self.model))
-        self.require(has_load, "force_sin", "given, or force_cos or force_mean: what moves it")
+        self.require(
+            has_load,
+            "force_sin",
+            "given, or structure.force_cos, structure.force_mean or structure.model",
+        )
 
 
 @dataclass(frozen=True)
@@ -1017,16 +1054,18 @@ class Curve(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.require(self.start != self.stop, "stop", f"other than curve.start = {self.start:g}")
+        self.require(
+            self.start != self.stop, "stop", f"different from curve.start = {self.start:g}"
+        )
         if self.at is not None:
-            self.require(self.parameter == "load", "at", "left out, or curve.parameter = 'load'")
+            self.require(self.parameter == "load", "at", "left out unless curve.parameter = 'load'")
         names_of_positive_parameters = "omega", "frequency", "stiffness", "friction", "speed", "rpm"
         if self.parameter in names_of_positive_parameters or self.at is not None:
             # Rounding would take a smaller end to 0.
             lower_bound = max(1e-12 * max(self.start, self.stop), 0.0)
             for end_key in ("start", "stop"):
                 requirement = f"a number > 0 with curve.parameter = {self.parameter!r}"
-                requirement += ", and 1e-12 of the other end" * (getattr(self, end_key) > 0.0)
+                requirement += ", and above 1e-12 of the other end" * (getattr(self, end_key) > 0.0)
                 self.require(getattr(self, end_key) > lower_bound, end_key, requirement)
 
     @property
@@ -1083,7 +1122,7 @@ class Integration(Table):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.initial is not None:
-            self.forbid_keys(("deflection",), "initial")
+            self.forbid_keys(("deflection",), "integration.initial")
 
 
 @dataclass(frozen=True)
@@ -1098,7 +1137,8 @@ class Sweep(Table):
     """
 
     over: tuple[Axis, ...] = value_field(
-        "a table of keys of the scene and the values that they take", lambda value: value
+        "a table with keys of the scene and lists of values, 'crack.length' = [0.02, 0.03]",
+        lambda value: value,
     )
     """Keys with lists of values, or start, stop, count and ``spacing = "logarithmic"``."""
     at_resonance: bool = value_field("true or false", default=False)
@@ -1171,14 +1211,17 @@ class Growth(Table):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.drive != "spectrum":
-            self.forbid_keys(("frequencies", "cycles"), f"drive = {self.drive!r}")
+            self.forbid_keys(("frequencies", "cycles"), f"growth.drive = {self.drive!r}")
             return
         for spectrum_key in ("frequencies", "cycles"):
-            self.given(
-                spectrum_key, "given with drive = 'spectrum': frequencies and cycles of the load"
-            )
+            allowed_text = self.field_by_key()[spectrum_key].metadata["allowed"]
+            self.given(spectrum_key, f"given: {allowed_text}, with drive = 'spectrum'")
         has_equal_lengths = len(self.cycles or ()) == len(self.frequencies or ())
-        self.require(has_equal_lengths, "cycles", "as many numbers as there are frequencies")
+        self.require(
+            has_equal_lengths,
+            "cycles",
+            f"as many numbers as growth.frequencies, {len(self.frequencies or ())}",
+        )
 
     @property
     def repeat_cycles_and_duration(self) -> tuple[float, float] | None:
@@ -1212,7 +1255,7 @@ class Identify(Table):
     """
 
     unknown: tuple[Axis, ...] = value_field(
-        "a table of keys of the scene and the values between which they are looked for", default=()
+        "a table with keys of the scene and the values between which these are sought", default=()
     )
     """Keys with at least 4 ascending numbers at which the forward model is solved.
 
@@ -1374,16 +1417,16 @@ class Identify(Table):
                 parameter_name for parameter_name, _ in self.meshes[0].values
             }:
                 raise InputError(
-                    error_key, parameter_names, "the same numbers as of the others, one or more"
+                    error_key, parameter_names, "one or more names, the same for all meshes"
                 )
             for parameter_name in parameter_names:
                 if not (parameter_name in allowed_names or parameter_name.isidentifier()):
-                    requirement = f"a word, or one of {', '.join(sorted(allowed_names))}"
+                    requirement = f"a single word, or one of {', '.join(sorted(allowed_names))}"
                     raise InputError(error_key, parameter_name, requirement)
         axes = self.mesh_axes
         for axis in axes:
             if len(axis.values) < MIN_ALLOWED_VALUES_PER_UNKNOWN:
-                requirement = f"{MIN_ALLOWED_VALUES_PER_UNKNOWN} or more different ones"
+                requirement = f"at least {MIN_ALLOWED_VALUES_PER_UNKNOWN} different values"
                 raise InputError(f"identify.meshes, {axis.key}", axis.values, requirement)
         n_meshes_by_values = Counter(
             tuple(dict(mesh_file.values)[axis.key] for axis in axes) for mesh_file in self.meshes
@@ -1395,7 +1438,7 @@ class Identify(Table):
                 combination_text = ", ".join(
                     f"{axis.key} = {parameter_value:g}" for axis, parameter_value in axes_and_values
                 )
-                requirement = "one mesh for every combination of its numbers"
+                requirement = "a table with one mesh file for every combination of the numbers"
                 raise InputError(
                     "identify.meshes",
                     f"{n_meshes or 'no'} files of {combination_text}",
@@ -1460,7 +1503,9 @@ class TipTiming(Table):
     tip_radius: float = positive_field(unit="m")
     """Distance between tip and axis."""
     tangential: float | None = value_field(
-        f"a finite number other than 0 {ZERO_OR_MAGNITUDE_TEXT}", lambda share: share != 0.0, None
+        f"a finite number other than 0 (of magnitude {ALLOWED_MAGNITUDES_TEXT})",
+        lambda share: share != 0.0,
+        None,
     )
     """Displacement of the tip in the direction of rotation, relative to the first watched one.
 
@@ -1536,14 +1581,14 @@ class Output(Table):
     """
 
     quantities: tuple[str, ...] | None = value_field(
-        f"a list of some of {', '.join(OBSERVABLES_BY_NAME)}",
+        f"a list of names out of {', '.join(OBSERVABLES_BY_NAME)}",
         lambda names: names and set(names) <= OBSERVABLES_BY_NAME.keys(),
         None,
     )
     """Quantities for print and pictures; files have all. Default: a few."""
     points: tuple[NamedPoint, ...] = value_field(
-        "a table of points: a name of letters, digits and _, and [x, y], or [x, y, z] of a solid, "
-        f"finite numbers; {MAX_ALLOWED_OUTPUT_POINTS} of them at most",
+        f"a table with at most {MAX_ALLOWED_OUTPUT_POINTS} points: a name of letters, digits and "
+        "_, and finite numbers [x, y], or [x, y, z] in a solid",
         lambda points: (
             len(points) <= MAX_ALLOWED_OUTPUT_POINTS
             and all(re.fullmatch(r"[A-Za-z]\w{0,29}", point.key, re.A) for point in points)

@@ -26,7 +26,7 @@ from fenics_crack.model.modal import is_small
 from fenics_crack.model.receptance import make_empty_receptance_list, receptance
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY
-from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.scene import Scene, missing_table_error
 from fenics_crack.study.observer import make_requested_rows_and_readers
 from fenics_crack.study.prepare import (
     MAX_UNREDUCED_DOFS,
@@ -103,11 +103,11 @@ def required_contact_law(study: Study) -> ContactLaw:
     """Return the contact law of a study; InputError if it has none."""
     if study.contact is None:
         if study.scene.structure is not None:
-            requirement = "given for this command: the path of a Matrix Market file"
+            requirement = "given: the path of a Matrix Market file, for this command"
             raise InputError("structure.gap", None, requirement)
         # The crack of a file is no table.
         table_name = "contact" if study.scene.mesh.layout == "file" else "crack"
-        raise InputError(table_name, None, "given for this command: a table")
+        raise missing_table_error(table_name, ", which this command needs")
     return study.contact
 
 

@@ -146,7 +146,7 @@ WRONG = {
     "point = [0.1, 0.3]": ("", "excitation.point is missing: .*; for example point = [0.1, 0.3]"),
     "frequency = 780.0 ": ("", "excitation.omega is missing: .*; for example frequency = 780.0"),
     "lip_elements = 10": ("", "mesh.lip_elements is missing: .*; for example lip_elements = 10"),
-    '[contact] ': ("[output.points]", "contact is missing: must be given where there is a crack"),
+    '[contact] ': ("[output.points]", "contact is missing: give a table [contact]"),
 }  # fmt: skip
 """Text of a new scene, what takes its place, and the line about it."""
 
@@ -181,7 +181,7 @@ def test_tables_to_paste_make_a_scene(here: Path, run_command: RunCommand) -> No
     """Of an empty file all are missing; what is shown is one that can be solved."""
     Path("own.toml").touch()
     message, _, lines = run_command("check", "own.toml", code=2).err.partition("for example:\n\n")
-    assert message.count(" is missing: must be given: a table\n") == message.count("\n") == 5
+    assert message.count(" is missing: give a table [") == message.count("\n") == 5
     Path("own.toml").write_text(lines)
     assert main(["check", "own.toml", *sets("mesh.size=0.05", "mesh.error=false"), "--quiet"]) == 0
 
@@ -218,7 +218,7 @@ def test_the_curve_to_paste_is_of_this_scene(
     Path("own.toml").write_text(scene.as_toml())
     message, _, lines = run_command("curve", "own.toml", code=2).err.partition("for example:\n\n")
     assert message.startswith(
-        "fenics-crack: curve is missing: must be given for this command: a table"
+        "fenics-crack: curve is missing: give a table [curve] with start, stop"
     )
     Path("own.toml").write_text(f"{scene.as_toml()}\n{lines}")
     words = ["--set", "curve.stability=false", "--set", "mesh.error=false", "--quiet"]

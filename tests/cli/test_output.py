@@ -169,7 +169,7 @@ def test_a_crack_of_a_mesh_file_that_stays_open(tmp_path: Path, run_command: Run
     scene = fc.Scene.load(DEMOS / "inclined_crack.toml", {"contact": None})
     process = run_command("solve", scene, "--output", tmp_path)
     assert "not assessed" not in process.err and "verdict" not in process.out
-    expected_message = "contact is missing: must be given for this command: a table"
+    expected_message = "contact is missing: give a table [contact], which this command needs"
     assert expected_message in run_command("integrate", scene, "--output", tmp_path, code=2).err
 
 

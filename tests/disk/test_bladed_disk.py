@@ -269,11 +269,11 @@ def test_sector_file(tmp_path: Path) -> None:
     catch_error(
         lambda: fc.build_structure(file.replace({"disk.sectors": 7})),
         "mesh.file",
-        "11 nodes of the left side and 11 of the right one",
+        str(named_file),
         names="360/7 degrees",
     )
     named_file.write_text(text.replace('"right"', '"other"'), errors="surrogateescape")
-    catch_error(lambda: fc.build_structure(file), "mesh.file", "without a side named 'right'")
+    catch_error(lambda: fc.build_structure(file), "mesh.file", str(named_file), names="'right'")
 
 
 WRONG: list[tuple[str, Any, dict[str, Any], str | None]] = [

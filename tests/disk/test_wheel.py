@@ -219,7 +219,9 @@ def test_names_of_dofs(mistuned: Wheel) -> None:
     catch_error(lambda: mistuned.dof_of(9, base_dof), "blade", 9, names="1 to 8")
     catch_error(lambda: mistuned.mistuned([0.0, 0.1]), "mistuning", [0.0, 0.1], names="8 sectors")
     catch_error(
-        lambda: fc.reduce_wheel(WheelInFewCoordinates(mistuned, 2)), "wheel", "WheelStructure"
+        lambda: fc.reduce_wheel(WheelInFewCoordinates(mistuned, 2)),
+        "wheel",
+        "WheelInFewCoordinates",
     )
 
 

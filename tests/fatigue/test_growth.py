@@ -509,7 +509,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     capsys.readouterr()
     assert main(["grow", str(scene), "--set", "growth=none", "--output", str(folder)]) == 2
     told = capsys.readouterr().err
-    assert "growth is missing: must be given for this command" in told and "[growth]" in told
+    assert "growth is missing: give a table [growth] with until, rate, exponent" in told
 
 
 @pytest.mark.nightly

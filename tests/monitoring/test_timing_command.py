@@ -110,7 +110,7 @@ def test_one_blade_of_several(tmp_path: Path, timing: RunCommand, run_command: R
     scene, blades = strip(2.0, 100.0 / UNIT, tip_timing=table), f"one of 3, 4 in {path}"
     for command in (["timing", scene, path], ["identify", scene, "--arrivals", path]):
         words = [*command, "--output", tmp_path]
-        assert f"is missing: must be given: {blades}" in run_command(*words, code=2).err
+        assert f"is missing: give {blades}" in run_command(*words, code=2).err
         assert f"--blade = 2: must be {blades}" in run_command(*words, "--blade", 2, code=2).err
     timing(scene, path, "--blade", 4)
     arrivals = fc.ArrivalTimes.from_csv(tmp_path / "arrivals.csv")

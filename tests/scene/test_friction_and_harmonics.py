@@ -25,7 +25,7 @@ def plate(**changes: object) -> fc.Scene:
     ("key", "value", "changes", "names"),
     [
         ("contact.friction", -0.1, {}, ">= 0"),
-        ("contact.tangential_stiffness_per_area", 1e12, {}, r"contact\.friction = 0"),
+        ("contact.tangential_stiffness_per_area", 1e12, {}, r"without contact\.friction > 0"),
         (
             "contact.friction",
             0.3,

@@ -124,7 +124,7 @@ def identify(
         changed_table = replace(identify_table, unknown=Identify.convert_value("unknown", unknown))
         scene = replace(scene, identify=changed_table)
     if scene.identify is None:
-        raise InputError("identify", None, "given: a table [identify.unknown] with keys and values")
+        raise InputError("identify", None, "given: a table [identify] with keys and values")
     word_keys = [axis.key for axis in scene.identify.unknown if isinstance(axis.values[0], str)]
     if len(word_keys) == len(scene.identify.unknown) and not scene.identify.meshes:
         raise InputError("identify.unknown", word_keys, "keys of which at least one has numbers")
