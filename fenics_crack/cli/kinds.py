@@ -86,7 +86,7 @@ RESULT_KIND_BY_NAME = {
     "nodal diameters": ResultKind(
         "disk", "Nodal diameters", "disk.bladed_disk:report_of_diameters",
         "disk.bladed_disk:NodalDiameters.from_stored_file", "disk.plot_disk:draw_nodal_diameters",
-        "Natural frequencies over the nodal diameter; rings: what the engine order excites.",
+        "Natural frequencies over the nodal diameter; rings: excited by the engine order.",
     ),
     "amplification": ResultKind(
         "amplification", "Mistuning", "disk.bladed_disk:report_of_amplification",
