@@ -42,10 +42,8 @@ DOUBT_TEXT_BY_BEHAVIOUR = {
 }
 """Sentence for each doubtful behaviour in :class:`GridConvergence`."""
 ORDER_TEXT_BY_BEHAVIOUR = {
-    "outside": "no observed order",
-    "irregular": "no observed order",
     "two sizes": "by the order of theory",
-    "two coefficients": "by a run with friction",
+    "two coefficients": "by runs with and without friction",
     "carried": "by runs at shifted frequencies",
     "exact orbit": "by the exact orbit",
 }
@@ -457,8 +455,8 @@ class Verification(SavedResult):
             and contact_table.stiffness is not None
         ):
             sentences.append(
-                "contact.stiffness holds for each contact pair, and a finer mesh has more pairs, so "
-                "the mesh changes the contact; contact.stiffness_per_area is independent of the mesh"
+                "contact.stiffness holds for each contact pair, and a finer mesh has more pairs: "
+                "the contact depends on the mesh; use contact.stiffness_per_area"
             )
         return tuple(sentences)
 
@@ -530,7 +528,7 @@ class Verification(SavedResult):
         order_text = (
             f"observed order {largest_convergence.order:.2g}"
             if math.isfinite(largest_convergence.order)
-            else ORDER_TEXT_BY_BEHAVIOUR[largest_convergence.behaviour]
+            else ORDER_TEXT_BY_BEHAVIOUR.get(largest_convergence.behaviour, "no observed order")
         )
         error_text += f" +- {total_text} (sum of all: {sum_text}), mostly due to "
         error_text += f"the {largest_cause}, {order_text}"
