@@ -218,7 +218,7 @@ def test_the_curve_to_paste_is_of_this_scene(
     Path("own.toml").write_text(scene.as_toml())
     message, _, lines = run_command("curve", "own.toml", code=2).err.partition("for example:\n\n")
     assert message.startswith(
-        "fenics-crack: curve is missing: must be given for this command: a table"
+        "fenics-crack: curve is missing: must be given for this command, as a table [curve]"
     )
     Path("own.toml").write_text(f"{scene.as_toml()}\n{lines}")
     words = ["--set", "curve.stability=false", "--set", "mesh.error=false", "--quiet"]

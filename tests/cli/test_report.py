@@ -273,7 +273,7 @@ def test_a_folder(tmp_path: Path, run_command: RunCommand) -> None:
     sweep_axes = {"sweep.over": {"crack.edge": ["left", "right"]}}
     fc.run_sweep(scene.replace(sweep_axes), tmp_path / "sweep.h5")
     fc.run_sweep(scene.replace(sweep_axes), tmp_path / "growth_1.h5", judged=False)
-    assert "left out, as parts of other results: " in run_command("report", tmp_path).err
+    assert "left out, as they are parts of other results: " in run_command("report", tmp_path).err
     page = Page((tmp_path / "report.html").read_text("utf-8"))
     assert sum(tag == "section" for tag, _ in page.tags) == 5
     assert "no picture: sweep.over = " in page.words.lower()

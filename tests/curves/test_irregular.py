@@ -103,7 +103,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     assert main([*words, "--set", "contact.friction_error=false"]) == 0
     messages = capsys.readouterr().err
     assert "no orbit was found, and the exact motion is irregular" in messages
-    assert "; --set harmonic_balance.tolerance=1e-2 may find one" in messages
+    assert "; --set harmonic_balance.tolerance=1e-2 may find a periodic orbit" in messages
     assert "(not confirmed by an orbit)" in messages and "unknown" not in messages
     rows = json.loads((tmp_path / "solution.json").read_text())
     assert {row["name"]: row["value"] for row in rows}["verdict"] == "irregular"

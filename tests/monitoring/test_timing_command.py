@@ -161,7 +161,7 @@ def test_a_record_at_constant_speed(tmp_path: Path, timing: RunCommand) -> None:
         assert [row["order"] for row in rows] == [0.0, 4.0, 8.0]
         assert rows[1]["amplitude [m]"] == pytest.approx(size, rel=1e-3)
         assert (question in output.err) == is_questioned
-    message = "--orders = [5, 4]: must be whole numbers, 1 <= FIRST <= LAST"
+    message = "--orders = [5, 4]: must be two whole numbers with 1 <= FIRST <= LAST"
     assert message in timing(path, "--orders", 5, 4, code=2).err
     write_table(path, "speed [Hz],probe 1 [rad],probe 2 [rad]", [[50.0, 0.3, 1.1]] * 30)
     message = "tip_timing.probes is missing: must be given for a record at constant speed"

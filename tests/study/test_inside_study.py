@@ -376,7 +376,9 @@ def test_memory_that_is_freed_does_not_count(
     pieces = [np.ones(10_000) for _ in range(1000)]
     machine = (needed_memory + 4e7) / 0.8
     monkeypatch.setattr(prepare, "machine_memory", lambda: machine)
-    catch_error(lambda: prepare.estimate_and_check_memory(paper_scene, wide_plate), "mesh.columns", 2)
+    catch_error(
+        lambda: prepare.estimate_and_check_memory(paper_scene, wide_plate), "mesh.columns", 2
+    )
     pieces[:-1] = []  # the last one holds the others' memory for the process
     assert prepare.estimate_and_check_memory(paper_scene, wide_plate) < needed_memory + 1e7
 
@@ -454,7 +456,7 @@ def test_failed_runs_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "harmonics" in verification.unknown and "harmonics" not in verification.parts
     bad.add(5)
     catch_error(
-        lambda: fc.verify(scene), names="the scene's own choice: lost", kind=fc.ConvergenceError
+        lambda: fc.verify(scene), names="the scene's settings: lost", kind=fc.ConvergenceError
     )
 
 
@@ -463,7 +465,7 @@ def test_stages_name_the_run(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("DEBUG", "fenics_crack")
     fc.verify(plate())
     stages = caplog.messages
-    assert "the scene's own choice: mesh" in stages and "a mesh 1.5 times finer: mesh" in stages
+    assert "the scene's settings: mesh" in stages and "a mesh 1.5 times finer: mesh" in stages
     assert any(text.startswith("24 modes: ") for text in stages)
 
 

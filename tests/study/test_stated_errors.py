@@ -376,7 +376,7 @@ def test_a_coarser_mesh_that_cannot_be_made(
     monkeypatch.setattr("fenics_crack.study.meshes.prepare", fails)
     errors = fc.solve(scene, MPI.COMM_SELF).errors
     assert errors is not None and np.isnan(errors.stated("amplitude")[0])
-    assert errors.doubt("amplitude") == "another mesh cannot be used, for its crack.length"
+    assert errors.doubt("amplitude") == "a run with another mesh is refused because of crack.length"
     assert errors.contributions("amplitude")["harmonics"] > 0.0
 
 
