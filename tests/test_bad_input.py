@@ -290,7 +290,7 @@ TABLE = [
     ("disk wheel.toml --deviation .5", "--deviation = 0.5: must be a number from 0 to 0.1"),
     ("disk wheel.toml --patterns 1 --deviation nan", "--deviation = nan: must be a number from 0 to 0.1"),
     ("campbell scene.toml", "rotation is missing: must be given for this command: a table"),
-    ("campbell scene.toml --speeds 0 1 1e9 rotation.rpm=10 rotation.hub_radius=1", "--speeds = [0.0, 1.0, 1000000000.0]: must be 0 <= START < STOP, and COUNT a whole number from 2 to 1000000"),
+    ("campbell scene.toml --speeds 0 1 1e9 rotation.rpm=10 rotation.hub_radius=1", "--speeds = [0.0, 1.0, 1000000000.0]: must be START STOP COUNT with 0 <= START < STOP, and COUNT a whole number from 2 to 1000000"),
 ]
 FURTHER = {
     "check empty.toml": "material damping excitation mesh",

@@ -588,7 +588,8 @@ def test_full_output(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixtu
             assert main(["check", str(DEMOS / "chain.toml"), "--quiet"]) == 1
         monkeypatch.undo()
     assert capfd.readouterr().err.splitlines() == [
-        "fenics-crack: standard output cannot be written (No space left on device); free disk space",
+        "fenics-crack: standard output cannot be written (No space left on device); free disk "
+        "space",
         "fenics-crack: standard output is closed; open it, or redirect it to a file: > table.txt",
     ]
 
