@@ -33,8 +33,12 @@ DESCRIPTION_UNIT_AND_LEVEL_BY_NAME = {
     "periods": ("periods", "-", PRINT_BY_DEFAULT),
     "steps_per_period": ("steps in a period", "-", PRINT_BY_DEFAULT),
     "settled": ("change over the last period", "-", PRINT_BY_DEFAULT),
-    "distance": ("distance from the settled motion", "-", PRINT_ALWAYS),
-    "created_energy": ("energy created by the time steps / energy put in", "-", PRINT_BY_DEFAULT),
+    "distance": ("estimated distance from the settled motion", "-", PRINT_ALWAYS),
+    "created_energy": (
+        "energy created by the time steps, relative to the energy put in",
+        "-",
+        PRINT_BY_DEFAULT,
+    ),
     "verdict": ("verdict on the stability", "-", PRINT_ALWAYS),
     "multiplier": ("largest Floquet multiplier", "-", PRINT_BY_DEFAULT),
     "converged": ("converged", "-", PRINT_ALWAYS),
@@ -240,13 +244,10 @@ def yield_nonunique_contact_force_warning(solution: PeriodicSolution) -> Iterato
     largest_coefficient = float(np.max(exact_flow.friction_law.coefficient))
     critical_coefficient = exact_flow.critical_friction
     if largest_coefficient > 0.5 * critical_coefficient:
-        coefficient_text = (
-            f"the coefficient of friction, {largest_coefficient:g}, is above half of "
-            f"{critical_coefficient:.2g}"
-        )
         yield (
-            f"{coefficient_text}, above which the contact forces at an instant may not be unique; "
-            "reduce contact.friction"
+            f"the coefficient of friction, {largest_coefficient:g}, is above half of "
+            f"{critical_coefficient:.2g}; above {critical_coefficient:.2g} the contact forces at "
+            "an instant may not be unique: reduce contact.friction"
         )
 
 

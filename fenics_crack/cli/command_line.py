@@ -372,8 +372,11 @@ class OrderRangeAction(argparse.Action):
         """Add the orders to the values of --set, called by argparse."""
         first_order, last_order = order_range
         if not 1 <= first_order <= last_order <= MAX_ENGINE_ORDER:
-            requirement_text = f"two whole numbers with 1 <= FIRST <= LAST <= {MAX_ENGINE_ORDER}"
-            raise InputError("--orders", order_range, requirement_text)
+            raise InputError(
+                "--orders",
+                order_range,
+                f"two whole numbers with 1 <= FIRST <= LAST <= {MAX_ENGINE_ORDER}",
+            )
         engine_orders = [*range(first_order, last_order + 1)]
         arguments.set = [*arguments.set, f"tip_timing.orders={engine_orders}"]
 

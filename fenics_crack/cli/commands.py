@@ -270,11 +270,12 @@ def _convert_arrivals_to_measurements(
         console.print_notes(*(scene_timing.describe_passage(*passage) for passage in passages))
         passage_fits, mode_numbers, _ = zip(*passages, strict=True) if passages else ((), (), ())
         if not any(mode_numbers):
-            requirement_text = (
+            raise InputError(
+                option_name,
+                repr(arrivals),
                 "arrivals at constant speed, or a run-up through a resonance of the blade; these "
-                "pass none: record a wider range of speeds"
+                "pass none: record a wider range of speeds",
             )
-            raise InputError(option_name, repr(arrivals), requirement_text)
         measured_quantity_name = "frequency_uncracked" if is_uncracked else "frequency_resonance"
         return Measurements.from_passages(
             passage_fits, mode_numbers, quantity=measured_quantity_name
@@ -292,11 +293,12 @@ def _convert_arrivals_to_measurements(
             format_speed(speed, scene.is_speed_in_rpm)
             for speed in (arrivals.mean_speed, scene.speed)
         )
-        requirement_text = (
+        raise InputError(
+            option_name,
+            measured_speed_text,
             f"arrivals at {scene_speed_text}, the speed of [rotation]; set [rotation] to the "
-            "measured speed, or give the load by excitation.order"
+            "measured speed, or give the load by excitation.order",
         )
-        raise InputError(option_name, measured_speed_text, requirement_text)
     engine_order = scene_timing.get_engine_order(scene.given("tip_timing"), scene)
     displacement_name, is_against_rotation = scene_timing.find_probed_displacement_and_reversal(
         scene

@@ -157,7 +157,8 @@ def _check_petsc() -> str:
     from petsc4py import PETSc
 
     if not PETSc.Sys.hasExternalPackage("mumps"):
-        raise InputError("PETSc", "without MUMPS", "a PETSc with MUMPS; install one")
+        petsc_version = ".".join(map(str, PETSc.Sys.getVersion()))
+        raise InputError("PETSc", petsc_version, "built with MUMPS; install a PETSc that has it")
     version_texts = [
         ".".join(map(str, package.Sys.getVersion())) for package in (PETSc, import_slepc())
     ]
@@ -256,7 +257,7 @@ def _describe_error_or_raise(quantity_name: str, relative_error: float, toleranc
     error_text = f"{quantity_name}: relative error {relative_error:.0e}"
     if not relative_error <= tolerance:
         raise ArithmeticError(
-            f"{error_text}, at most {tolerance:g} is allowed; this installation computes wrongly"
+            f"{error_text}, at most {tolerance:g} is allowed; this installation has wrong results"
         )
     return error_text
 

@@ -153,11 +153,12 @@ def read_prepared_inputs(arguments: Namespace, comm: MPI.Comm) -> CommandInputs:
         The file cannot be used, or the command or a changed key needs a mesh.
     """
     if arguments.command not in COMMANDS_FOR_PREPARED_FILES:
-        requirement_text = (
+        raise InputError(
+            "scene",
+            str(arguments.scene),
             f"a scene (.toml) for the command {arguments.command}; only "
-            f"{' and '.join(COMMANDS_FOR_PREPARED_FILES)} take a file of reduce (.h5)"
+            f"{' and '.join(COMMANDS_FOR_PREPARED_FILES)} take a file of reduce (.h5)",
         )
-        raise InputError("scene", str(arguments.scene), requirement_text)
     from fenics_crack.study.artefact import load_prepared  # the solver
 
     study = load_prepared(arguments.scene, parse_changes(arguments.set), comm)
@@ -253,12 +254,11 @@ def _find_campbell_speeds_or_none(arguments: Namespace, scene: Scene) -> np.ndar
         and 2 <= n_speeds <= MAX_CASES
         and n_speeds % 1 == 0
     ):
-        requirement_text = (
-            "START STOP COUNT with 0 <= START < STOP, and COUNT a whole number from 2 to "
-            f"{MAX_CASES}"
-        )
         raise InputError(
-            "--speeds", arguments.speeds or (first_speed, last_speed, n_speeds), requirement_text
+            "--speeds",
+            arguments.speeds or (first_speed, last_speed, n_speeds),
+            "START STOP COUNT with 0 <= START < STOP, and COUNT a whole number from 2 to "
+            f"{MAX_CASES}",
         )
     return unit_factor * np.linspace(first_speed, last_speed, int(n_speeds))
 
@@ -272,10 +272,11 @@ def _read_measurements(
     """
     measurement_paths, mode_numbers = arguments.measurements, arguments.modes
     if not measurement_paths and arguments.arrivals is None:
-        requirement_text = (
-            "given: a CSV file (fenics-crack new --identify writes one), or --arrivals FILE"
+        raise InputError(
+            "measurements",
+            None,
+            "given: a CSV file (fenics-crack new --identify writes one), or --arrivals FILE",
         )
-        raise InputError("measurements", None, requirement_text)
     if not measurement_paths and uncracked_path is None and not mode_numbers:
         return None
     from fenics_crack.monitoring.identification.measurements import (
@@ -288,10 +289,12 @@ def _read_measurements(
         and uncracked_path is None
         and not any(path.suffix.lower() in UNIVERSAL_FILE_SUFFIXES for path in measurement_paths)
     ):
-        requirement_text = (
-            f"left out without a file of frequency responses ({', '.join(UNIVERSAL_FILE_SUFFIXES)})"
+        raise InputError(
+            "--modes",
+            list(mode_numbers),
+            "left out without a file of frequency responses "
+            f"({', '.join(UNIVERSAL_FILE_SUFFIXES)})",
         )
-        raise InputError("--modes", list(mode_numbers), requirement_text)
     measurement_sets = [Measurements.read(path, mode_numbers) for path in measurement_paths]
     if uncracked_path is not None:
         measurement_sets.append(
@@ -338,13 +341,11 @@ def select_blades(
     if blade_number is None and (allows_several or len(arrivals_by_blade) == 1):
         return arrivals_by_blade
     if blade_number is None or blade_number not in arrivals_by_blade:
-        requirement_text = (
-            f"one of the blades in {record_path}: {', '.join(map(str, arrivals_by_blade))}"
-        )
         raise InputError(
             "--blade",
             blade_number,
-            f"{'given: ' if blade_number is None else ''}{requirement_text}",
+            f"{'given: ' if blade_number is None else ''}one of the blades in {record_path}: "
+            f"{', '.join(map(str, arrivals_by_blade))}",
         )
     return {blade_number: arrivals_by_blade[blade_number]}
 
@@ -499,9 +500,9 @@ def keep_previous_files_with_note(
                 return ""
         except OSError as error:
             return (
-                f"{previous_folder}: the replaced result could not be kept here ({error.strerror})"
+                f"{previous_folder}: the previous result could not be kept here ({error.strerror})"
             )
-        return f"{previous_folder}: the replaced result is kept here"
+        return f"{previous_folder}: the previous result, now replaced, is kept here"
 
     return on_root(comm, keep_files_on_root)
 

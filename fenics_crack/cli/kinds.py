@@ -133,6 +133,9 @@ def restore_result(stored_file: StoredFile) -> Any:
         The file holds no result of a command.
     """
     if stored_file.kind not in RESULT_KIND_BY_NAME:
-        requirement_text = f"a result of one of these kinds: {', '.join(RESULT_KIND_BY_NAME)}"
-        raise InputError("result", str(stored_file.path), requirement_text)
+        raise InputError(
+            "result",
+            str(stored_file.path),
+            f"a result of one of these kinds: {', '.join(RESULT_KIND_BY_NAME)}",
+        )
     return load_function(RESULT_KIND_BY_NAME[stored_file.kind].reader_function_path)(stored_file)

@@ -393,11 +393,13 @@ def _select_drawn_axis_indices(sweep_result: SweepResult) -> list[int]:
     ]
     if not axis_indices:
         raise InputError(
-            "sweep.over", [axis.key for axis in axes], "numbers, two or more of a key, to be drawn"
+            "sweep.over",
+            [axis.key for axis in axes],
+            "over a key with two or more numbers, to be drawn",
         )
     if not np.any(sweep_result.converged):
         raise InputError(
-            "path", str(sweep_result.path), "a sweep with a converged case, to be drawn"
+            "path", str(sweep_result.path), "a sweep with at least one converged case, to be drawn"
         )
     axis_indices.sort(
         key=lambda axis_index: (
@@ -560,7 +562,8 @@ def copy_posterior_picture(
     try:
         write_file_whole(picture_path, read_regular_file(source_path, follows_links=False))
     except OSError:
-        requirement_text = (
-            f"png, or the format of identify --pictures; there is no file {source_path}"
-        )
-        raise InputError("--pictures", picture_path.suffix[1:], requirement_text) from None
+        raise InputError(
+            "--pictures",
+            picture_path.suffix[1:],
+            f"png, or the format given to identify --pictures: there is no file {source_path}",
+        ) from None

@@ -179,13 +179,16 @@ def _draw_curves(
         The files are no curves over the same parameter, or the label count is wrong.
     """
     if given_labels and len(given_labels) != len(result_files):
-        requirement_text = f"given {len(result_files)} times, once for each result"
-        raise InputError("--label", list(given_labels), requirement_text)
+        raise InputError(
+            "--label", list(given_labels), f"given {len(result_files)} times, once for each result"
+        )
     curve_paths = [stored_file.path for stored_file in result_files]
     if {stored_file.kind for stored_file in result_files} != {ResponseCurve.KIND}:
         kind_names = [stored_file.kind for stored_file in result_files]
         raise InputError(
-            "result", kind_names, "response curves (curve.h5), to be drawn in one picture"
+            "result",
+            kind_names,
+            "response curves, to be drawn in one picture; plot others one by one",
         )
     curve_runs: list[Any] = [*map(restore_result, result_files)]
     curve_labels = list(given_labels) or describe_differences(

@@ -135,11 +135,11 @@ def _list_node_distance_notes(run: Run[Any]) -> list[str]:
         for point_name, node_distance in distance_by_point.items()
     )
     exclusion_text = (
-        "; the stated errors do not include these distances" if run.stated is not None else ""
+        "; the stated errors do not include this distance" if run.stated is not None else ""
     )
     return (
         [
-            f"output points are observed at their nearest nodes, at a distance of: {distances_text}"
+            f"each output point is observed at its nearest node, at a distance of: {distances_text}"
             f"{exclusion_text}"
         ]
         if distances_text
@@ -166,25 +166,20 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
         and run.contact is not None
         and is_error_requested
     ):
-        reduction_text = (
-            "" if scene.disk is not None else "a reduced structure (reduction.method), and "
-        )
-        assessment_condition_text = (
-            f"{reduction_text}contact.law = 'unilateral' for crack faces without mass"
-        )
+        reduction_text = "" if scene.disk is not None else "a reduction (reduction.method), and "
         note_texts.append(
             "the stability is not assessed, as that would take long; to assess it, use "
-            f"{assessment_condition_text}"
+            f"{reduction_text}contact.law = 'unilateral' if crack faces have no mass"
         )
     if (
         solution.converged
         and (order_and_ratio := find_largest_omitted_harmonic(solution, run.watched_dof))
         is not None
     ):
-        ratio_text = f"with {order_and_ratio[1]:.2g} of harmonic 1 in the exact orbit"
-        harmonic_text = f"the largest harmonic above harmonic 1 is harmonic {order_and_ratio[0]}"
         note_texts.append(
-            f"{harmonic_text}, {ratio_text}; this solution does not have it: use more harmonics"
+            f"the largest harmonic above harmonic 1 is harmonic {order_and_ratio[0]}, with "
+            f"{order_and_ratio[1]:.2g} of harmonic 1 in the exact orbit; this solution leaves it "
+            "out: use more harmonics"
         )
     tolerance = scene.harmonic_balance.tolerance
     is_tolerance_missed = tolerance is not None and solution.report.total > tolerance
@@ -582,14 +577,14 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
     indicators = curve.indicators(run.watched_dof)
     peak_index = int(np.argmax(indicators.amplitude))
     if indicators.largest_order[peak_index] > 3:
-        order_text = (
-            f"the largest harmonic above harmonic 1 is {indicators.largest_order[peak_index]:.0f}"
-        )
-        ratio_text = f"with {indicators.ratio_largest[peak_index]:.2g} of harmonic 1"
         place_text = (
             "the largest response" if _is_before_early_end(curve, peak_index) else "the curve's end"
         )
-        note_texts.append(f"at {place_text} {order_text}, {ratio_text}")
+        note_texts.append(
+            f"at {place_text} the largest harmonic above harmonic 1 is harmonic "
+            f"{indicators.largest_order[peak_index]:.0f}, with "
+            f"{indicators.ratio_largest[peak_index]:.2g} of harmonic 1"
+        )
     if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
         status_detail = curve.status.partition("; ")[2] if curve.complete else ""
         note_texts.append(
@@ -659,7 +654,10 @@ def _yield_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
     ):  # nothing more is assessed; exact orbits have their verdicts
         end_text = "" if curve.complete else "ended early: the computation "
         skipped_text = "errors and stability" if curve.multipliers is None else "errors"
-        yield f"the curve {end_text}was interrupted; its {skipped_text} are missing: run it again"
+        yield (
+            f"the curve {end_text}was interrupted; its {skipped_text} were not computed: run the "
+            "command again"
+        )
         return
     peak_index = int(np.argmax(curve.amplitude(run.watched_dof)))
     checked_indices = {peak_index, *np.linspace(0, len(curve) - 1, 8).astype(int).tolist()}
@@ -696,10 +694,9 @@ def _yield_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
         n_further_points = sum(
             last_index + 1 - first_index for first_index, last_index in undecided_ranges[1:]
         )
-        reason_hint = "in Python curve.reason(index) gives the reasons"
         yield (
             f"the stability is undecided at {format_count(n_further_points, 'other point')}; "
-            f"{reason_hint}"
+            "in Python curve.reason(index) gives the reasons"
         )
     yield from run.stated.point_force_warnings if run.stated is not None else ()
     if not curve.complete:

@@ -176,7 +176,9 @@ def _frequencies_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str, ob
     }
     values_by_label: dict[str, object] = {}
     if key_figures.n_face_elements is not None and scene.structure is None and scene.dimension == 2:
-        values_by_label["modes"] = "in the plate's plane: no bending out of it (flap), no torsion"
+        values_by_label["modes"] = (
+            "in the plate's plane: no out-of-plane bending (flap), no torsion"
+        )
     for condition_text, frequencies in frequencies_by_condition.items():
         values_by_label[f"first natural frequency{condition_text} [Hz]"] = (
             float(frequencies[0]) / RAD_PER_TURN
@@ -257,7 +259,7 @@ def _rotation_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str
         "rotor speed [rpm]": scene.speed / RAD_PER_S_PER_RPM,
     }
     if key_figures.n_face_elements is not None:
-        values_by_label["crack opened by rotation and mean load [m]"] = (
+        values_by_label["crack opening by rotation and mean load [m]"] = (
             key_figures.opening_under_mean_load
         )
     return values_by_label
@@ -365,14 +367,13 @@ def describe_undamped_harmonics(structure: Structure, highest_omega: float) -> s
     n_damped_modes, highest_damped_omega = damped_modes_and_highest_omega
     if n_damped_modes == 0:
         return (
-            f"harmonics reach H w = {highest_omega:g} rad/s, but no mode is damped; give [damping]"
+            f"harmonics reach H w = {highest_omega:g} rad/s, but no mode is damped; set [damping]"
         )
     modes_text = "the damped mode" if n_damped_modes == 1 else f"the {n_damped_modes} damped modes"
-    harmonics_text = (
+    return (
         f"harmonics reach H w = {highest_omega:g} rad/s, beyond {modes_text} "
-        f"({highest_damped_omega:g} rad/s)"
+        f"({highest_damped_omega:g} rad/s); higher modes are not damped: raise damping.modes"
     )
-    return f"{harmonics_text}; higher modes are not damped: raise damping.modes"
 
 
 def _describe_undamped_after_reduction(

@@ -62,10 +62,8 @@ def report_of_sweep(sweep_result: SweepResult) -> Report:
     high_order_note = ""
     if n_high_order_cases:
         high_order_note = (
-            f"in {format_count(n_high_order_cases, 'case')} the largest harmonic above "
-        )
-        high_order_note += (
-            "harmonic 1 is above harmonic 3; see the columns ratio_largest and largest_order"
+            f"in {format_count(n_high_order_cases, 'case')} the largest harmonic above harmonic 1 "
+            "is above harmonic 3; see the columns ratio_largest and largest_order"
         )
     tables_by_heading = {"Cases": short_table}
     if sweep_result.failed:

@@ -76,8 +76,11 @@ def fit_and_report_timing(
     if scene.disk is not None and not all(
         isinstance(blade_fit, TipFit) for blade_fit in fits_by_blade.values()
     ):
-        requirement_text = "arrivals at one speed; for a bladed disk no run-up can be fitted"
-        raise InputError("arrivals", str(arrival_source or "a curve"), requirement_text)
+        raise InputError(
+            "arrivals",
+            str(arrival_source or "a curve"),
+            "arrivals at one speed; for a bladed disk no run-up can be fitted",
+        )
     doubt_texts = tuple(_yield_timing_warnings(first_blade_arrivals, scene, run))
     return _write_timing_report(
         Timing(scene, arrivals_by_blade, fits_by_blade, doubt_texts), result_folder, console
@@ -189,10 +192,11 @@ def _fit_and_report_record(arguments: Namespace, console: Console) -> Exit:
             allowed_keys_text = ", ".join(
                 f"tip_timing.{record_key}" for record_key in RECORD_TIMING_KEYS
             )
-            requirement_text = (
-                f"left out with a record in place of a scene; {allowed_keys_text} can be set"
+            raise InputError(
+                full_key,
+                key_value,
+                f"left out with a record in place of a scene; {allowed_keys_text} can be set",
             )
-            raise InputError(full_key, key_value, requirement_text)
         table_values_by_name[key_name] = TipTiming.convert_value(key_name, key_value)
     with console.report_stage("arrival times"):
         probe_angles = (

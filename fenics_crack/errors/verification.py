@@ -388,8 +388,8 @@ class Verification(SavedResult):
         )
         answer_text = (
             f"{value_text} within {format_error(error)}, factors of safety included, mostly due "
+            f"to the {cause}"
         )
-        answer_text += f"to the {cause}"
         if math.isnan(error):
             answer_text = f"{value_text}; no refinement changes this number"
         doubt_text = self.doubt(quantity_name)
@@ -530,9 +530,10 @@ class Verification(SavedResult):
             if math.isfinite(largest_convergence.order)
             else ORDER_TEXT_BY_BEHAVIOUR.get(largest_convergence.behaviour, "no observed order")
         )
-        error_text += f" +- {total_text} (sum of all: {sum_text}), mostly due to "
-        error_text += f"the {largest_cause}, {order_text}"
-        return f"{error_text}; extrapolated {self.extrapolated(quantity_name):.5g}"
+        return (
+            f"{error_text} +- {total_text} (sum of all: {sum_text}), mostly due to the "
+            f"{largest_cause}, {order_text}; extrapolated {self.extrapolated(quantity_name):.5g}"
+        )
 
 
 def read_verification_or_none(result_file: StoredFile) -> Verification | None:

@@ -503,7 +503,7 @@ def test_an_interrupted_curve_is_beside_a_complete_one(
     assert not fc.load_run(tmp_path / "curve_interrupted.h5").result.complete
     assert "largest so far" in process.out and "grows up to where the curve ended" in process.err
     assert "the largest response" not in process.err
-    assert "was interrupted; its errors and stability are missing" in process.err
+    assert "was interrupted; its errors and stability were not computed" in process.err
 
 
 def test_an_interrupted_curve_of_orbits_keeps_its_verdicts(
@@ -521,7 +521,7 @@ def test_an_interrupted_curve_of_orbits_keeps_its_verdicts(
     wrap(monkeypatch, "fenics_crack.curves.continuation.Continuation._record", record)
     changes = [*RANGE, "harmonic_balance.tolerance=0.05"]
     messages = run_command("curve", PAPER, "--output", tmp_path, sets=changes, code=3).err
-    assert "was interrupted; its errors are missing" in messages
+    assert "was interrupted; its errors were not computed" in messages
     assert re.search(r"(\d) stable of \1 points", messages)
     assert (
         "; curve interrupted; " in f"; {messages.splitlines()[-1]}"
