@@ -159,8 +159,6 @@ def yield_large_error_warning(
     }[report.largest_part]
     error_text = (
         f"the estimated relative error of the gap is {format_percent(report.total)}{location_text}"
-    )
-    error_text += (
         f", mostly due to {cause_text}{'' if report.confirmed else f' ({NOT_CONFIRMED_TEXT})'}"
     )
     if report.unknown:

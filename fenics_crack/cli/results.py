@@ -588,7 +588,7 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
     if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
         status_detail = curve.status.partition("; ")[2] if curve.complete else ""
         note_texts.append(
-            "; ".join(filter(None, (f"chosen by the tolerance: {curve.method}", status_detail)))
+            "; ".join(filter(None, (f"method of the curve: {curve.method}", status_detail)))
         )
     if curve.exact:
         width_text = format_in_unit(

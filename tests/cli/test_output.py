@@ -87,7 +87,7 @@ def test_solution(scene: fc.Scene, tmp_path: Path, run_command: RunCommand) -> N
     assert "natural frequency, crack open, mode 1" in shown
     assert "half peak-to-peak" not in shown and "Hz" not in shown
     expected_remark = (
-        "at their nearest nodes, at a distance of: side 2 mm; the stated errors do not include"
+        "at its nearest node, at a distance of: side 2 mm; the stated errors do not include"
     )
     assert expected_remark in notes
     rows = {row["name"]: row for row in json.loads((tmp_path / "solution.json").read_text())}

@@ -152,7 +152,7 @@ def test_the_numbers_stand_there(page: Page, folder: Path) -> None:
     for row in json.loads((folder / "modes.json").read_text()):
         assert f"{row['frequency [Hz]']:.6g}" in page.words
     assert value_by_quantity["conclusion"] in page.words.replace("Solved", "solved")
-    assert f"; {value_by_quantity['verdict']}" in value_by_quantity["conclusion"]
+    assert f"; {value_by_quantity['verdict on the stability']}" in value_by_quantity["conclusion"]
     assert "Sweep complete; the largest response is " in page.words
     assert "young = " in page.words  # the scene
     for key, value in (
