@@ -101,7 +101,7 @@ def test_one_blade_of_several(tmp_path: Path, timing: RunCommand, run_command: R
         tmp_path / "record.csv", ",".join(["revolution", "speed [rpm]", *headings]), rows
     )
     table = {"probes": tuple(np.degrees(probe_angles)), "tip_radius": 0.5, "orders": [4, 5]}
-    scene, blades = strip(2.0, 100.0 / UNIT, tip_timing=table), f"one of 3, 4 in {path}"
+    scene, blades = strip(2.0, 100.0 / UNIT, tip_timing=table), f"one of the blades in {path}: 3, 4"
     for command in (["timing", scene, path], ["identify", scene, "--arrivals", path]):
         words = [*command, "--output", tmp_path]
         assert f"is missing: must be given: {blades}" in run_command(*words, code=2).err
