@@ -550,11 +550,12 @@ HELP_AND_OPTIONS_BY_ARGUMENT: dict[str, tuple[str, dict[str, Any]]] = {
         {"type": path, "nargs": "+", "metavar": "result"},
     ),
     "--label": (
-        "name of a result among several (default: what differs between their scenes)",
+        "label of a curve among several in one picture, once for each curve (default: what differs "
+        "between their scenes)",
         {"action": "append", "default": [], "metavar": "TEXT"},
     ),
     "--set": (
-        "change a key of the scene, for example crack.length=0.03; may be given often",
+        "change a key of the scene, for example crack.length=0.03; may be repeated",
         {"action": "append", "default": [], "metavar": "KEY=VALUE"},
     ),
     "--output": (

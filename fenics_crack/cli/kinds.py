@@ -91,7 +91,7 @@ RESULT_KIND_BY_NAME = {
     "amplification": ResultKind(
         "amplification", "Mistuning", "disk.bladed_disk:report_of_amplification",
         "disk.bladed_disk:Amplification.from_stored_file", "disk.plot_disk:draw_amplification",
-        "Amplification factors of the patterns, and the share of patterns below a factor.",
+        "Amplification factors of the patterns; share of patterns below each factor.",
     ),
     "tip timing": ResultKind(
         "timing", "Tip timing", "monitoring.timing:report_of_timing",

@@ -205,7 +205,11 @@ def _draw_curves(
             "result", [str(curve_path) for curve_path in curve_paths], "different files, each once"
         )
     if len(parameter_names := {curve_run.result.parameter for curve_run in curve_runs}) > 1:
-        raise InputError("result", sorted(parameter_names), "curves over the same parameter")
+        raise InputError(
+            "result",
+            sorted(parameter_names),
+            "curves over the same parameter; plot others one by one",
+        )
     watched_names = {curve_run.watched_description for curve_run in curve_runs}
     title = watched_names.pop() if len(watched_names) == 1 else None
     [axes] = picture = Picture(

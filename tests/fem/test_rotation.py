@@ -215,7 +215,7 @@ def test_check_tells_speed_and_opening(capsys: pytest.CaptureFixture[str], tmp_p
     path.write_text(scene.as_toml())
     assert main(["check", str(path)]) == 0
     output = capsys.readouterr().out
-    assert "rotor speed [rpm]" in output and "opened by rotation" in output
+    assert "rotor speed [rpm]" in output and "opening by rotation" in output
     words = r"rotor speed at which order 6 meets the resonance at the load \[rpm\]"
     [printed_speed] = re.findall(rf"{words} +([\d.]+)\n", output)
     speed = math.pi / 30.0 * float(printed_speed)
