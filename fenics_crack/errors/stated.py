@@ -674,9 +674,9 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     @property
     def _relative_amplitude_added_by_halving(self) -> float:
         """Relative amplitude added by half as long elements under a point force."""
-        if self.study.scene.output_points:
-            return 0.0
         amplitude = self.balance_solution.amplitude(self.study.watched[0].dof)
+        if self.study.scene.output_points or amplitude == 0.0:
+            return 0.0
         return displacement_added_by_halved_elements(self.study.scene) / amplitude
 
     def _compute_values_with_shifted_clearance(self) -> dict[str, float]:
