@@ -629,7 +629,9 @@ class SuggestingParser(argparse.ArgumentParser):
             similar_options = find_similar_names(unknown_option, all_options)
             message += f"; {did_you_mean_text([] if commands_with_option else similar_options)}"
             message += (
-                f"only {', '.join(commands_with_option)} takes it" if commands_with_option else ""
+                f"it is an option of {', '.join(commands_with_option)} only"
+                if commands_with_option
+                else ""
             )
         elif wrong_word_match:
             python_calls_text = "\n".join(find_calls_by_synonyms(wrong_word_match[1]))

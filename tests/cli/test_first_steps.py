@@ -296,7 +296,7 @@ def test_a_link_is_no_folder_to_keep_in(here: Path) -> None:
         (["eigenfrequencies", "own.toml"], "did you mean modes?"),
         (["frf", "own.toml"], "did you mean curve?"),
         (["solve", "own.toml", "--ouput", "x"], "did you mean --output?"),
-        (["check", "own.toml", "--speeds", "x"], "--speeds x; only campbell takes it"),
+        (["check", "own.toml", "--speeds", "x"], "--speeds x; it is an option of campbell only"),
         (["solve", "own.toml", "--set", "a.b=1", "a.c=2"], "--set KEY=VALUE --set KEY=VALUE"),
         (["solve", "own.toml", "--sets=x"], "did you mean --set?"),
         (["frobnicate", "own.toml"], None),
