@@ -20,10 +20,8 @@ from fenics_crack import Scene
 
 # fmt: off
 LISTS = {
-    "SWEPT": "geometry, material, damping, excitation, mesh, contact, crack, cracks, loads, base, "
-    "rotation, disk, structure, harmonic_balance, reduction",
-    "REMOVABLE": "contact, crack, base, rotation, disk, structure, reduction, curve, integration, sweep, "
-    "growth, identify, tip_timing, output, cracks, loads",
+    "SWEPT": "geometry, material, damping, excitation, mesh, contact, crack, cracks, loads, base, " "rotation, disk, structure, harmonic_balance, reduction",
+    "REMOVABLE": "contact, crack, base, rotation, disk, structure, reduction, curve, integration, sweep, " "growth, identify, tip_timing, output, cracks, loads",
 }
 LISTS["TABLES"] = LISTS["SWEPT"] + ", curve, integration, sweep, growth, identify, tip_timing, output"
 """Names of tables that errors list."""
@@ -46,7 +44,7 @@ TABLE = [
     ("check word.toml", "mesh.colour = 1: not allowed; known keys: layout, cells, order, columns, rows, size, lip_elements, grading, file"),
     ("check flat.toml", "mesh = 1: must be a table with the keys layout, cells, order, columns, rows, size, lip_elements, grading, file"),
     ("check less.toml", "material.young is missing: give a finite number > 0 (1e-30 to 1e+30) [Pa]"),
-    ("new scene.toml", "scene = 'scene.toml': must be the name of a new file; this one exists"),
+    ("new scene.toml", "scene = 'scene.toml': must be the name of a new file; this file exists"),
     ("new scene.toml/x.toml", "scene = 'scene.toml/x.toml': must be a file that can be written ("),
     ("modes scene.toml --count 0", "--count = 0: must be a whole number >= 1"),
     ("modes scene.toml --count 1000", "--count = 1000: must be a whole number from 1 to n_dofs = 14"),
@@ -54,7 +52,7 @@ TABLE = [
     ("solve scene.toml --output scene.toml", "--output = 'scene.toml': must be a folder that can be written ("),
     ("plot missing.h5", "path = 'missing.h5': must be a file that exists"),
     ("plot text.h5", "path = 'text.h5': must be a readable result file, one of the .h5 files"),
-    ("plot folder", "result = 'folder': must be a folder with results, .h5 files"),
+    ("plot folder", "result = 'folder': must be a folder with results (.h5 files)"),
     ("solve scene.toml crack.length", "--set = 'crack.length': must be key=value, for example contact.stiffness=1e9"),
     ("check scene.toml sweep.over.x=1", "sweep.over.x = 1: must be changed as a whole: sweep.over={\"x\"=...}"),
     ("solve scene.toml crack=1", "crack = 1: must be changed key by key, as crack.edge=...; only these tables can be removed, by TABLE=none (in Python None): REMOVABLE"),
@@ -224,7 +222,7 @@ TABLE = [
     ("solve scene.toml crack.length=none crack.first_omega=2000", "crack.length is missing: give a finite number > 0 [m]; a grid cannot have crack.first_omega"),
     ("solve scene.toml geometry.thickness=none", "geometry.thickness is missing: give a finite number > 0 (1e-30 to 1e+30) [m]"),
     ("solve scene.toml mesh.columns=none mesh.rows=none mesh.layout=file mesh.file=missing.msh geometry.width=none geometry.height=none", "crack.edge = 'left': not allowed with mesh.layout = 'file'"),
-    ("curve scene.toml curve=none", "curve is missing: give a table [curve] with start, stop, which this command needs"),
+    ("curve scene.toml curve=none", "curve is missing: give a table [curve] with start, stop, which this command, as a table [curve]"),
     ("curve scene.toml crack=none", "crack is missing: give a table [crack], which this command needs"),
     ("curve scene.toml contact.law=unilateral contact.stiffness=none", "contact.law = 'unilateral': must be 'penalty' or 'smoothed', or used with reduction.method = 'massless', for a curve"),
     ("curve scene.toml curve.parameter=load curve.start=-1 curve.stop=1", "curve.start, curve.stop = (-1.0, 1.0): must be both of one sign: without clearance nothing is left of the motion at 0"),
@@ -277,7 +275,7 @@ TABLE = [
     ("timing scene.toml missing.csv tip_timing.tip_radius=1 tip_timing.probes=[1]", "path = 'missing.csv': must be a readable file (No such file or directory)"),
     ("timing scene.toml missing.h5 tip_timing.tip_radius=1 tip_timing.probes=[1]", "path = 'missing.h5': must be a file that exists"),
     ("timing scene.toml scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1]", "path = 'scene.toml': must be a file with the column 'revolution'"),
-    ("identify scene.toml empty.csv --modes 1 2", "--modes = [1, 2]: not allowed without frequency responses (.uff, .unv)"),
+    ("identify scene.toml empty.csv --modes 1 2", "--modes = [1, 2]: not allowed without a file of frequency responses (.uff, .unv)"),
     ("curve scene.toml curve.stop=1e-20", "curve.stop = 1e-20: must be a number > 0 with curve.parameter = 'omega', and above 1e-12 of the other end"),
     ("integrate scene.toml integration.steps_per_period=1", "integration.steps_per_period = 1: must be >= "),
     ("integrate scene.toml integration.steps_per_period=2000000000", "integration.steps_per_period = 2000000000: must be at most 1e+09"),
@@ -290,7 +288,7 @@ TABLE = [
     ("disk wheel.toml --deviation .5", "--deviation = 0.5: must be a number from 0 to 0.1"),
     ("disk wheel.toml --patterns 1 --deviation nan", "--deviation = nan: must be a number from 0 to 0.1"),
     ("campbell scene.toml", "rotation is missing: give a table [rotation], which this command needs"),
-    ("campbell scene.toml --speeds 0 1 1e9 rotation.rpm=10 rotation.hub_radius=1", "--speeds = [0.0, 1.0, 1000000000.0]: must be 0 <= START < STOP, and COUNT a whole number from 2 to 1000000"),
+    ("campbell scene.toml --speeds 0 1 1e9 rotation.rpm=10 rotation.hub_radius=1", "--speeds = [0.0, 1.0, 1000000000.0]: must be START STOP COUNT with 0 <= START < STOP, and COUNT a whole number from 2 to 1000000"),
 ]
 FURTHER = {
     "check empty.toml": "material damping excitation mesh",

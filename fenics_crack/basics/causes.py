@@ -10,8 +10,8 @@ REQUIRED_ERROR_CAUSES = ("harmonics", "modes")
 """Causes without which no error is known. The mesh is required, too, if its second run fails."""
 OPTIONAL_ERROR_CAUSES = ("mesh", "friction")
 """Causes that the user may leave out: this part is then unknown, not absent."""
-RUN_WORDS_BY_CAUSE = {"mesh": "another mesh", "shift": "a shifted resonance",
+RUN_WORDS_BY_CAUSE = {"mesh": "a run with another mesh", "shift": "a run with a shifted resonance",
               "friction": "a run with friction"}  # fmt: skip
 """Words for the run that varies a cause; by default "a run with more modes"."""
-MISSING_PART_REASON_BY_CAUSE = {"friction": "that at the crack tip itself is not known"}
+MISSING_PART_REASON_BY_CAUSE = {"friction": "the effect of friction at the crack tip is unknown"}
 """Reason why a number has no part from a varied cause."""

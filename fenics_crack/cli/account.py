@@ -33,10 +33,14 @@ DESCRIPTION_UNIT_AND_LEVEL_BY_NAME = {
     "periods": ("periods", "-", PRINT_BY_DEFAULT),
     "steps_per_period": ("steps in a period", "-", PRINT_BY_DEFAULT),
     "settled": ("change over the last period", "-", PRINT_BY_DEFAULT),
-    "distance": ("distance from the settled motion", "-", PRINT_ALWAYS),
-    "created_energy": ("energy created", "-", PRINT_BY_DEFAULT),
-    "verdict": ("verdict", "-", PRINT_ALWAYS),
-    "multiplier": ("largest multiplier", "-", PRINT_BY_DEFAULT),
+    "distance": ("estimated distance from the settled motion", "-", PRINT_ALWAYS),
+    "created_energy": (
+        "energy created by the time steps, relative to the energy put in",
+        "-",
+        PRINT_BY_DEFAULT,
+    ),
+    "verdict": ("verdict on the stability", "-", PRINT_ALWAYS),
+    "multiplier": ("largest Floquet multiplier", "-", PRINT_BY_DEFAULT),
     "converged": ("converged", "-", PRINT_ALWAYS),
     "harmonics": ("harmonics", "-", PRINT_BY_DEFAULT),
     "iterations": ("iterations", "-", PRINT_BY_DEFAULT),
@@ -48,8 +52,8 @@ DESCRIPTION_UNIT_AND_LEVEL_BY_NAME = {
     "total_error": ("relative error of the gap by modes and harmonics", "-", PRINT_ALWAYS),
     "penetration_share": ("relative penetration", "-", PRINT_BY_DEFAULT),
     "from_rest": ("the motion from rest", "-", PRINT_NEVER),
-    "rest_amplitude": ("half peak-to-peak, motion from rest", "m", PRINT_BY_DEFAULT),
-    "unknown_error": ("reason of the unknown error", "-", PRINT_NEVER),
+    "rest_amplitude": ("half peak-to-peak of the motion from rest", "m", PRINT_BY_DEFAULT),
+    "unknown_error": ("reason why the error is unknown", "-", PRINT_NEVER),
     "remarks": ("remarks", "-", PRINT_NEVER),
     "conclusion": ("conclusion", "-", PRINT_NEVER),
 }
@@ -58,11 +62,11 @@ TOLERANCE_OPTION_TEXT = "--set harmonic_balance.tolerance=1e-2"
 """Option for an exact orbit with error and stability."""
 MODE_DEPENDENCE_TEXT = "depends on truncated modes"
 MEANING_BY_BIFURCATION = {
-    "fold": "the curve turns back: in a test the vibration jumps to another size here",
-    "period_doubling": "beyond it the vibration repeats after two periods of the load: in a test "
-    "half the load's frequency appears in the spectrum",
-    "neimark_sacker": "beyond it the vibration will not repeat each period: in a test its size "
-    "swells and falls slowly, and lines appear on both sides of the load's frequency",
+    "fold": "the curve turns back here; in a test the amplitude jumps",
+    "period_doubling": "beyond this point the vibration repeats after two periods of the load; in "
+    "a test half the load's frequency appears in the spectrum",
+    "neimark_sacker": "beyond this point the vibration does not repeat each period; in a test the "
+    "amplitude slowly rises and falls, and the spectrum has sidebands of the load's frequency",
 }
 """Meaning at a test rig, by kind of bifurcation."""
 UNITS_ROUNDED_TO_ZERO = ("m", "N", "Pa m^0.5")
@@ -94,10 +98,10 @@ def list_large_motion_warnings(run: Run[Any], largest_displacements: Sequence[fl
     if not rotation_angles[worst_index] > MAX_SMALL_ROTATION:
         return []
     return [
-        f"{format_quantity(largest_displacements[worst_index], 'm')} of "
-        f"{run.watched[worst_index].words} is beyond small "
-        "displacements: the equations neglect the square of the rotation about the clamp, of "
-        f"{rotation_angles[worst_index]:.2g} rad; the stated errors do not include it"
+        f"the {run.watched[worst_index].words} reaches "
+        f"{format_quantity(largest_displacements[worst_index], 'm')}, a rotation of about "
+        f"{rotation_angles[worst_index]:.2g} rad around the clamp; the equations hold for small "
+        "rotations, and the stated errors do not include this; reduce the load"
     ]
 
 
@@ -128,7 +132,10 @@ def yield_large_error_warning(
     """
     if not report.total > error_limit:  # or not requested
         return
-    refinement_text, balance_table = "more damping: H is at its limit", scene.harmonic_balance
+    refinement_text, balance_table = (
+        "more damping: the number of harmonics H is at its limit",
+        scene.harmonic_balance,
+    )
     if balance_table.tolerance is None:
         can_choose_harmonics = balance_table.samples is None and balance_table.form != "block"
         setting_text = (
@@ -140,25 +147,23 @@ def yield_large_error_warning(
     elif n_harmonics < MAX_HARMONIC_ORDER:
         refinement_text = "a smaller harmonic_balance.tolerance"
     is_unilateral = scene.contact is not None and scene.contact.law == "unilateral"
-    residual_remedy_text = "softer contact, or contact.law = 'unilateral'"
+    residual_remedy_text = "a lower contact stiffness, or contact.law = 'unilateral'"
     residual_remedy_text = (
-        "a load that moves the crack faces more" if is_unilateral else residual_remedy_text
+        "a load that opens the crack further" if is_unilateral else residual_remedy_text
     )
     cause_text, remedy_text = {
         "truncation": ("truncated harmonics", refinement_text),
         "reduction": ("truncated modes", f"more modes ({scene.modes_key})"),
         "sampling": ("AFT sampling", "more samples (harmonic_balance.samples)"),
-        "residual": ("the residual", f"{residual_remedy_text}: it is rounding"),
+        "residual": ("rounding in the residual", residual_remedy_text),
     }[report.largest_part]
     error_text = (
         f"the estimated relative error of the gap is {format_percent(report.total)}{location_text}"
-    )
-    error_text += (
         f", mostly due to {cause_text}{'' if report.confirmed else f' ({NOT_CONFIRMED_TEXT})'}"
     )
     if report.unknown:
         error_text = (
-            f"the error is unknown{location_text}, its estimate for {cause_text} did not converge"
+            f"the error is unknown{location_text}: the estimate for {cause_text} did not converge"
         )
     yield f"{error_text}; use {remedy_text}" if report.confirmed or location_text else error_text
 
@@ -173,14 +178,17 @@ def yield_instability_warning(
     if stability is None or stability.verdict == "stable":
         return
     reason_text = f" ({stability.reason})" if stability.reason else ""
-    largest_multiplier, motion_description = complex(stability.multipliers[0]), "of another size"
+    largest_multiplier, motion_description = (
+        complex(stability.multipliers[0]),
+        "with another amplitude",
+    )
     if largest_multiplier.imag != 0.0:
-        motion_description = "that does not repeat each period, whose size swells and falls slowly"
+        motion_description = "that does not repeat each period: its amplitude slowly varies"
     elif largest_multiplier.real <= 0.0:
         motion_description = "that repeats after two periods of the load"
     verdict_text = (
-        f"the orbit is unstable{reason_text}: a disturbed motion leaves it, for one "
-        f"{motion_description}{motion_text}"
+        f"the orbit is unstable{reason_text}: a test shows another motion, {motion_description}"
+        f"{motion_text or '; fenics-crack integrate computes the motion from rest'}"
     )
     hint_texts = []
     tolerance_option_texts = [] if scene.harmonic_balance.tolerance else [TOLERANCE_OPTION_TEXT]
@@ -189,7 +197,7 @@ def yield_instability_warning(
             [
                 stability.reason + motion_text,
                 *(
-                    f"{tolerance_option} may find one"
+                    f"{tolerance_option} may find a periodic orbit"
                     for tolerance_option in tolerance_option_texts
                 ),
             ]
@@ -215,9 +223,14 @@ def list_friction_line_notes_and_warnings(run: Run[Any]) -> tuple[list[str], lis
     """
     if not (sliding_ratio := getattr(friction_of(run.contact), "turning", None)):
         return [], []
-    warning_text = f"sliding turns ({sliding_ratio:.2g}): what friction does is not to be trusted"
-    note_text = "friction acts along one line for each pair; sliding across it is"
-    note_text += f" {sliding_ratio:.2g} of that along it, without friction"
+    warning_text = (
+        "the crack faces slide across the direction of friction, by "
+        f"{sliding_ratio:.2g} of the sliding along it; do not trust the effect of friction"
+    )
+    note_text = (
+        "at each contact pair friction acts along one direction; sliding across it has no "
+        f"friction, and is {sliding_ratio:.2g} of the sliding along it"
+    )
     return [note_text], [warning_text] if sliding_ratio > MAX_TRUSTED_TRANSVERSE_SLIDING else []
 
 
@@ -229,13 +242,10 @@ def yield_nonunique_contact_force_warning(solution: PeriodicSolution) -> Iterato
     largest_coefficient = float(np.max(exact_flow.friction_law.coefficient))
     critical_coefficient = exact_flow.critical_friction_coefficient
     if largest_coefficient > 0.5 * critical_coefficient:
-        coefficient_text = (
-            f"the coefficient of friction, {largest_coefficient:g}, is above half of "
-            f"{critical_coefficient:.2g}"
-        )
         yield (
-            f"{coefficient_text}, from which on the contact forces of an instant need not be the "
-            "only ones"
+            f"the coefficient of friction, {largest_coefficient:g}, is above half of "
+            f"{critical_coefficient:.2g}; above {critical_coefficient:.2g} the contact forces at "
+            "an instant may not be unique: reduce contact.friction"
         )
 
 

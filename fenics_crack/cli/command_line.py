@@ -97,7 +97,9 @@ def main(command_words: Sequence[str] | None = None) -> int:
     if any(os.environ.get(variable_name, "0") != "0" for variable_name in threads.RANK_VARIABLES):
         _discard_rank_output()
     if sys.stdout is None:
-        _print_to_stderr("standard output is closed")
+        _print_to_stderr(
+            "standard output is closed; open it, or redirect it to a file: > table.txt"
+        )
         return Exit.FAULT
     try:
         arguments = _parse_arguments(command_words)
@@ -125,7 +127,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
     except Exception as error:
         if "FromOptions()" in (error_message := str(error).rstrip()):  # a value unknown to PETSc
             requirement_text = (
-                f"with values that PETSc knows ({error_message.rpartition('[0] ')[2]})"
+                f"options with values that PETSc accepts ({error_message.rpartition('[0] ')[2]})"
             )
             _print_input_errors(
                 [InputError("PETSc options", " ".join(_petsc_arguments()), requirement_text)]
@@ -180,7 +182,7 @@ def _arguments_before_petsc() -> list[str]:
             raise InputError(
                 "PETSc option",
                 argument,
-                f"one that begins with {' or '.join(PETSC_OPTION_PREFIXES)}",
+                f"an option that begins with {' or '.join(PETSC_OPTION_PREFIXES)}",
             )
     return sys.argv[1 : len(sys.argv) - len(petsc_arguments)]
 
@@ -242,9 +244,12 @@ def _describe_resource_shortage(error: Exception) -> str:
     # Few libraries name their need.
     is_near_limit = threads.process_memory("VmPeak") > 0.9 * threads.address_space_limit()
     if isinstance(error, MemoryError) or is_reported or is_near_limit:
-        return "memory was not enough"
+        return "not enough memory; use a coarser mesh, fewer modes or a machine with more memory"
     if isinstance(error, OSError) and error.errno in DISK_FULL_ERROR_NUMBERS:
-        return f"{error.filename or 'standard output'} cannot be written ({error.strerror})"
+        return (
+            f"{error.filename or 'standard output'} cannot be written ({error.strerror}); free "
+            "disk space"
+        )
     return ""
 
 
@@ -304,7 +309,10 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
         )
         exit_code = _call_command(arguments, inputs, console) or Exit.DONE
         console.print_warnings(
-            *map("PETSc option {}: no solver has read it".format, list_unread_options())
+            *map(
+                "PETSc option {} had no effect: no solver has read it; check its name".format,
+                list_unread_options(),
+            )
         )
         return exit_code
 
@@ -364,8 +372,11 @@ class OrderRangeAction(argparse.Action):
         """Add the orders to the values of --set, called by argparse."""
         first_order, last_order = order_range
         if not 1 <= first_order <= last_order <= MAX_ENGINE_ORDER:
-            requirement_text = f"whole numbers, 1 <= FIRST <= LAST <= {MAX_ENGINE_ORDER}"
-            raise InputError("--orders", order_range, requirement_text)
+            raise InputError(
+                "--orders",
+                order_range,
+                f"two whole numbers with 1 <= FIRST <= LAST <= {MAX_ENGINE_ORDER}",
+            )
         engine_orders = [*range(first_order, last_order + 1)]
         arguments.set = [*arguments.set, f"tip_timing.orders={engine_orders}"]
 
@@ -387,7 +398,7 @@ HELP_AND_CALL_BY_COMMAND = {
         "cli.given:write_new_scene file --blade --timing --identify --solid --disk --cad",
     ),
     "check": (
-        "mesh and assemble a scene without solving it",
+        "check a scene without solving it: mesh, natural frequencies, resonance, memory",
         "cli.scenes:compute_and_print_key_figures scene --set --fresh",
     ),
     "modes": (
@@ -405,7 +416,7 @@ HELP_AND_CALL_BY_COMMAND = {
         "--deviation --pictures",
     ),
     "reduce": (
-        "write what a scene's mesh gives to a file with which solve and curve need no mesh",
+        "write the meshed and reduced structure to a file, with which solve and curve need no mesh",
         "cli.commands:write_prepared_study scene --set --output=FILE.h5",
     ),
     "solve": (
@@ -426,21 +437,22 @@ HELP_AND_CALL_BY_COMMAND = {
         f"runs.integrate:integrate {COMMON_ARGUMENTS_TEXT}",
     ),
     "sweep": (
-        "all cases of the table [sweep.over]; goes on where it stopped",
+        "all cases of the table [sweep.over]; continues where it stopped",
         f"cli.commands:run_and_report_sweep {COMMON_ARGUMENTS_TEXT} --fresh",
     ),
     "grow": (
         "growth of the crack under the vibration by the table [growth]: length, life, frequencies; "
-        "goes on where it stopped",
+        "continues where it stopped",
         f"fatigue.growth:grow {COMMON_ARGUMENTS_TEXT} --pictures",
     ),
     "timing": (
-        "arrivals of the blade tip at the probes of [tip_timing], and the vibration in them",
+        "arrival times of the blade tip at the probes of [tip_timing], and the vibration fitted to "
+        "them",
         "cli.timing:fit_and_report_timing scene arrivals --blade=N --orders --set --output "
         "--pictures",
     ),
     "identify": (
-        "a crack from measured frequencies, harmonics and arrivals, by the table [identify]",
+        "a crack from measured frequencies, harmonics and arrival times, by the table [identify]",
         "cli.commands:identify_and_report_crack scene measurements --arrivals --before --blade=N "
         "--modes --set --output --pictures",
     ),
@@ -450,7 +462,7 @@ HELP_AND_CALL_BY_COMMAND = {
         "cli.report:plot_results results --label --output --pictures",
     ),
     "report": (
-        "one HTML page with all of some results, or of a folder, to be read anywhere",
+        "one HTML page with tables and pictures of some results, or of all in a folder",
         "cli.report:write_report_page results --output=FILE",
     ),
     "clean": (
@@ -458,7 +470,7 @@ HELP_AND_CALL_BY_COMMAND = {
         f"cli.commands:remove_kept_structure {COMMON_ARGUMENTS_TEXT}",
     ),
     "doctor": (
-        "what this installation consists of, and whether it computes known numbers",
+        "versions of the installed libraries, and checks against known numbers",
         "cli.doctor:run_and_print_checks",
     ),
 }
@@ -469,13 +481,19 @@ arguments by the names of parameters.
 """
 HELP_AND_OPTIONS_BY_ARGUMENT: dict[str, tuple[str, dict[str, Any]]] = {
     "file": ("the file to write, for example plate.toml", {"type": path, "metavar": "scene"}),
-    "--blade": ("of a plate on a rotor: engine order, centrifugal load", {"action": "store_true"}),
-    "--timing": ("of one with probes that its tip passes", {"action": "store_true"}),
-    "--identify": ("of one whose crack is looked for, by a CSV file", {"action": "store_true"}),
-    "--solid": ("of a blade in three dimensions", {"action": "store_true"}),
-    "--disk": ("of a bladed disk with one cracked blade", {"action": "store_true"}),
+    "--blade": (
+        "scene of a plate on a rotor, with engine order and centrifugal load",
+        {"action": "store_true"},
+    ),
+    "--timing": ("scene of a plate on a rotor, whose tip passes probes", {"action": "store_true"}),
+    "--identify": (
+        "scene of a plate with an unknown crack, and a CSV file of measurements",
+        {"action": "store_true"},
+    ),
+    "--solid": ("scene of a blade in three dimensions", {"action": "store_true"}),
+    "--disk": ("scene of a bladed disk with one cracked blade", {"action": "store_true"}),
     "--cad": (
-        "of a part from a CAD file, .step, .stp or .brep, with a picture of its faces",
+        "scene of a part from a CAD file, .step, .stp or .brep, with a picture of its faces",
         {"type": path, "metavar": "PART"},
     ),
     "--patterns": (
@@ -487,8 +505,8 @@ HELP_AND_OPTIONS_BY_ARGUMENT: dict[str, tuple[str, dict[str, Any]]] = {
         {"type": float, "default": 0.01},
     ),
     "scene": (
-        "the scene, a TOML file; of solve and curve also a file of reduce, of timing a measured "
-        "record, a CSV file",
+        "the scene, a TOML file; solve and curve also take a file of reduce (.h5), timing also "
+        "measured arrivals (.csv)",
         {"type": path},
     ),
     "measurements": (
@@ -499,7 +517,7 @@ HELP_AND_OPTIONS_BY_ARGUMENT: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "--before": (
         "frequency responses of the same structure before it had a crack (.uff, .unv), or the "
-        "arrivals of a run-up of it, as of --arrivals",
+        "arrivals of a run-up of it, as for --arrivals",
         {"type": path, "metavar": "FILE"},
     ),
     "--modes": (
@@ -513,17 +531,17 @@ HELP_AND_OPTIONS_BY_ARGUMENT: dict[str, tuple[str, dict[str, Any]]] = {
         {"type": path, "metavar": "FILE"},
     ),
     "--blade=N": (
-        "number of the blade whose arrivals are taken from a file of several",
+        "number of the blade to be used, of a file with the arrivals of several blades",
         {"type": int, "metavar": "N"},
     ),
     "--orders": (
-        "engine orders that may be in the arrivals, from FIRST to LAST; those of "
-        "tip_timing.orders (default: the load's, or 1 to 24 where it is not known)",
+        "engine orders to be tried, from FIRST to LAST, in place of tip_timing.orders (default: "
+        "the load's order, or 1 to 24 if it is unknown)",
         {"type": int, "nargs": 2, "metavar": ("FIRST", "LAST"), "action": OrderRangeAction},
     ),
     "arrivals": (
-        "source of the arrivals: the .h5 file of a solution or a curve; or a CSV file of them, "
-        "measured or computed (default: the scene, solved)",
+        "source of the arrivals: the .h5 file of a solution or a curve; or a CSV file of arrivals, "
+        "measured or computed (default: the scene is solved)",
         {"type": path, "nargs": "?", "metavar": "source"},
     ),
     "results": (
@@ -532,25 +550,26 @@ HELP_AND_OPTIONS_BY_ARGUMENT: dict[str, tuple[str, dict[str, Any]]] = {
         {"type": path, "nargs": "+", "metavar": "result"},
     ),
     "--label": (
-        "name of a result among several (default: what differs between their scenes)",
+        "label of a curve among several in one picture, once for each curve (default: what differs "
+        "between their scenes)",
         {"action": "append", "default": [], "metavar": "TEXT"},
     ),
     "--set": (
-        "change a key of the scene, for example crack.length=0.03; may be given often",
+        "change a key of the scene, for example crack.length=0.03; may be repeated",
         {"action": "append", "default": [], "metavar": "KEY=VALUE"},
     ),
     "--output": (
-        "for the results (default: output/NAME of the scene; for plot, the folder of the result)",
+        "folder for the results (default: output/NAME for NAME.toml; plot: folder of the result)",
         {"type": path, "metavar": "FOLDER"},
     ),
     "--fresh": (
-        "compute the structure anew, and do not take that of an earlier command from the folder",
+        "compute the structure again, and do not read prepared.h5 of an earlier command",
         {"action": "store_true"},
     ),
-    "--count": ("how many modes (default: 6, or all of fewer)", {"type": int}),
+    "--count": ("number of modes (default: 6, or all if there are fewer)", {"type": int}),
     "--speeds": (
-        "first and last speed, and how many, in rpm where the scene gives rpm, else in rad/s "
-        "(default: from 0 to 1.5 times the scene's, 13)",
+        "first and last speed, and number of speeds, in rpm if the scene gives rpm, else in "
+        "rad/s (default: 13 speeds from 0 to 1.5 times the scene's)",
         {"type": float, "nargs": 3, "metavar": ("START", "STOP", "COUNT")},
     ),
     "--output=FILE": (
@@ -558,7 +577,7 @@ HELP_AND_OPTIONS_BY_ARGUMENT: dict[str, tuple[str, dict[str, Any]]] = {
         {"type": path, "metavar": "FILE.html"},
     ),
     "--output=FILE.h5": (
-        "the .h5 file (default: output/NAME/NAME.h5, NAME being that of the scene)",
+        "the .h5 file (default: output/NAME/NAME.h5 for NAME.toml)",
         {"type": path, "metavar": "FILE.h5"},
     ),
     "--pictures": (
@@ -566,7 +585,7 @@ HELP_AND_OPTIONS_BY_ARGUMENT: dict[str, tuple[str, dict[str, Any]]] = {
         {"choices": ("png", "pdf", "svg"), "default": "png"},
     ),
     "--format": (
-        "of the table that is printed",
+        "format of the printed table",
         {"choices": ("text", "csv", "json"), "default": "text"},
     ),
 }
@@ -598,7 +617,7 @@ class SuggestingParser(argparse.ArgumentParser):
             r"invalid choice: '(.*?)'|unrecognized arguments: (-\S+)", message
         )
         if re.search(r"unrecognized arguments: [\w.]+=", message):
-            message += "; each key takes its own --set: --set KEY=VALUE --set KEY=VALUE"
+            message += "; write --set before each key: --set KEY=VALUE --set KEY=VALUE"
         elif wrong_word_match and wrong_word_match[2]:
             unknown_option = wrong_word_match[2].partition("=")[0]
             commands_with_option = [
@@ -609,7 +628,11 @@ class SuggestingParser(argparse.ArgumentParser):
             all_options = list_options(*HELP_AND_CALL_BY_COMMAND)
             similar_options = find_similar_names(unknown_option, all_options)
             message += f"; {did_you_mean_text([] if commands_with_option else similar_options)}"
-            message += f"of {', '.join(commands_with_option)} alone" if commands_with_option else ""
+            message += (
+                f"it is an option of {', '.join(commands_with_option)} only"
+                if commands_with_option
+                else ""
+            )
         elif wrong_word_match:
             python_calls_text = "\n".join(find_calls_by_synonyms(wrong_word_match[1]))
             suggested_commands = [

@@ -76,7 +76,7 @@ def run_and_report_function(
     run = result if isinstance(result, Run) else None
     is_interrupted = run is not None and vars(run.result).get("status") == INTERRUPTED_CURVE_STATUS
     try:
-        with console.report_stage("errors"):
+        with console.report_stage("estimate of errors"):
             if run is not None and not is_interrupted:
                 result = replace(run, stated=run.errors)
             report = build_report(result)
@@ -85,7 +85,8 @@ def run_and_report_function(
     with ignore_stop_signals():
         if is_interrupted and on_root(console.comm, (folder / f"{file_stem}.h5").exists):
             console.print_notes(
-                f"{folder / file_stem}.* is unchanged: the interrupted result has a name of its own"
+                f"{folder / file_stem}.* is unchanged; the interrupted result is in "
+                f"{folder / file_stem}_interrupted.*"
             )
             file_stem = f"{file_stem}_interrupted"
         if report is None:
@@ -195,10 +196,11 @@ def write_prepared_study(arguments: Namespace, inputs: CommandInputs, console: C
     from fenics_crack.study.prepare import prepare
 
     prepared_path = arguments.output or inputs.folder / f"{arguments.scene.stem}.h5"
-    with console.report_stage("mesh, modes and statics"):
+    with console.report_stage("mesh, modes and static solutions"):
         save_prepared(prepare(inputs.scene, console.comm, whole=True), prepared_path)
     console.print_notes(
-        f"{prepared_path}: {inputs.scene!r}; now: {format_command('solve', prepared_path)}"
+        f"{prepared_path}: the structure of {inputs.scene!r}; next: "
+        f"{format_command('solve', prepared_path)}"
     )
 
 
@@ -268,14 +270,20 @@ def _convert_arrivals_to_measurements(
         console.print_notes(*(scene_timing.describe_passage(*passage) for passage in passages))
         passage_fits, mode_numbers, _ = zip(*passages, strict=True) if passages else ((), (), ())
         if not any(mode_numbers):
-            requirement_text = "of a constant speed, or a run-up through a resonance of the blade"
-            raise InputError(option_name, repr(arrivals), requirement_text)
+            raise InputError(
+                option_name,
+                repr(arrivals),
+                "arrivals at constant speed, or a run-up through a resonance of the blade; these "
+                "pass none: record a wider range of speeds",
+            )
         measured_quantity_name = "frequency_uncracked" if is_uncracked else "frequency_resonance"
         return Measurements.from_passages(
             passage_fits, mode_numbers, quantity=measured_quantity_name
         )
     if is_uncracked:
-        raise InputError(option_name, repr(arrivals), "those of a run-up, or frequency responses")
+        raise InputError(
+            option_name, repr(arrivals), "arrivals of a run-up, or frequency responses (.uff, .unv)"
+        )
     has_fixed_speed = scene.speed > 0.0 and scene.excitation.order is None
     if (
         has_fixed_speed
@@ -285,11 +293,12 @@ def _convert_arrivals_to_measurements(
             format_speed(speed, scene.is_speed_in_rpm)
             for speed in (arrivals.mean_speed, scene.speed)
         )
-        requirement_text = (
-            f"at {scene_speed_text}, the speed of [rotation], unless the load is an "
-            "excitation.order"
+        raise InputError(
+            option_name,
+            measured_speed_text,
+            f"arrivals at {scene_speed_text}, the speed of [rotation]; set [rotation] to the "
+            "measured speed, or give the load by excitation.order",
         )
-        raise InputError(option_name, measured_speed_text, requirement_text)
     engine_order = scene_timing.get_engine_order(scene.given("tip_timing"), scene)
     displacement_name, is_against_rotation = scene_timing.find_probed_displacement_and_reversal(
         scene

@@ -97,7 +97,9 @@ def run_and_yield_checks(
             is_fault = len(warning_texts) > len(earlier_warning_texts)
             if is_fault:
                 finding_text = (
-                    "as above" if warning_texts[-1] in earlier_warning_texts else warning_texts[-1]
+                    "same fault as above"
+                    if warning_texts[-1] in earlier_warning_texts
+                    else warning_texts[-1]
                 )
             yield check_name, finding_text, is_fault
     finally:
@@ -120,7 +122,7 @@ def _check_numpy() -> str:
         import numpy
         import scipy
     if tuple(map(int, numpy.__version__.split(".")[:2])) < MIN_NUMPY_VERSION:
-        raise InputError("NumPy", numpy.__version__, "1.24 or newer")
+        raise InputError("NumPy", numpy.__version__, "version 1.24 or newer; update NumPy")
     return f"NumPy {numpy.__version__}, SciPy {scipy.__version__}"
 
 
@@ -130,7 +132,11 @@ def _check_mpi() -> str:
         from fenics_crack.basics.ranks import MPI
     mpi_vendor, mpi_version = MPI.get_vendor()
     if len(library_paths := list_loaded_libraries(r"libmpi\.")) > 1:
-        raise InputError("MPI", ", ".join(library_paths), "one library: each knows other ranks")
+        raise InputError(
+            "MPI",
+            ", ".join(library_paths),
+            "a single library; install mpi4py, PETSc and DOLFINx with the same MPI",
+        )
     launcher_path = program_on_path("mpirun")
     if launcher_path and ("Open MPI" in read_version_line(launcher_path)) != (
         mpi_vendor == "Open MPI"
@@ -151,7 +157,8 @@ def _check_petsc() -> str:
     from petsc4py import PETSc
 
     if not PETSc.Sys.hasExternalPackage("mumps"):
-        raise InputError("PETSc", "without MUMPS", "built with MUMPS")
+        petsc_version = ".".join(map(str, PETSc.Sys.getVersion()))
+        raise InputError("PETSc", petsc_version, "built with MUMPS; install a PETSc that has it")
     version_texts = [
         ".".join(map(str, package.Sys.getVersion())) for package in (PETSc, import_slepc())
     ]
@@ -186,7 +193,7 @@ def _check_caches() -> str:
     """Settle the folder for compiled forms, and return it."""
     replace_unusable_caches()
     cache_folder = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return f"{cache_folder}/fenics takes compiled forms"
+    return f"compiled forms are kept in {cache_folder}/fenics"
 
 
 def _check_pictures() -> str:
@@ -212,7 +219,7 @@ def _check_two_masses() -> str:
     relative_error = np.max(
         np.abs(np.array([gaps.max(), gaps.min()]) / REFERENCE_MAX_AND_MIN_DISPLACEMENT - 1.0)
     )
-    return _describe_error_or_raise("two masses at their stops", relative_error, 1e-3)
+    return _describe_error_or_raise("gaps of two masses at stops", relative_error, 1e-3)
 
 
 def _check_plate() -> str:
@@ -247,9 +254,11 @@ def _check_plate() -> str:
 
 def _describe_error_or_raise(quantity_name: str, relative_error: float, tolerance: float) -> str:
     """Return a sentence on the error of a quantity; ArithmeticError above the tolerance."""
-    error_text = f"{quantity_name}: {relative_error:.0e} from the known value"
+    error_text = f"{quantity_name}: relative error {relative_error:.0e}"
     if not relative_error <= tolerance:
-        raise ArithmeticError(f"{error_text}, at most {tolerance:g} is allowed")
+        raise ArithmeticError(
+            f"{error_text}, at most {tolerance:g} is allowed; this installation has wrong results"
+        )
     return error_text
 
 

@@ -119,7 +119,7 @@ def read_inputs(arguments: Namespace) -> CommandInputs | None:
     output_path = vars(arguments).get("output")
     if arguments.command == "reduce" and output_path is not None:
         if output_path.suffix.lower() != ".h5":
-            raise InputError("--output", str(output_path), "a .h5 file")
+            raise InputError("--output", str(output_path), "a file name that ends in .h5")
         output_path = output_path.parent
     result_folder = output_path or Path("output") / arguments.scene.stem
     arrival_source = _read_arrivals(scene, arguments, vars(arguments).get("arrivals"))
@@ -153,11 +153,11 @@ def read_prepared_inputs(arguments: Namespace, comm: MPI.Comm) -> CommandInputs:
         The file cannot be used, or the command or a changed key needs a mesh.
     """
     if arguments.command not in COMMANDS_FOR_PREPARED_FILES:
-        requirement_text = f"a scene for {arguments.command}; a file of reduce is one for "
         raise InputError(
             "scene",
             str(arguments.scene),
-            requirement_text + " and ".join(COMMANDS_FOR_PREPARED_FILES),
+            f"a scene (.toml) for the command {arguments.command}; only "
+            f"{' and '.join(COMMANDS_FOR_PREPARED_FILES)} take a file of reduce (.h5)",
         )
     from fenics_crack.study.artefact import load_prepared  # the solver
 
@@ -254,9 +254,11 @@ def _find_campbell_speeds_or_none(arguments: Namespace, scene: Scene) -> np.ndar
         and 2 <= n_speeds <= MAX_CASES
         and n_speeds % 1 == 0
     ):
-        requirement_text = f"0 <= START < STOP, and COUNT a whole number from 2 to {MAX_CASES}"
         raise InputError(
-            "--speeds", arguments.speeds or (first_speed, last_speed, n_speeds), requirement_text
+            "--speeds",
+            arguments.speeds or (first_speed, last_speed, n_speeds),
+            "START STOP COUNT with 0 <= START < STOP, and COUNT a whole number from 2 to "
+            f"{MAX_CASES}",
         )
     return unit_factor * np.linspace(first_speed, last_speed, int(n_speeds))
 
@@ -270,10 +272,11 @@ def _read_measurements(
     """
     measurement_paths, mode_numbers = arguments.measurements, arguments.modes
     if not measurement_paths and arguments.arrivals is None:
-        requirement_text = (
-            "given: a CSV file (fenics-crack new --identify writes one), or --arrivals"
+        raise InputError(
+            "measurements",
+            None,
+            "given: a CSV file (fenics-crack new --identify writes one), or --arrivals FILE",
         )
-        raise InputError("measurements", None, requirement_text)
     if not measurement_paths and uncracked_path is None and not mode_numbers:
         return None
     from fenics_crack.monitoring.identification.measurements import (
@@ -286,10 +289,12 @@ def _read_measurements(
         and uncracked_path is None
         and not any(path.suffix.lower() in UNIVERSAL_FILE_SUFFIXES for path in measurement_paths)
     ):
-        requirement_text = (
-            f"left out without frequency responses ({', '.join(UNIVERSAL_FILE_SUFFIXES)})"
+        raise InputError(
+            "--modes",
+            list(mode_numbers),
+            "left out without a file of frequency responses "
+            f"({', '.join(UNIVERSAL_FILE_SUFFIXES)})",
         )
-        raise InputError("--modes", list(mode_numbers), requirement_text)
     measurement_sets = [Measurements.read(path, mode_numbers) for path in measurement_paths]
     if uncracked_path is not None:
         measurement_sets.append(
@@ -336,11 +341,11 @@ def select_blades(
     if blade_number is None and (allows_several or len(arrivals_by_blade) == 1):
         return arrivals_by_blade
     if blade_number is None or blade_number not in arrivals_by_blade:
-        requirement_text = f"one of {', '.join(map(str, arrivals_by_blade))} in {record_path}"
         raise InputError(
             "--blade",
             blade_number,
-            f"{'given: ' if blade_number is None else ''}{requirement_text}",
+            f"{'given: ' if blade_number is None else ''}one of the blades in {record_path}: "
+            f"{', '.join(map(str, arrivals_by_blade))}",
         )
     return {blade_number: arrivals_by_blade[blade_number]}
 
@@ -497,7 +502,7 @@ def keep_previous_files_with_note(
             return (
                 f"{previous_folder}: the previous result could not be kept here ({error.strerror})"
             )
-        return f"{previous_folder}: the previous result, which this one has replaced, is kept here"
+        return f"{previous_folder}: the previous result, now replaced, is kept here"
 
     return on_root(comm, keep_files_on_root)
 
@@ -518,7 +523,7 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
     if exclusive_options and len(exclusive_options + options) > 1:
         other_option_text = f"with --{(exclusive_options[1:] + options)[0]}"
         raise InputError(
-            f"--{exclusive_options[0]}", other_option_text, "used alone: it is another scene"
+            f"--{exclusive_options[0]}", other_option_text, "used alone, as it writes another scene"
         )
     measurements_path = scene_path.with_name(f"{scene_path.stem}_measured.csv")
     if arguments.cad:
@@ -527,7 +532,9 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
         scene_text, picture_path = on_root(
             console.comm, lambda: propose_scene_and_draw_faces(arguments.cad, scene_path)
         )
-        console.print_notes(f"{picture_path}: the faces of {arguments.cad}, with numbers")
+        console.print_notes(
+            f"{picture_path}: picture of the faces of {arguments.cad}, with their numbers"
+        )
         texts_by_path = {scene_path: scene_text}
     elif exclusive_options:
         scene_text = read_packaged_text(f"cli/new_{exclusive_options[0]}.toml")
@@ -542,17 +549,19 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
     def write_files() -> None:
         for file_path in texts_by_path:
             if os.path.exists(file_path):  # False for a name too long, which writing will say
-                raise InputError("scene", str(file_path), "the name of a new file; this one exists")
+                raise InputError(
+                    "scene", str(file_path), "the name of a new file; this file exists"
+                )
         for file_path, scene_text in texts_by_path.items():
             write_file_whole(file_path, scene_text, "scene")
 
     on_root(console.comm, write_files)
     console.print_notes(
-        f"{scene_path}: a scene to start from; now: {format_command('check', scene_path)}"
+        f"{scene_path}: a scene to start from; next: {format_command('check', scene_path)}"
     )
     if measurements_path in texts_by_path:
         console.print_notes(
-            f"{measurements_path}: what was measured; then: "
+            f"{measurements_path}: example measurements, to be replaced by yours; then: "
             f"{format_command('identify', scene_path, measurements_path)}"
         )
 

@@ -86,12 +86,12 @@ RESULT_KIND_BY_NAME = {
     "nodal diameters": ResultKind(
         "disk", "Nodal diameters", "disk.bladed_disk:report_of_diameters",
         "disk.bladed_disk:NodalDiameters.from_stored_file", "disk.plot_disk:draw_nodal_diameters",
-        "Natural frequencies over the nodal diameter; rings: what the engine order excites.",
+        "Natural frequencies over the nodal diameter; rings: excited by the engine order.",
     ),
     "amplification": ResultKind(
         "amplification", "Mistuning", "disk.bladed_disk:report_of_amplification",
         "disk.bladed_disk:Amplification.from_stored_file", "disk.plot_disk:draw_amplification",
-        "Amplification factors of the patterns, and the share of patterns below a factor.",
+        "Amplification factors of the patterns; share of patterns below each factor.",
     ),
     "tip timing": ResultKind(
         "timing", "Tip timing", "monitoring.timing:report_of_timing",
@@ -133,6 +133,9 @@ def restore_result(stored_file: StoredFile) -> Any:
         The file holds no result of a command.
     """
     if stored_file.kind not in RESULT_KIND_BY_NAME:
-        requirement_text = f"a result of one of these kinds: {', '.join(RESULT_KIND_BY_NAME)}"
-        raise InputError("result", str(stored_file.path), requirement_text)
+        raise InputError(
+            "result",
+            str(stored_file.path),
+            f"a result of one of these kinds: {', '.join(RESULT_KIND_BY_NAME)}",
+        )
     return load_function(RESULT_KIND_BY_NAME[stored_file.kind].reader_function_path)(stored_file)

@@ -52,7 +52,7 @@ from fenics_crack.time.march import TimeHistory
 CRACK_CLOSING_COLOURS_AND_STYLES = (("orange", "--"), ("green", "-."), ("pink", ":"))
 """Colour and line style of the closing, crack by crack."""
 
-NO_MESH_NOTE = "no mesh: what would be drawn on one is left out"
+NO_MESH_NOTE = "the structure has no mesh: pictures of a mesh are left out"
 
 
 def draw_scene_mesh(
@@ -104,11 +104,11 @@ def draw_solution(run: Run[PeriodicSolution], picture_files: PictureFiles) -> No
         path=picture_files("solution_waves", caption),
         title=title,
     )
-    caption = "Amplitudes of the harmonics; enough are kept if the last are small."
+    caption = "Amplitudes of the harmonics; their number is sufficient if the last ones are small."
     plot.draw_spectrum(
         solution, watched_dof, path=picture_files("solution_spectrum", caption), title=title
     )
-    caption = "The motion in the phase plane; thick where the crack faces touch."
+    caption = "The motion in the phase plane; thick lines: the crack faces touch."
     plot.draw_orbits(
         solution, watched_dof, path=picture_files("solution_orbits", caption), title=title
     )
@@ -121,7 +121,9 @@ def draw_solution(run: Run[PeriodicSolution], picture_files: PictureFiles) -> No
     if run.scene.disk is not None:
         from fenics_crack.disk.plot_disk import draw_wheel
 
-        caption = "The wheel where it moves most, magnified; cracked blades have orange numbers."
+        caption = (
+            "The bladed disk at its largest motion, magnified; orange numbers: cracked blades."
+        )
         draw_wheel(solution, path=picture_files("solution_wheel", caption), title=title)
     if solution.structure.whole.drawable_nodes is None:
         picture_files.notes.append(NO_MESH_NOTE)
@@ -161,10 +163,10 @@ def draw_history(run: Run[TimeHistory], picture_files: PictureFiles) -> None:
     title = "Free decay"
     if integration_table is None or not integration_table.free:
         title = (
-            f"The last periods of {run.result.periods}, {frequency_in_words(run.scene, load_omega)}"
+            f"The last of {run.result.periods} periods, {frequency_in_words(run.scene, load_omega)}"
         )
         period_omega = load_omega
-    caption = "The motion in time, its last periods or a free decay."
+    caption = "The motion in time: its last periods, or a free decay."
     _draw_waveforms(
         run,
         sample_waveforms(run),
@@ -183,7 +185,7 @@ def _draw_stress_intensity(run: Run[Any], picture_files: PictureFiles, file_stem
             float(stress_intensities.effective.max()), "Pa m^0.5"
         )
         title = (
-            "Stress intensity, range while open "
+            "Stress intensity, range while the crack is open: "
             f"{unit_factor * stress_intensities.effective.max():.4g} "
             f"{unit}"
         )
@@ -226,7 +228,7 @@ def draw_curve_pictures(run: Run[ResponseCurve], picture_files: PictureFiles) ->
     caption = "Response. Dashed: unstable; dash-dotted: irregular; dotted: undecided; "
     caption += "faint: large estimated error."
     if curve.multipliers is None:
-        caption = "Response; its stability was not examined. Faint: large estimated error."
+        caption = "Response; stability was not examined. Faint: large estimated error."
     picture_path = picture_files("curve", caption)
     plot_curve.draw_curve(
         curve,
@@ -394,9 +396,15 @@ def _select_drawn_axis_indices(sweep_result: SweepResult) -> list[int]:
         and all(isinstance(axis_value, float | int) for axis_value in axis.values)
     ]
     if not axis_indices:
-        raise InputError("sweep.over", [axis.key for axis in axes], "over numbers, to be drawn")
+        raise InputError(
+            "sweep.over",
+            [axis.key for axis in axes],
+            "over a key with two or more numbers, to be drawn",
+        )
     if not np.any(sweep_result.converged):
-        raise InputError("path", str(sweep_result.path), "a sweep with a case that converged")
+        raise InputError(
+            "path", str(sweep_result.path), "a sweep with at least one converged case, to be drawn"
+        )
     axis_indices.sort(
         key=lambda axis_index: (
             axes[axis_index].key not in LOAD_FREQUENCY_KEYS,
@@ -497,7 +505,7 @@ def _scale_axis(axis: Axis, axis_values: np.ndarray) -> tuple[np.ndarray, str]:
 
 def draw_crack_growth(growth: Growth, picture_files: PictureFiles) -> None:
     """Draw the growth of a crack in the scene's units."""
-    caption = "The crack over the cycles; dots are the lengths that were solved."
+    caption = "Crack length over the load cycles; dots: lengths at which the vibration was solved."
     plot_study.draw_growth(
         growth, path=picture_files("growth", caption), in_hertz=growth.scene.is_frequency_in_hertz
     )
@@ -507,7 +515,7 @@ def draw_campbell_diagram(campbell: Campbell, picture_files: PictureFiles) -> No
     """Draw a Campbell diagram in the scene's units."""
     scene = campbell.scene
     engine_orders = sorted({*range(1, MAX_REPORTED_ORDER + 1), scene.excitation.order or 1})
-    caption = "Natural frequencies over the speed; circles where engine orders, grey, meet them."
+    caption = "Natural frequencies over the speed; grey: engine orders; circles: where both meet."
     unit_options: dict[str, Any] = {
         "in_hertz": scene.is_frequency_in_hertz or scene.is_speed_in_rpm,
         "in_rpm": scene.is_speed_in_rpm,
@@ -533,8 +541,8 @@ def draw_tip_timing(tip_timing: Timing, picture_files: PictureFiles) -> None:
             )
     if largest_blade_number := find_blade_of_largest_amplitude_or_none(tip_timing):
         caption = (
-            f"Blade {largest_blade_number}: arrivals over the period, the fit, the orders that "
-            "were tried."
+            f"Blade {largest_blade_number}: arrivals over the period, the fit, and the engine "
+            "orders that were tried."
         )
         blade_fit = tip_timing.fits[largest_blade_number]
         assert isinstance(blade_fit, TipFit)
@@ -555,10 +563,13 @@ def copy_posterior_picture(
     InputError
         ``identify`` has drawn no picture in this format.
     """
-    picture_path = picture_files("posterior", "Probability of cracks, given the measurements.")
+    picture_path = picture_files("posterior", "Probability of cracks by the measurements.")
     source_path = identification.picture_path.with_suffix(picture_path.suffix)
     try:
         write_file_whole(picture_path, read_regular_file(source_path, follows_links=False))
     except OSError:
-        requirement_text = f"png, or the --pictures of identify: there is no {source_path}"
-        raise InputError("--pictures", picture_path.suffix[1:], requirement_text) from None
+        raise InputError(
+            "--pictures",
+            picture_path.suffix[1:],
+            f"png, or the format given to identify --pictures: there is no file {source_path}",
+        ) from None

@@ -137,7 +137,7 @@ def _read_result_files_and_note(result_paths: Sequence[Path]) -> tuple[list[Stor
     for result_path in result_paths:
         file_paths = sorted(result_path.glob("*.h5")) if result_path.is_dir() else [result_path]
         if not file_paths:
-            raise InputError("result", str(result_path), "a folder with results, .h5 files")
+            raise InputError("result", str(result_path), "a folder with results (.h5 files)")
         result_files += map(read_result_file, file_paths)
     result_files = [
         stored_file for stored_file in result_files if stored_file.kind != KEPT_KIND
@@ -156,7 +156,7 @@ def _read_result_files_and_note(result_paths: Sequence[Path]) -> tuple[list[Stor
     )
     return (
         whole_files or result_files,
-        f"left out, as parts of other results: {excluded_paths_text}"
+        f"left out, as they are parts of other results: {excluded_paths_text}"
         if excluded_paths_text
         else "",
     )
@@ -179,12 +179,17 @@ def _draw_curves(
         The files are no curves over the same parameter, or the label count is wrong.
     """
     if given_labels and len(given_labels) != len(result_files):
-        requirement_text = f"given {len(result_files)} times, once for each result"
-        raise InputError("--label", list(given_labels), requirement_text)
+        raise InputError(
+            "--label", list(given_labels), f"given {len(result_files)} times, once for each result"
+        )
     curve_paths = [stored_file.path for stored_file in result_files]
     if {stored_file.kind for stored_file in result_files} != {ResponseCurve.KIND}:
         kind_names = [stored_file.kind for stored_file in result_files]
-        raise InputError("result", kind_names, "curves, where several are drawn in one picture")
+        raise InputError(
+            "result",
+            kind_names,
+            "response curves, to be drawn in one picture; plot others one by one",
+        )
     curve_runs: list[Any] = [*map(restore_result, result_files)]
     curve_labels = list(given_labels) or describe_differences(
         [curve_run.scene for curve_run in curve_runs]
@@ -197,10 +202,14 @@ def _draw_curves(
         ]
     if len(set(curve_labels)) < len(curve_labels):
         raise InputError(
-            "result", [str(curve_path) for curve_path in curve_paths], "different files"
+            "result", [str(curve_path) for curve_path in curve_paths], "different files, each once"
         )
     if len(parameter_names := {curve_run.result.parameter for curve_run in curve_runs}) > 1:
-        raise InputError("result", sorted(parameter_names), "curves in one parameter")
+        raise InputError(
+            "result",
+            sorted(parameter_names),
+            "curves over the same parameter; plot others one by one",
+        )
     watched_names = {curve_run.watched_description for curve_run in curve_runs}
     title = watched_names.pop() if len(watched_names) == 1 else None
     [axes] = picture = Picture(
@@ -242,7 +251,7 @@ def _write_page(
         A file is no result with a scene, or the page cannot be written.
     """
     if page_path.suffix.lower() not in (".html", ".htm"):
-        raise InputError("--output", str(page_path), "a .html file")
+        raise InputError("--output", str(page_path), "a file name that ends in .html")
     from jinja2 import Environment  # which plots do without
 
     kind_order = list(RESULT_KIND_BY_NAME)

@@ -134,9 +134,14 @@ def _list_node_distance_notes(run: Run[Any]) -> list[str]:
         f"{point_name} {format_quantity(node_distance, 'm')}"
         for point_name, node_distance in distance_by_point.items()
     )
-    exclusion_text = "; not part of the stated errors" if run.stated is not None else ""
+    exclusion_text = (
+        "; the stated errors do not include this distance" if run.stated is not None else ""
+    )
     return (
-        [f"watched at the nearest node, at a distance of: {distances_text}{exclusion_text}"]
+        [
+            f"each output point is observed at its nearest node, at a distance of: {distances_text}"
+            f"{exclusion_text}"
+        ]
         if distances_text
         else []
     )
@@ -161,26 +166,21 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
         and run.contact is not None
         and is_error_requested
     ):
-        reduction_text = (
-            "" if scene.disk is not None else "for a reduced structure (reduction.method), "
-        )
-        assessment_condition_text = (
-            f"{reduction_text}with contact.law = 'unilateral' for crack faces without mass"
-        )
+        reduction_text = "" if scene.disk is not None else "a reduction (reduction.method), and "
         note_texts.append(
-            f"the stability is not assessed, as that would take long; it is "
-            f"{assessment_condition_text}"
+            "the stability is not assessed, as that would take long; to assess it, use "
+            f"{reduction_text}contact.law = 'unilateral' if crack faces have no mass"
         )
     if (
         solution.converged
         and (order_and_ratio := find_largest_omitted_harmonic(solution, run.watched_dof))
         is not None
     ):
-        ratio_text = (
-            f"{order_and_ratio[1]:.2g} of harmonic 1 in the exact orbit; more harmonics show it"
+        note_texts.append(
+            f"the largest harmonic above harmonic 1 is harmonic {order_and_ratio[0]}, with "
+            f"{order_and_ratio[1]:.2g} of harmonic 1 in the exact orbit; this solution leaves it "
+            "out: use more harmonics"
         )
-        harmonic_text = f"harmonic {order_and_ratio[0]}, which the solution leaves out"
-        note_texts.append(f"{harmonic_text}, is the largest of the higher ones: {ratio_text}")
     tolerance = scene.harmonic_balance.tolerance
     is_tolerance_missed = tolerance is not None and solution.report.total > tolerance
     warning_texts = []
@@ -191,7 +191,9 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
             scene, solution.report, solution.harmonics
         )
     if solution.still:
-        warning_texts.append("nothing vibrates: no load changes in time")
+        warning_texts.append(
+            "nothing vibrates: no load varies in time; give one, for example excitation.force_sin"
+        )
     if solution.converged:
         stability, motion_text = solution.stability, ""
         if stability is not None:
@@ -318,7 +320,11 @@ def _describe_departing_motions(solution: PeriodicSolution, watched_dof: int) ->
             f"still varies after {format_count(min(period_counts), 'period')}, "
             f"{amplitude_range_text}"
         )
-    return f"; the motion {' or '.join(clause_texts)} half peak-to-peak" if clause_texts else ""
+    return (
+        f"; a disturbed motion {' or '.join(clause_texts)} half peak-to-peak"
+        if clause_texts
+        else ""
+    )
 
 
 def _describe_range(amplitudes: np.ndarray) -> str:
@@ -368,10 +374,10 @@ def _describe_longer_period(history: TimeHistory) -> str:
     for n_periods in range(2, len(history.by_period(history.time))):
         if (relative_change := history.change(n_periods)) < 0.1 * history.settled:
             return (
-                f", over {n_periods} periods {relative_change:.2g}: its period is {n_periods} "
-                "times the load's"
+                f"; over {n_periods} periods it changes by {relative_change:.2g} only, so its "
+                f"period is {n_periods} times the load's"
             )
-    return "; it may need more periods (integration.periods), or be irregular"
+    return "; raise integration.periods, unless the motion is irregular"
 
 
 # --- numbers of vibrations and motions ------------------------------------------------------------
@@ -556,7 +562,7 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
     ]
     if n_hidden_points:
         note_texts.insert(
-            0, f"{n_hidden_points} more bifurcations and changes of stability: curve.json"
+            0, f"{n_hidden_points} more bifurcations and changes of stability are in curve.json"
         )
     bifurcation_kinds = dict.fromkeys(bifurcation.kind for bifurcation in curve.bifurcations)
     note_texts += [
@@ -571,25 +577,25 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
     indicators = curve.indicators(run.watched_dof)
     peak_index = int(np.argmax(indicators.amplitude))
     if indicators.largest_order[peak_index] > 3:
-        order_text = (
-            f"harmonic {indicators.largest_order[peak_index]:.0f} is the largest of the higher ones"
-        )
-        ratio_text = f"{indicators.ratio_largest[peak_index]:.2g} of harmonic 1"
         place_text = (
-            "the largest response" if _is_before_early_end(curve, peak_index) else "its end"
+            "the largest response" if _is_before_early_end(curve, peak_index) else "the curve's end"
         )
-        note_texts.append(f"at {place_text} {order_text}, {ratio_text}")
+        note_texts.append(
+            f"at {place_text} the largest harmonic above harmonic 1 is harmonic "
+            f"{indicators.largest_order[peak_index]:.0f}, with "
+            f"{indicators.ratio_largest[peak_index]:.2g} of harmonic 1"
+        )
     if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
         status_detail = curve.status.partition("; ")[2] if curve.complete else ""
         note_texts.append(
-            "; ".join(filter(None, (f"by the tolerance: {curve.method}", status_detail)))
+            "; ".join(filter(None, (f"method of the curve: {curve.method}", status_detail)))
         )
     if curve.exact:
         width_text = format_in_unit(
             axis_factor_name_and_unit(curve.parameter, True), curve.resolution
         )
         note_texts.append(
-            f"windows of instability narrower than {width_text} may lie between points"
+            f"unstable ranges narrower than {width_text} may lie between the points of the curve"
         )
     return _make_report(
         run,
@@ -646,9 +652,12 @@ def _yield_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
     if (
         curve.status == INTERRUPTED_CURVE_STATUS
     ):  # nothing more is assessed; exact orbits have their verdicts
-        end_text = "" if curve.complete else "ended early: it "
+        end_text = "" if curve.complete else "ended early: the computation "
         skipped_text = "errors and stability" if curve.multipliers is None else "errors"
-        yield f"the curve {end_text}was interrupted; its {skipped_text} were not examined"
+        yield (
+            f"the curve {end_text}was interrupted; its {skipped_text} were not computed: run the "
+            "command again"
+        )
         return
     peak_index = int(np.argmax(curve.amplitude(run.watched_dof)))
     checked_indices = {peak_index, *np.linspace(0, len(curve) - 1, 8).astype(int).tolist()}
@@ -685,10 +694,9 @@ def _yield_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
         n_further_points = sum(
             last_index + 1 - first_index for first_index, last_index in undecided_ranges[1:]
         )
-        reason_hint = "each for its own reason: curve.reason(index) in Python"
         yield (
-            f"the stability is undecided at {format_count(n_further_points, 'other point')}, "
-            f"{reason_hint}"
+            f"the stability is undecided at {format_count(n_further_points, 'other point')}; "
+            "in Python curve.reason(index) gives the reasons"
         )
     yield from run.stated.point_force_warnings if run.stated is not None else ()
     if not curve.complete:

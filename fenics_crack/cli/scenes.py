@@ -128,7 +128,7 @@ def make_missing_curve_error(scene: Scene, console: Console) -> InputError:
 
     The error's example is a curve through the resonance nearest to the load, if it is found.
     """
-    error = missing_table_error("curve", ", which this command needs")
+    error = missing_table_error("curve", ", which this command, as a table [curve]")
     error.example = ""
     with console.report_stage("natural frequencies"), suppress(InputError):
         study = prepare(scene, console.comm, whole=True)
@@ -176,22 +176,24 @@ def _frequencies_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str, ob
     }
     values_by_label: dict[str, object] = {}
     if key_figures.n_face_elements is not None and scene.structure is None and scene.dimension == 2:
-        values_by_label["modes"] = "in the plate's plane: no bending across it (flap), no torsion"
+        values_by_label["modes"] = (
+            "in the plate's plane: no out-of-plane bending (flap), no torsion"
+        )
     for condition_text, frequencies in frequencies_by_condition.items():
         values_by_label[f"first natural frequency{condition_text} [Hz]"] = (
             float(frequencies[0]) / RAD_PER_TURN
         )
         values_by_label[f"first natural frequency{condition_text} [rad/s]"] = float(frequencies[0])
-        values_by_label[f"the next{condition_text} [Hz]"] = ", ".join(
+        values_by_label[f"next natural frequencies{condition_text} [Hz]"] = ", ".join(
             f"{frequency / RAD_PER_TURN:.6g}" for frequency in frequencies[1:]
         )
     load_omega = scene.excitation.omega
-    values_by_label["load's frequency [Hz]"] = load_omega / RAD_PER_TURN
-    values_by_label["load's frequency [rad/s]"] = load_omega
+    values_by_label["load frequency [Hz]"] = load_omega / RAD_PER_TURN
+    values_by_label["load frequency [rad/s]"] = load_omega
     for condition_text, frequencies in frequencies_by_condition.items():
         if frequencies[0] > 0.0:
-            values_by_label[f"load's frequency / the first{condition_text}"] = load_omega / float(
-                frequencies[0]
+            values_by_label[f"load frequency / first natural frequency{condition_text}"] = (
+                load_omega / float(frequencies[0])
             )
     return values_by_label
 
@@ -230,7 +232,7 @@ def _resonance_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[st
         values_by_label[f"{label} [Hz]"] = load_resonance.value / RAD_PER_TURN
         values_by_label[f"{label} [rad/s]"] = load_resonance.value
     elif math.isfinite(load_resonance.value):
-        label = f"order {engine_order} meets the {label}, rotor speed"
+        label = f"rotor speed at which order {engine_order} meets the {label}"
         values_by_label[f"{label} [rad/s]"] = load_resonance.value
         values_by_label[f"{label} [rpm]"] = load_resonance.value / RAD_PER_S_PER_RPM
     is_not_proportional = (
@@ -238,9 +240,13 @@ def _resonance_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[st
         or key_figures.opening_under_mean_load
         or not is_response_proportional_to_load(scene)
     )
-    values_by_label["vibration there" if values_by_label else label] = load_resonance.in_words
+    values_by_label["vibration at this resonance" if values_by_label else label] = (
+        load_resonance.in_words
+    )
     if not (is_not_proportional or load_resonance.unknown):
-        values_by_label["vibration there"] = f"{load_resonance.in_words}; proportional to the load"
+        values_by_label["vibration at this resonance"] = (
+            f"{load_resonance.in_words}; proportional to the load"
+        )
     return values_by_label
 
 
@@ -253,7 +259,7 @@ def _rotation_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str
         "rotor speed [rpm]": scene.speed / RAD_PER_S_PER_RPM,
     }
     if key_figures.n_face_elements is not None:
-        values_by_label["crack opened by rotation and mean load [m]"] = (
+        values_by_label["crack opening by rotation and mean load [m]"] = (
             key_figures.opening_under_mean_load
         )
     return values_by_label
@@ -279,8 +285,8 @@ def _crack_and_contact_values_by_label(study: Study, key_figures: KeyFigures) ->
         values_by_label["coefficient of friction"] = contact_table.friction
     if not is_rigid(contact_law):
         pair_stiffness = np.broadcast_to(contact_law.stiffness, study.structure.n_pairs)
-        values_by_label["softest pair [N/m]"] = float(pair_stiffness.min())
-        values_by_label["stiffest pair [N/m]"] = float(pair_stiffness.max())
+        values_by_label["contact stiffness, softest pair [N/m]"] = float(pair_stiffness.min())
+        values_by_label["contact stiffness, stiffest pair [N/m]"] = float(pair_stiffness.max())
     faces_text = word_for_crack_faces(study.scene)
     static_stiffness_text = format_range(key_figures.face_stiffness, ".3g")
     values_by_label[f"static stiffness of the {faces_text}, each pair [N/m]"] = (
@@ -290,8 +296,8 @@ def _crack_and_contact_values_by_label(study: Study, key_figures: KeyFigures) ->
         values_by_label["contact stiffness / static stiffness"] = format_range(
             key_figures.contact_stiffness_ratio, ".3g"
         )
-    values_by_label["static opening, mean load [m]"] = key_figures.opening_under_mean_load
-    values_by_label[f"static motion of the {faces_text}, amplitude of the load [m]"] = (
+    values_by_label["static opening under the mean load [m]"] = key_figures.opening_under_mean_load
+    values_by_label[f"static motion of the {faces_text} under the load's amplitude [m]"] = (
         key_figures.largest_static_gap_motion
     )
     return values_by_label
@@ -302,7 +308,9 @@ def format_harmonic_count(scene: Scene) -> int | str:
     balance_table = scene.harmonic_balance
     if balance_table.tolerance is None:
         return balance_table.harmonics
-    return f"{balance_table.harmonics} or more, for an error of {balance_table.tolerance:g}"
+    return (
+        f"{balance_table.harmonics} or more, until the error is below {balance_table.tolerance:g}"
+    )
 
 
 def _describe_reduction(study: Study) -> str:
@@ -314,7 +322,7 @@ def _describe_reduction(study: Study) -> str:
         return "none"
     modes_text = format_count(scene_reduction.n_modes, "mode")
     if mode_counts:
-        modes_text = f"{format_count(mode_counts[0], 'mode')} or more, for an error of "
+        modes_text = f"{format_count(mode_counts[0], 'mode')} or more, until the error is below "
         modes_text += f"{scene.harmonic_balance.tolerance:g}"
     if scene_reduction.method == "massless":
         return f"massless, {modes_text}, {word_for_crack_faces(scene)} without mass"
@@ -358,14 +366,14 @@ def describe_undamped_harmonics(structure: Structure, highest_omega: float) -> s
         return ""
     n_damped_modes, highest_damped_omega = damped_modes_and_highest_omega
     if n_damped_modes == 0:
-        return f"harmonics up to H w = {highest_omega:g} rad/s: nothing damps what they excite"
+        return (
+            f"harmonics reach H w = {highest_omega:g} rad/s, but no mode is damped; set [damping]"
+        )
     modes_text = "the damped mode" if n_damped_modes == 1 else f"the {n_damped_modes} damped modes"
-    harmonics_text = (
-        f"harmonics up to H w = {highest_omega:g} rad/s reach beyond {modes_text} "
-        f"({highest_damped_omega:g} "
-        "rad/s)"
+    return (
+        f"harmonics reach H w = {highest_omega:g} rad/s, beyond {modes_text} "
+        f"({highest_damped_omega:g} rad/s); higher modes are not damped: raise damping.modes"
     )
-    return f"{harmonics_text}: nothing damps what they excite there"
 
 
 def _describe_undamped_after_reduction(

@@ -61,8 +61,10 @@ def report_of_sweep(sweep_result: SweepResult) -> Report:
     n_high_order_cases = int(np.sum(sweep_result["largest_order"] > 3))
     high_order_note = ""
     if n_high_order_cases:
-        high_order_note = f"in {format_count(n_high_order_cases, 'case')} the largest higher "
-        high_order_note += "harmonic is above the third: ratio_largest, largest_order"
+        high_order_note = (
+            f"in {format_count(n_high_order_cases, 'case')} the largest harmonic above harmonic 1 "
+            "is above harmonic 3; see the columns ratio_largest and largest_order"
+        )
     tables_by_heading = {"Cases": short_table}
     if sweep_result.failed:
         failed_rows = [
@@ -95,14 +97,16 @@ def yield_sweep_warnings(sweep_result: SweepResult) -> Iterator[str]:
     elif verdict_counts_text := " and ".join(
         f"{case_count} {verdict}" for verdict, case_count in counts_by_verdict.items() if case_count
     ):
-        yield f"{verdict_counts_text} of {format_count(verdicts.size, 'case')}"
+        yield f"stability: {verdict_counts_text} of {format_count(verdicts.size, 'case')}"
     yield from iterate_texts_by_reason(sweep_result, sweep_result.undecided, "undecided")
     for warning_text in iterate_texts_by_reason(
-        sweep_result, sweep_result.contradicted, f"or more whose verdict {MODE_DEPENDENCE_TEXT}"
+        sweep_result,
+        sweep_result.contradicted,
+        f"or more with a verdict on stability that {MODE_DEPENDENCE_TEXT}",
     ):
         yield f"{warning_text}; raise {sweep_result.scene.modes_key}"
     if not sweep_result.complete:
-        yield "the sweep was stopped; the same command goes on with it"
+        yield "the sweep was stopped; run the same command again to continue it"
 
 
 def _yield_large_error_warnings(sweep_result: SweepResult) -> Iterator[str]:
@@ -188,9 +192,9 @@ def list_skipped_peak_remarks(sweep_result: SweepResult) -> list[str]:
         f", and at {format_count(n_further_steps, 'other place')}" if n_further_steps else ""
     )
     return [
-        f"between {range_text}{location_text}{further_text}, the sweep steps over a peak that "
-        "is narrower than the step: the largest response lies there; use smaller steps, or the "
-        "command curve, to find it"
+        f"between {range_text}{location_text}{further_text}, the sweep steps over a peak "
+        "that is narrower than the step and holds the largest response; use smaller steps, or "
+        "fenics-crack curve"
     ]
 
 
@@ -234,13 +238,13 @@ def shorten_sweep_table(sweep_result: SweepResult) -> tuple[Table, str]:
     row_indices = np.take_along_axis(row_numbers, peak_indices, axis_index).ravel()
     selection_text = (
         f"; the table has the largest responses over {axis_keys[axis_index]}, "
-        f"{sweep_result.path.stem}.csv all"
+        f"{sweep_result.path.stem}.csv has all cases"
     )
     if len(row_indices) > N_SELECTED_ROWS:
         descending_order = np.argsort(-responses.ravel()[row_indices], kind="stable")[
             :N_SELECTED_ROWS
         ]
-        selection_text += f", {N_SELECTED_ROWS} of {len(row_indices)}"
+        selection_text = f"{selection_text}; shown are {N_SELECTED_ROWS} of {len(row_indices)}"
         row_indices = np.sort(row_indices[descending_order])
     return Table(
         table.columns, [table.rows[row_index] for row_index in row_indices]

@@ -44,8 +44,8 @@ RECORD_TIMING_KEYS = (
 )  # fmt: skip
 """Keys in [tip_timing] for a record without a scene."""
 PROBES_REQUIREMENT_TEXT = (
-    "given for a record at constant speed: without them a probe stands at its median arrival, "
-    "where an engine order of constant amplitude is not seen"
+    "given for a record at constant speed, as --set tip_timing.probes=[0,17,40] in degrees: "
+    "probe angles estimated from the arrivals hide an engine order of constant amplitude"
 )
 
 
@@ -76,8 +76,11 @@ def fit_and_report_timing(
     if scene.disk is not None and not all(
         isinstance(blade_fit, TipFit) for blade_fit in fits_by_blade.values()
     ):
-        requirement_text = "arrivals at one speed of a bladed disk"
-        raise InputError("arrivals", str(arrival_source or "a curve"), requirement_text)
+        raise InputError(
+            "arrivals",
+            str(arrival_source or "a curve"),
+            "arrivals at one speed; for a bladed disk no run-up can be fitted",
+        )
     doubt_texts = tuple(_yield_timing_warnings(first_blade_arrivals, scene, run))
     return _write_timing_report(
         Timing(scene, arrivals_by_blade, fits_by_blade, doubt_texts), result_folder, console
@@ -165,8 +168,8 @@ def _yield_timing_warnings(
                 for rotor_speed in record_and_scene_speeds
             )
             yield (
-                f"the arrivals are of {record_speed_text}, [rotation] has {scene_speed_text}: "
-                "are they in seconds?"
+                f"the arrivals are of {record_speed_text}, but [rotation] has {scene_speed_text}; "
+                "check that the arrival times are in seconds"
             )
         return
     doubt_texts = (
@@ -189,8 +192,11 @@ def _fit_and_report_record(arguments: Namespace, console: Console) -> Exit:
             allowed_keys_text = ", ".join(
                 f"tip_timing.{record_key}" for record_key in RECORD_TIMING_KEYS
             )
-            requirement_text = f"left out with a record in place of a scene, or {allowed_keys_text}"
-            raise InputError(full_key, key_value, requirement_text)
+            raise InputError(
+                full_key,
+                key_value,
+                f"left out with a record in place of a scene; {allowed_keys_text} can be set",
+            )
         table_values_by_name[key_name] = TipTiming.convert_value(key_name, key_value)
     with console.report_stage("arrival times"):
         probe_angles = (

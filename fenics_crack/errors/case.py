@@ -64,7 +64,7 @@ SLIDING_STRESS_INTENSITY_NAMES = ("K_II_max", "K_III_max")
 """Stress intensities that friction at the tip itself changes."""
 N_START_HARMONICS = 10
 """Harmonics per load period of the solutions that start the search for both orbits."""
-SINGLE_HARMONIC_REASON_TEXT = "without contact there is one"
+SINGLE_HARMONIC_REASON_TEXT = "without contact the motion has the harmonics of the load alone"
 """Reason why harmonics are not varied."""
 
 
@@ -150,7 +150,7 @@ class JudgedAnswer:
             return "contact.friction_error = false"
         tangential_structure = structure.whole.with_tangents()
         if scene.disk is not None or tangential_structure.tangential is None:
-            return "not estimated, only of single plates and solids"
+            return "the effect of friction is estimated for single plates and solids only"
         friction_values_by_key: dict[str, Any] = {
             "contact.friction": friction_coefficient,
             "output.quantities": None,
@@ -167,7 +167,7 @@ class JudgedAnswer:
             for n_modes in MODE_COUNTS_FOR_FRICTION
         )
         if len(orbits) < 2:
-            return f"not estimated, no exact orbit next to {N_START_HARMONICS} harmonics"
+            return f"no exact orbit was found next to a solution with {N_START_HARMONICS} harmonics"
         if len(few_mode_orbits) < 2:
             values_of_few_mode_orbits = values_of_orbits
         change_by_name = measure_changes_by_name(study, *orbits)
@@ -288,8 +288,8 @@ def add_error_parts(
 def describe_failed_run(run_text: str, error: Exception) -> str:
     """Describe why a run gives no error (key refused or no solution)."""
     if isinstance(error, InputError):
-        return f"{run_text} cannot be used, for its {error.key}"
-    return f"{run_text} has no solution"
+        return f"{run_text} is refused because of {error.key}"
+    return f"{run_text} did not converge"
 
 
 def solve_without_stability(

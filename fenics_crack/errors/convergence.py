@@ -153,7 +153,7 @@ def grid_convergence(
     if h.shape not in ((2,), (3,)) or not np.all((h > 0.0) & (h < np.inf)):
         raise InputError("sizes", sizes, "two or three finite numbers > 0")
     if len(np.unique(h)) < len(h):
-        raise InputError("sizes", sizes, "all different")
+        raise InputError("sizes", sizes, "different from each other")
     if f.shape != h.shape or not np.all(np.isfinite(f)):
         raise InputError("values", values, f"{len(h)} finite numbers, one for each size")
     ascending_indices = np.argsort(h)

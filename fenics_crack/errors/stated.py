@@ -284,7 +284,8 @@ def estimate_solution_errors(
     verification = Verification(study.scene, numbers.values_by_name, numbers.unit_by_name)
     if not is_small(study.structure):  # three more solutions take three times as long
         reason_by_cause = dict.fromkeys(
-            REDUCED_STRUCTURE_ERROR_CAUSES, "the structure is not reduced"
+            REDUCED_STRUCTURE_ERROR_CAUSES,
+            "errors are estimated for reduced structures only; set reduction.method",
         )
         return replace(verification, unknown=reason_by_cause)
     if answer.report.unknown:  # other runs may agree by chance
@@ -296,7 +297,7 @@ def estimate_solution_errors(
                 study, answer.omega, answer.harmonics, answer
             )
         except REFUSAL_EXCEPTIONS as error:
-            reason_text = describe_failed_run("harmonic balance from it", error)
+            reason_text = describe_failed_run("harmonic balance from this solution", error)
             return verification.with_unknown("harmonics", reason_text)
         balance_numbers = compute_numbers(study, balance_solution, numbers.mode_number)
     judged_answer = AnswerJudgedByExtraRuns(
@@ -352,7 +353,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         structure = self.study.structure
         structure_with_more_modes = more_modes_structure_of(self.balance_solution)
         if structure_with_more_modes is None:
-            return "all are kept"
+            return "all modes are kept"
         assert isinstance(structure, ReducedStructure)
         larger_study = replace(self.study, structure=structure_with_more_modes)
         base_motion, motion_with_more_modes = self._find_motions_with_kept_and_more_modes(
@@ -673,9 +674,9 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     @property
     def _relative_amplitude_added_by_halving(self) -> float:
         """Relative amplitude added by half as long elements under a point force."""
-        if self.study.scene.output_points:
-            return 0.0
         amplitude = self.balance_solution.amplitude(self.study.watched[0].dof)
+        if self.study.scene.output_points or amplitude == 0.0:
+            return 0.0
         return displacement_added_by_halved_elements(self.study.scene) / amplitude
 
     def _compute_values_with_shifted_clearance(self) -> dict[str, float]:

@@ -37,11 +37,18 @@ from fenics_crack.files.store import StoredFile
 from fenics_crack.scene.scene import Scene
 
 DOUBT_TEXT_BY_BEHAVIOUR = {
-    "outside": "the observed order is not that of theory, the factor of safety is 3",
-    "two sizes": "two runs show no order: that of theory is used, with a factor of safety of 3",
-    "irregular": "the values show no order: the uncertainty is 3 times their spread",
+    "outside": "the observed order differs from theory, so the factor of safety is 3",
+    "two sizes": "two runs show no order, so theory's order and a factor of safety of 3 are used",
+    "irregular": "the values show no order, so the uncertainty is 3 times their spread",
 }
 """Sentence for each doubtful behaviour in :class:`GridConvergence`."""
+ORDER_TEXT_BY_BEHAVIOUR = {
+    "two sizes": "by the order of theory",
+    "two coefficients": "by runs with and without friction",
+    "carried": "by runs at shifted frequencies",
+    "exact orbit": "by the exact orbit",
+}
+"""Source of an error without an observed order, by behaviour in :class:`GridConvergence`."""
 
 
 # --- the result -----------------------------------------------------------------------------------
@@ -168,7 +175,9 @@ class Verification(SavedResult):
     def find_reasons_by_missing_cause(self, quantity: str) -> dict[str, str]:
         """Return reasons by varied cause without a part for a quantity."""
         return {
-            cause: MISSING_PART_REASON_BY_CAUSE.get(cause, "the other run has no such number")
+            cause: MISSING_PART_REASON_BY_CAUSE.get(
+                cause, "the run for comparison does not have this number"
+            )
             for cause, convergence_by_quantity in self.parts.items()
             if quantity not in convergence_by_quantity
         }
@@ -254,8 +263,8 @@ class Verification(SavedResult):
                 return self.unknown[cause]
         error, cause = self.stated(quantity)
         if math.isinf(error):
-            mesh_remark = "the mesh is too coarse; " if cause == "mesh" else ""
-            return f"{mesh_remark}the estimate is as large as the value, mostly due to the {cause}"
+            mesh_remark = "; use a finer mesh" if cause == "mesh" else ""
+            return f"the estimate is as large as the value, mostly due to the {cause}{mesh_remark}"
         return ""
 
     @property
@@ -388,10 +397,10 @@ class Verification(SavedResult):
         )
         answer_text = (
             f"{value_text} within {format_error(error)}, factors of safety included, mostly due "
+            f"to the {cause}"
         )
-        answer_text += f"to the {cause}"
         if math.isnan(error):
-            answer_text = f"{value_text}; nothing that was varied changes the numbers"
+            answer_text = f"{value_text}; no refinement changes this number"
         doubt_text = self.doubt(quantity_name)
         verdict_texts = (f"{run_name}: {verdict}" for run_name, verdict in self.verdicts.items())
         return Conclusion(
@@ -418,7 +427,8 @@ class Verification(SavedResult):
         if worst_quantity_name != main_quantity_name:
             sentences.append(f"largest of all: {self._describe_error(worst_quantity_name)}")
         sentences += [
-            f"{cause}, no contribution: {reason_text}" for cause, reason_text in self.absent.items()
+            f"no error due to the {cause}: {reason_text}"
+            for cause, reason_text in self.absent.items()
         ]
         return (*sentences, *self.warnings)
 
@@ -426,11 +436,11 @@ class Verification(SavedResult):
     def warnings(self) -> tuple[str, ...]:
         """Sentences with doubts about the numbers."""
         sentences = [
-            f"{cause} not varied, so it is missing in the totals: {reason_text}"
+            f"the totals do not include the error due to the {cause}: {reason_text}"
             for cause, reason_text in self.unknown.items()
         ]
         sentences += self.incomplete_error_notes
-        sentences += [f"failed, {failure_text}" for failure_text in self.failures]
+        sentences += [f"a run failed, with {failure_text}" for failure_text in self.failures]
         sentences += [
             f"the orbit with {run_name} is {verdict}" for run_name, verdict in self.verdicts.items()
         ]
@@ -443,7 +453,9 @@ class Verification(SavedResult):
                     and self._is_contribution_relevant(quantity_name, cause)
                 ]
                 if doubted_names:
-                    sentences.append(f"{cause}, {', '.join(doubted_names)}: {doubt_text}")
+                    sentences.append(
+                        f"error of {', '.join(doubted_names)} due to the {cause}: {doubt_text}"
+                    )
         sentences += self.point_force_warnings
         contact_table = self.scene.contact if self.resonance else None  # of crack faces
         if (
@@ -452,8 +464,8 @@ class Verification(SavedResult):
             and contact_table.stiffness is not None
         ):
             sentences.append(
-                "contact.stiffness is that of a pair, of which a finer mesh has more: the mesh "
-                "changes the law, too; contact.stiffness_per_area stays the same law"
+                "contact.stiffness holds for each contact pair, and a finer mesh has more pairs: "
+                "the contact depends on the mesh; use contact.stiffness_per_area"
             )
         return tuple(sentences)
 
@@ -488,10 +500,10 @@ class Verification(SavedResult):
             ("log(1/h)", "an edge") if scene.dimension == 2 else ("1/h", "a face")
         )
         return (
-            "amplitude: under a force at a point the displacement has no limit, it grows like "
-            f"{growth_text}, by about {format_percent(amplitude_increase / amplitude)} with "
-            "elements half as long; watch another place (output.points), or load "
-            f"{side_text} (loads)",
+            "amplitude: under a force at a point the displacement has no limit for the element "
+            f"length h -> 0; it grows like {growth_text}, by about "
+            f"{format_percent(amplitude_increase / amplitude)} with elements half as long; observe "
+            f"another place (output.points), or load {side_text} ([[loads]])",
         )
 
     def _is_contribution_relevant(self, quantity_name: str, cause: str) -> bool:
@@ -512,7 +524,7 @@ class Verification(SavedResult):
             f"{quantity_name} = {self.values[quantity_name]:.5g} {self.units[quantity_name]}"
         ).rstrip()
         if not any(contribution_by_cause.values()):
-            return f"{error_text}: nothing that was varied changes it"
+            return f"{error_text}: no refinement changes this number"
         relative_errors = (
             self.relative(quantity_name, self.total(quantity_name, independent=is_independent))
             for is_independent in (True, False)
@@ -525,11 +537,12 @@ class Verification(SavedResult):
         order_text = (
             f"observed order {largest_convergence.order:.2g}"
             if math.isfinite(largest_convergence.order)
-            else largest_convergence.behaviour
+            else ORDER_TEXT_BY_BEHAVIOUR.get(largest_convergence.behaviour, "no observed order")
         )
-        error_text += f" +- {total_text} (sum of all: {sum_text}), mostly due to "
-        error_text += f"{largest_cause}, {order_text}"
-        return f"{error_text}; extrapolated {self.extrapolated(quantity_name):.5g}"
+        return (
+            f"{error_text} +- {total_text} (sum of all: {sum_text}), mostly due to the "
+            f"{largest_cause}, {order_text}; extrapolated {self.extrapolated(quantity_name):.5g}"
+        )
 
 
 def read_verification_or_none(result_file: StoredFile) -> Verification | None:

@@ -68,7 +68,7 @@ REFINED_COUNT_FACTORS = (1, 2, 4)
 """Factors on the count in the answer and both finer runs."""
 SAMPLING_CONVERGENCE_ORDER = 2.0
 """Order of convergence with samples of a force."""
-SCENE_RUN_NAME = "the scene's own choice"
+SCENE_RUN_NAME = "the scene's settings"
 
 
 def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
@@ -173,10 +173,10 @@ def _count_kept_and_possible_modes(study: Study) -> tuple[int, int] | str:
     if disk_table is not None:
         return disk_table.families, study.structure.n_dofs // disk_table.sectors
     if reduction is None:
-        return "the structure is not reduced"
+        return "the structure is not reduced to modes"
     n_possible_modes = study.structure.n_dofs - study.structure.n_pairs
     return (
-        "all are kept"
+        "all modes are kept"
         if reduction.n_modes >= n_possible_modes
         else (reduction.n_modes, n_possible_modes)
     )
@@ -253,7 +253,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         if len(counts_and_values) == 1:
             raise ConvergenceError(cause)
         if len({run_count for run_count, _ in counts_and_values}) < len(counts_and_values):
-            return "finer ones have as many elements, as mesh.size is that of the plate"
+            return "finer meshes have as many elements: reduce mesh.size, now the size of the plate"
         return find_error_part(
             cause,
             counts_and_values,
@@ -328,7 +328,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         """Estimate the error by the mesh from finer meshes (collective)."""
         scene = self.whole_study.scene
         if scene.structure is not None:
-            return "[structure] has matrices, and not the mesh that they are of"
+            return "[structure] gives matrices, which have no finer mesh"
         refinement_factors = (1.5, 2.0) if has_similar_finer_mesh(scene) else (2.0, 3.0)
         finer_scenes = [
             (f"a mesh {refinement_factor:g} times finer", None, finer_scene)
@@ -337,8 +337,8 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         ]
         if not finer_scenes:
             return (
-                "mesh.file is one mesh; solve states its part by mesh.coarser, and "
-                "fc.grid_convergence compares several"
+                "a mesh of mesh.file cannot be refined; solve estimates this error by "
+                "mesh.coarser, and fc.grid_convergence compares several meshes"
             )
         formal_order = (
             TIP_CONVERGENCE_ORDER if self.whole_study.structure.n_pairs else CLAMP_CONVERGENCE_ORDER
@@ -442,9 +442,9 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         scene, contact_law = self.whole_study.scene, self.study.contact
         balance_table, samples_key = scene.harmonic_balance, "harmonic_balance.samples"
         if contact_law is None:
-            return "without contact there are none"
+            return "without contact no contact force is sampled"
         if balance_table.samples is None and is_unilateral(contact_law):
-            return "contact is integrated exactly"
+            return "contact forces are integrated exactly, without samples"
         n_samples = balance_table.samples or default_n_samples(balance_table.harmonics)
         return self._estimate_error_by_larger_counts(
             "samples",

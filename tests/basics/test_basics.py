@@ -591,8 +591,9 @@ def test_full_output(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixtu
             assert main(["check", str(DEMOS / "chain.toml"), "--quiet"]) == 1
         monkeypatch.undo()
     assert capfd.readouterr().err.splitlines() == [
-        "fenics-crack: standard output cannot be written (No space left on device)",
-        "fenics-crack: standard output is closed",
+        "fenics-crack: standard output cannot be written (No space left on device); free disk "
+        "space",
+        "fenics-crack: standard output is closed; open it, or redirect it to a file: > table.txt",
     ]
 
 
@@ -605,7 +606,10 @@ def test_too_little_memory(
     monkeypatch.setattr(compat, "remaining_address_space", lambda: 1e8)
     capfd.readouterr()
     assert main(["check", str(plate)]) == 1
-    assert capfd.readouterr().err == "fenics-crack: memory was not enough\n"
+    assert capfd.readouterr().err == (
+        "fenics-crack: not enough memory; use a coarser mesh, fewer modes or a machine with more "
+        "memory\n"
+    )
 
 
 # --- threads --------------------------------------------------------------------------------------

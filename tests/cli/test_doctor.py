@@ -63,7 +63,7 @@ BROKEN = {
     "two MPI libraries": (
         "MPI",
         replaced("fenics_crack.cli.doctor.list_loaded_libraries", lambda _: ["/a", "/b"]),
-        "one",
+        "a single library",
     ),
     "complex PETSc": ("PETSc", replaced("petsc4py.PETSc.ScalarType", np.complex128), "float64"),
     "old NumPy": ("NumPy", replaced("numpy.__version__", "1.20.3"), "1.24 or newer"),

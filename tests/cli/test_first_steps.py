@@ -218,7 +218,7 @@ def test_the_curve_to_paste_is_of_this_scene(
     Path("own.toml").write_text(scene.as_toml())
     message, _, lines = run_command("curve", "own.toml", code=2).err.partition("for example:\n\n")
     assert message.startswith(
-        "fenics-crack: curve is missing: give a table [curve] with start, stop"
+        "fenics-crack: curve is missing: give a table [curve] command, as start, table [curve]"
     )
     Path("own.toml").write_text(f"{scene.as_toml()}\n{lines}")
     words = ["--set", "curve.stability=false", "--set", "mesh.error=false", "--quiet"]
@@ -233,7 +233,7 @@ def test_commands_to_paste_quote_their_paths(here: Path, run_command: RunCommand
     """A shell takes each as the words of a call that runs; also those in the scene itself."""
     name = "my 'plate' $x.toml"
     proposal_lines = run_command("new", name, "--identify").err.splitlines()
-    assert shlex.split(proposal_lines[0].partition("now: ")[2])[1:] == ["check", name]
+    assert shlex.split(proposal_lines[0].partition("next: ")[2])[1:] == ["check", name]
     rows = "my 'plate' $x_measured.csv"
     assert shlex.split(proposal_lines[1].partition("then: ")[2])[1:] == ["identify", name, rows]
     text = Path(name).read_text()
@@ -296,7 +296,7 @@ def test_a_link_is_no_folder_to_keep_in(here: Path) -> None:
         (["eigenfrequencies", "own.toml"], "did you mean modes?"),
         (["frf", "own.toml"], "did you mean curve?"),
         (["solve", "own.toml", "--ouput", "x"], "did you mean --output?"),
-        (["check", "own.toml", "--speeds", "x"], "--speeds x; of campbell alone"),
+        (["check", "own.toml", "--speeds", "x"], "--speeds x; it is an option of campbell only"),
         (["solve", "own.toml", "--set", "a.b=1", "a.c=2"], "--set KEY=VALUE --set KEY=VALUE"),
         (["solve", "own.toml", "--sets=x"], "did you mean --set?"),
         (["frobnicate", "own.toml"], None),

@@ -87,7 +87,7 @@ def test_solution(scene: fc.Scene, tmp_path: Path, run_command: RunCommand) -> N
     assert "natural frequency, crack open, mode 1" in shown
     assert "half peak-to-peak" not in shown and "Hz" not in shown
     expected_remark = (
-        "watched at the nearest node, at a distance of: side 2 mm; not part of the stated errors"
+        "at its nearest node, at a distance of: side 2 mm; the stated errors do not include"
     )
     assert expected_remark in notes
     rows = {row["name"]: row for row in json.loads((tmp_path / "solution.json").read_text())}
@@ -229,7 +229,7 @@ def test_what_is_seen_in_place_of_an_unstable_orbit(
     sizes = [
         f"{1e3 * size:.4g} mm" for size in np.sort(attractor.amplitudes(run.watched_dof))[[0, -1]]
     ]
-    settling_text = "; the motion still varies after 1000 periods, between"
+    settling_text = "; a disturbed motion still varies after 1000 periods, between"
     expected_text = f"{settling_text} {' and '.join(sizes)} half peak-to-peak"
     assert expected_text in messages
     run_command("report", tmp_path / "solution.h5", "--quiet")
@@ -240,5 +240,5 @@ def test_what_is_seen_in_place_of_an_unstable_orbit(
     last_solution = curve.result.solution(len(curve.result) - 1)
     [doubled_motion] = fc.attractors(curve.structure, last_solution)
     sizes = [f"{size:.4g} m" for size in np.sort(doubled_motion.amplitudes(curve.watched_dof))]
-    expected_text = f"response is unstable; the motion settles to between {sizes[0]} and "
+    expected_text = f"response is unstable; a disturbed motion settles to between {sizes[0]} and "
     assert f"{expected_text}{sizes[1]} half" in messages

@@ -152,7 +152,7 @@ def test_the_numbers_stand_there(page: Page, folder: Path) -> None:
     for row in json.loads((folder / "modes.json").read_text()):
         assert f"{row['frequency [Hz]']:.6g}" in page.words
     assert value_by_quantity["conclusion"] in page.words.replace("Solved", "solved")
-    assert f"; {value_by_quantity['verdict']}" in value_by_quantity["conclusion"]
+    assert f"; {value_by_quantity['verdict on the stability']}" in value_by_quantity["conclusion"]
     assert "Sweep complete; the largest response is " in page.words
     assert "young = " in page.words  # the scene
     for key, value in (
@@ -273,7 +273,7 @@ def test_a_folder(tmp_path: Path, run_command: RunCommand) -> None:
     sweep_axes = {"sweep.over": {"crack.edge": ["left", "right"]}}
     fc.run_sweep(scene.replace(sweep_axes), tmp_path / "sweep.h5")
     fc.run_sweep(scene.replace(sweep_axes), tmp_path / "growth_1.h5", judged=False)
-    assert "left out, as parts of other results: " in run_command("report", tmp_path).err
+    assert "left out, as they are parts of other results: " in run_command("report", tmp_path).err
     page = Page((tmp_path / "report.html").read_text("utf-8"))
     assert sum(tag == "section" for tag, _ in page.tags) == 5
     assert "no picture: sweep.over = " in page.words.lower()

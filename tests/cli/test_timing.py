@@ -165,7 +165,7 @@ def test_arrivals_of_another_speed(tmp_path: Path, timing: RunCommand) -> None:
     angle = 2.0 * np.pi * np.arange(20)[:, None] + np.radians(PROBES)
     turns = (angle - 1e-4 * np.cos(5.0 * angle) / RADIUS) / 360.0
     marks = 2.0 * np.pi * np.arange(21) / 360.0
-    remark = "the arrivals are of 0.36 rad/s, [rotation] has 360 rad/s: are they in seconds?"
+    remark = "the arrivals are of 0.36 rad/s, but [rotation] has 360 rad/s; check that the"
     for unit in (1.0, 1e3):
         fc.ArrivalTimes(unit * turns, unit * marks, np.radians(PROBES), RADIUS).to_csv(path)
         assert (remark in timing(scene, path).err) == (unit == 1e3)
@@ -185,7 +185,7 @@ def test_a_run_up_of_another_speed(tmp_path: Path, timing: RunCommand) -> None:
     fc.ArrivalTimes(1e3 * times, 1e3 * marks, np.radians(PROBES), RADIUS).to_csv(path)
     messages = timing(scene, path).err
     assert "no resonance exceeds the scatter" in messages
-    assert "[rotation] has 360 rad/s: are they in seconds?" in messages
+    assert "[rotation] has 360 rad/s; check that the arrival times are in seconds" in messages
     # Resonances that are sought have no harmonics, nor revolutions to fit together.
     for key, value in (("fitted_harmonics", 3), ("subharmonic", 2), ("fitted_revolutions", 10)):
         expected_message = (

@@ -103,7 +103,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     assert main([*words, "--set", "contact.friction_error=false"]) == 0
     messages = capsys.readouterr().err
     assert "no orbit was found, and the exact motion is irregular" in messages
-    assert "; --set harmonic_balance.tolerance=1e-2 may find one" in messages
+    assert "; --set harmonic_balance.tolerance=1e-2 may find a periodic orbit" in messages
     assert "(not confirmed by an orbit)" in messages and "unknown" not in messages
     rows = json.loads((tmp_path / "solution.json").read_text())
     assert {row["name"]: row["value"] for row in rows}["verdict"] == "irregular"
@@ -122,4 +122,6 @@ def test_sweep(tmp_path: Path) -> None:
     sweep = fc.run_sweep(fc.Scene.load(SCENE).replace(changes), tmp_path / "sweep.h5")
     assert sweep["verdict"].tolist() == 2 * ["irregular"] and sweep.not_stable.all()
     assert np.all(sweep["multiplier"] > 1.0) and "; irregular: no orbit" in sweep["status"][0]
-    assert not sweep.undecided and "2 irregular of 2 cases" in [*yield_sweep_warnings(sweep)]
+    assert not sweep.undecided and "stability: 2 irregular of 2 cases" in [
+        *yield_sweep_warnings(sweep)
+    ]

@@ -505,7 +505,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert main(["report", str(folder / "growth.h5")]) == 0
     page = (folder / "report.html").read_text()
     assert "Growth of the crack" in page and f"{growth.life:.4g} cycles" in page
-    assert "the straight crack would turn" in page and "over the cycles; dots" in page
+    assert "the straight crack would turn" in page and "over the load cycles; dots" in page
     capsys.readouterr()
     assert main(["grow", str(scene), "--set", "growth=none", "--output", str(folder)]) == 2
     told = capsys.readouterr().err

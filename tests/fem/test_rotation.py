@@ -215,8 +215,8 @@ def test_check_tells_speed_and_opening(capsys: pytest.CaptureFixture[str], tmp_p
     path.write_text(scene.as_toml())
     assert main(["check", str(path)]) == 0
     output = capsys.readouterr().out
-    assert "rotor speed [rpm]" in output and "opened by rotation" in output
-    words = r"order 6 meets the resonance at the load, rotor speed \[rpm\]"
+    assert "rotor speed [rpm]" in output and "opening by rotation" in output
+    words = r"rotor speed at which order 6 meets the resonance at the load \[rpm\]"
     [printed_speed] = re.findall(rf"{words} +([\d.]+)\n", output)
     speed = math.pi / 30.0 * float(printed_speed)
     [(mode, crossing)] = fc.campbell(scene, [0.9 * speed, 1.1 * speed], 1).met

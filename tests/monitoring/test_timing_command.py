@@ -107,7 +107,7 @@ def test_one_blade_of_several(tmp_path: Path, timing: RunCommand, run_command: R
         tmp_path / "record.csv", ",".join(["revolution", "speed [rpm]", *headings]), rows
     )
     table = {"probes": tuple(np.degrees(probe_angles)), "tip_radius": 0.5, "orders": [4, 5]}
-    scene, blades = strip(2.0, 100.0 / UNIT, tip_timing=table), f"one of 3, 4 in {path}"
+    scene, blades = strip(2.0, 100.0 / UNIT, tip_timing=table), f"one of the blades in {path}: 3, 4"
     for command in (["timing", scene, path], ["identify", scene, "--arrivals", path]):
         words = [*command, "--output", tmp_path]
         assert f"is missing: give {blades}" in run_command(*words, code=2).err
@@ -169,7 +169,7 @@ def test_a_record_at_constant_speed(tmp_path: Path, timing: RunCommand) -> None:
         assert [row["order"] for row in rows] == [0.0, 4.0, 8.0]
         assert rows[1]["amplitude [m]"] == pytest.approx(size, rel=1e-3)
         assert (question in output.err) == is_questioned
-    message = "--orders = [5, 4]: must be whole numbers, 1 <= FIRST <= LAST"
+    message = "--orders = [5, 4]: must be two whole numbers with 1 <= FIRST <= LAST"
     assert message in timing(path, "--orders", 5, 4, code=2).err
     write_table(path, "speed [Hz],probe 1 [rad],probe 2 [rad]", [[50.0, 0.3, 1.1]] * 30)
     message = "tip_timing.probes is missing: must be given for a record at constant speed"

@@ -309,14 +309,14 @@ def test_command_writes_the_file_that_is_named(tmp_path: Path, run_command: RunC
     scene, path = tmp_path / "plate.toml", tmp_path / "there" / "kept.h5"
     scene.write_text(PLATE)
     assert (
-        "a .h5 file"
+        "a file name that ends in .h5"
         in run_command("reduce", str(scene), "--output", str(tmp_path / "kept"), code=2).err
     )
     assert main(["reduce", str(scene), "--output", str(path)]) == 0
     assert omega_of(path).size and [*path.parent.iterdir()] == [path]
     for command in ("check", "sweep", "modes", "verify", "grow"):
         (line,) = run_command(command, str(path), code=2).err.splitlines()[-1:]
-        assert f"a scene for {command}; a file of reduce is one for solve and curve" in line
+        assert f"a scene (.toml) for the command {command}; only solve and curve take a" in line
 
 
 def amplitude_of(path: str, comm: MPI.Comm = MPI.COMM_WORLD) -> float:

@@ -456,7 +456,7 @@ def test_failed_runs_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "harmonics" in verification.unknown and "harmonics" not in verification.parts
     bad.add(5)
     catch_error(
-        lambda: fc.verify(scene), names="the scene's own choice: lost", kind=fc.ConvergenceError
+        lambda: fc.verify(scene), names="the scene's settings: lost", kind=fc.ConvergenceError
     )
 
 
@@ -465,7 +465,7 @@ def test_stages_name_the_run(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("DEBUG", "fenics_crack")
     fc.verify(plate())
     stages = caplog.messages
-    assert "the scene's own choice: mesh" in stages and "a mesh 1.5 times finer: mesh" in stages
+    assert "the scene's settings: mesh" in stages and "a mesh 1.5 times finer: mesh" in stages
     assert any(text.startswith("24 modes: ") for text in stages)
 
 

@@ -377,7 +377,7 @@ def test_a_coarser_mesh_that_cannot_be_made(
     monkeypatch.setattr("fenics_crack.study.meshes.prepare", fails)
     errors = fc.solve(scene, MPI.COMM_SELF).errors
     assert errors is not None and np.isnan(errors.stated("amplitude")[0])
-    assert errors.doubt("amplitude") == "another mesh cannot be used, for its crack.length"
+    assert errors.doubt("amplitude") == "a run with another mesh is refused because of crack.length"
     assert errors.contributions("amplitude")["harmonics"] > 0.0
 
 
@@ -555,3 +555,11 @@ def test_three_natural_frequencies_are_stated() -> None:
     squares = scipy.linalg.eigvalsh(dense(whole_structure.stiffness), dense(whole_structure.mass))
     frequencies = [run.errors.values[f"frequency_open_{mode}"] for mode in (1, 2, 3)]
     assert frequencies == pytest.approx(np.sqrt(squares[:3]) / (2.0 * np.pi), rel=1e-6)
+
+
+def test_a_steady_load_has_errors_of_frequencies(scene: fc.Scene) -> None:
+    """Nothing vibrates: its amplitude 0 has no relative error."""
+    steady_load = {"excitation.force_sin": [0.0, 0.0], "excitation.force_mean": [1.0, 0.0]}
+    errors = fc.solve(scene.replace(steady_load), MPI.COMM_SELF).errors
+    assert errors is not None and "mesh" in errors.parts
+    assert errors.stated("frequency_open_1")[0] > 0.0 and "amplitude" not in errors.values

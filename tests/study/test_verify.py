@@ -186,7 +186,9 @@ def test_samples_of_a_smoothed_law() -> None:
     verification = fc.verify(plate({"harmonic_balance.tolerance": 0.05}))
     assert verification.scene.harmonic_balance.tolerance is None
     assert verification.counts["harmonics"][0] == verification.scene.harmonic_balance.harmonics
-    assert verification.absent == {"samples": "contact is integrated exactly"}
+    assert verification.absent == {
+        "samples": "contact forces are integrated exactly, without samples"
+    }
 
 
 def test_what_cannot_be_varied() -> None:
@@ -197,7 +199,10 @@ def test_what_cannot_be_varied() -> None:
         left_out_parts = ["mesh", "friction"] if demo == "chain" else ["mesh"]  # it has no tangents
         assert list(verification.unknown) == left_out_parts and key in verification.unknown["mesh"]
         assert "mesh" not in verification.parts and verification.parts["harmonics"]
-        assert any(text.startswith("mesh not varied") for text in verification.statement)
+        assert any(
+            text.startswith("the totals do not include the error due to the mesh")
+            for text in verification.statement
+        )
     assert "reduced" in fc.verify(plate({"reduction.method": "off"})).absent["modes"]
     large_settings = {"crack": None, "contact": None, "mesh.lip_elements": None, "mesh.size": 1.0}
     verification = fc.verify(plate(large_settings | {"reduction": None}))
@@ -223,7 +228,7 @@ def test_unstable_orbits_are_named(paper_scene: Scene) -> None:
     few_modes = {"reduction.method": "free_interface", "reduction.modes": 10}
     scene = paper_scene.replace({"contact.stiffness": 1e9, "excitation.omega": 1700.0} | few_modes)
     verification = fc.verify(scene)
-    assert verification.verdicts["the scene's own choice"] == "unstable"
+    assert verification.verdicts["the scene's settings"] == "unstable"
     assert any("unstable" in text for text in verification.warnings)
     assert any("stiffness_per_area" in text for text in verification.warnings)
     bare = fc.verify(scene.replace({"crack": None}))
@@ -236,7 +241,7 @@ def test_command(run_command: RunCommand, tmp_path: Path, verified: fc.Verificat
     scene = plate({"excitation.frequency": 318.3})
     process = run_command("verify", scene, "--output", tmp_path, code=MISSED)
     assert "frequency_open_1 [Hz]" in process.out and "total [%]" in process.out
-    assert "amplitude = " in process.err and "contact is integrated exactly" in process.err
+    assert "amplitude = " in process.err and "contact forces are integrated exactly" in process.err
     rows = list(csv.DictReader((tmp_path / "verify.csv").open()))
     mesh = next(row for row in rows if (row["quantity"], row["cause"]) == ("opening", "mesh"))
     assert float(mesh["gci_finest"]) > 0.0 and [mesh[f"count_{n}"] for n in (1, 2, 3)] == [

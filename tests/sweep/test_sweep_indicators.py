@@ -221,7 +221,10 @@ def test_verdicts_that_hang_on_modes_left_out(tmp_path: Path, run_command: RunCo
         place == (0,)
         and contradiction == f"with 18 modes the orbit is unstable ({multiplier_text})"
     )
-    depends = "1 case or more whose verdict depends on truncated modes, the first at omega = "
+    depends = (
+        "1 case or more with a verdict on stability that depends on truncated modes, the first at "
+        "omega = "
+    )
     assert f"{depends}9050.0: {contradiction}; raise reduction.modes" in messages
     for asked in ({"verdicts": False}, {"judged": False}):
         assert not run_sweep(scene, comm=MPI.COMM_SELF, **asked).contradicted

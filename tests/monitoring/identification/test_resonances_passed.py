@@ -244,7 +244,8 @@ def test_record_of_a_run_up(scene: fc.Scene, tmp_path: Path, run_command: RunCom
 
 
 @pytest.mark.parametrize(
-    ("rise", "reason"), [(0.0, "those of a run-up, or"), (0.5, "a run-up through a resonance of")]
+    ("rise", "reason"),
+    [(0.0, "arrivals of a run-up, or"), (0.5, "a run-up through a resonance of")],
 )
 def test_a_record_without_a_resonance(
     scene: fc.Scene, rise: float, reason: str, tmp_path: Path, run_command: RunCommand
