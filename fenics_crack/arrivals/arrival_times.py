@@ -274,7 +274,7 @@ class ArrivalTimes(Tabular):
             raise InputError(
                 "path",
                 str(path),
-                "a file with a row for every revolution; leave only the arrival empty if it was missed",
+                "a file with all revolutions; the cell of a missed arrival is empty",
             )
         if len(revolution_numbers) * len(probe_angles) > MAX_ALLOWED_PASSAGES:
             size_text = f"{len(revolution_numbers)} revolutions, {len(probe_angles)} probes"

@@ -340,7 +340,9 @@ def fit_passage(
     runs = record.find_runs(arrivals.displacement, speed)
     if not runs:
         speed_ends = arrivals.speed.min(), arrivals.speed.max()
-        allowed_speed_text = f"a speed that the record passes in {MIN_REQUIRED_REVOLUTIONS} revolutions or more, from "
+        allowed_speed_text = (
+            f"a speed that {MIN_REQUIRED_REVOLUTIONS} revolutions or more pass through, from "
+        )
         raise InputError(
             "speed", speed, f"{allowed_speed_text}{speed_ends[0]:.6g} to {speed_ends[1]:.6g} rad/s"
         )

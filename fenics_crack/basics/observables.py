@@ -180,7 +180,8 @@ OBSERVABLES_BY_NAME: dict[str, Observable] = {
     "delta_K_effective_surface": _make_ellipse_row("range of K_I while open, mean of the ends",
         read_number=lambda ellipse: np.mean(
             [np.ptp(end.K_I.clip(0.0)) for end in ellipse.end_histories])),
-    "delta_K_equivalent_deepest": _make_ellipse_row("range of K_I at R = 0 with the same growth in depth",
+    "delta_K_equivalent_deepest": _make_ellipse_row(
+        "range of K_I at R = 0 with the same growth in depth",
         read_number=lambda ellipse: ellipse.deepest_history.equivalent_range),
     "delta_K_equivalent_surface": _make_ellipse_row(
         "range of K_I at R = 0 with the same growth along the face",

@@ -158,7 +158,10 @@ def result_class(stored_file: StoredFile) -> type[Result]:
         raise stored_file.refusal(
             "of a kind that this version reads; compute it again with follow_resonance"
         )
-    requirement = f"a result of one vibration; read a {stored_file.kind} with load of its class (SweepResult.load)"
+    requirement = (
+        f"a result of one vibration; a {stored_file.kind} is read by load of its class, "
+        "as SweepResult.load"
+    )
     raise stored_file.refusal(requirement)
 
 

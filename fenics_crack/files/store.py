@@ -291,7 +291,10 @@ class StoredFile:
         ):
             file_digest = _file_digest(path)
             if file_digest != stored_digest and (is_required or file_digest != MISSING_FILE_DIGEST):
-                requirement = f"unchanged since {self.path} was computed; restore this file, or compute the result again"
+                requirement = (
+                    f"unchanged since {self.path} was computed; restore it, "
+                    "or compute the result again"
+                )
                 raise InputError(key, path, requirement)
         if is_required and len(self._stored_scene_file_digests) != len(key_path_pairs):
             raise self._older_version_error("checksums of all files of its matrices")
@@ -336,9 +339,7 @@ class StoredFile:
             content_digest(self.attributes, self.datasets or column_texts(self.columns))
             != stored_digest
         ):
-            raise self.refusal(
-                "an undamaged file: its contents have changed since they were written; compute it again"
-            )
+            raise self.refusal("a whole file; this one is damaged: compute it again")
 
     def _older_version_error(self, content: str) -> InputError:
         """Return the error for a file from an older version without some content."""
