@@ -822,7 +822,9 @@ def relative_residual_rounding(compliance_model: ComplianceModel, law: ContactLa
         MACHINE_EPSILON * float(row_sums[0].max(initial=1e-300))
     )
     if not max_contact_stiffness < max_allowed_stiffness:
-        requirement = f"at most {max_allowed_stiffness:.2g} N/m on this structure, above which rounding hides "
+        requirement = (
+            f"at most {max_allowed_stiffness:.2g} N/m on this structure, else rounding hides "
+        )
         requirement += "the contact force; for rigid contact use UnilateralConstraint"
         raise InputError("contact stiffness", max_contact_stiffness, requirement)
     return residual_rounding(max_contact_stiffness * float(row_sums.max(initial=0.0)))

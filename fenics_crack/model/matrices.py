@@ -295,7 +295,7 @@ def _read_calculix(path: Path, labels_path: Path) -> LabelledMatrix:
     if np.any(is_invalid):
         line_number = int(np.argmax(is_invalid)) + 1
         raise ValueError(
-            f"line {line_number}: row, column {indices[line_number - 1].tolist()} is not in 1 to {n}"
+            f"line {line_number}: row, column {indices[line_number - 1].tolist()} exceed 1 to {n}"
         )
     rows, columns = (indices - 1).astype(int).T
     missing_rows = np.setdiff1d(np.arange(n), rows[rows == columns])

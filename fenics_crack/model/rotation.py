@@ -187,8 +187,7 @@ def describe_unstable_speed(structure: Structure, speed: float) -> str:
     subject, problem = "the plate", f"is unstable at {speed / RAD_PER_S_PER_RPM:.6g} rpm"
     if structure.nodes is not None:
         mesh_extents = np.ptp(gather_rows(structure.comm, structure.nodes.points), axis=0)
-        size_text = " x ".join(f"{mesh_extent:.3g}" for mesh_extent in mesh_extents)
-        problem += f"; the mesh measures {size_text} m"
+        problem += f"; the mesh measures {' x '.join(f'{size:.3g}' for size in mesh_extents)} m"
         if len(mesh_extents) == 3:
             subject = "without the Coriolis force, which is left out, the solid"
     return f"lower: {subject} {problem}"
