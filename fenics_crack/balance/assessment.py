@@ -344,7 +344,7 @@ class Assessment:
             cause_text = f"the load is so slow that the highest modes have {cycles_text}"
             return f"{cause_text}, too many for exact time integration; keep fewer modes"
         if self.flow is None:
-            return "this contact law or structure has no exact flow, which computes orbits"
+            return "no exact orbits can be computed for this contact law or structure"
         if self.orbit_prediction is None:
             return (
                 "the crack opens and closes too often for an exact orbit; "

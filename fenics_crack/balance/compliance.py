@@ -107,7 +107,9 @@ class DynamicStiffness:
                 == omega
             ):
                 raise InputError(
-                    "omega", omega, "not the frequency of an undamped mode; add damping"
+                    "omega",
+                    omega,
+                    "another frequency than that of an undamped mode; or add damping",
                 )
             factored_receptance = np.divide(
                 1.0, modal_stiffness, out=np.zeros_like(modal_stiffness), where=~is_near

@@ -365,7 +365,7 @@ def check_law(structure: Structure, contact: Any, *, allows_rigid: bool = False)
     is_class = isinstance(contact, type)
     absent_members = [name for name in members if is_class or not hasattr(contact, name)]
     if absent_members or (is_rigid(contact) and not allows_rigid):
-        absent_text = f" with attributes {', '.join(absent_members)}" if absent_members else ""
+        absent_text = f"; missing attributes: {', '.join(absent_members)}" if absent_members else ""
         raise InputError(
             "contact", contact, f"a contact law such as UnilateralPenalty(1e9){absent_text}"
         )

@@ -295,7 +295,7 @@ def _read_calculix(path: Path, labels_path: Path) -> LabelledMatrix:
     if np.any(is_invalid):
         line_number = int(np.argmax(is_invalid)) + 1
         raise ValueError(
-            f"line {line_number}: row, column {indices[line_number - 1].tolist()} exceed 1 to {n}"
+            f"line {line_number}: entry {indices[line_number - 1].tolist()} is outside of {n} rows"
         )
     rows, columns = (indices - 1).astype(int).T
     missing_rows = np.setdiff1d(np.arange(n), rows[rows == columns])
@@ -355,7 +355,9 @@ def _read_nastran(path: Path, matrix_letter: str) -> LabelledMatrix:
             elif is_wanted:
                 raise ValueError
         except LookupError:
-            problem = f"{line[8:16].strip()} is a second matrix with a name in {matrix_letter}"
+            problem = (
+                f"{line[8:16].strip()} is a second matrix whose name begins with {matrix_letter}"
+            )
             raise ValueError(f"line {number}: {problem}") from None
         except ValueError:
             expected_format = "a real square matrix DMIG in fields of 16 characters"
@@ -710,7 +712,7 @@ class AbsentMatrix:
     def input_error(purpose: str) -> InputError:
         """Return the error for a purpose that needs matrices or a mesh."""
         requirement = (
-            f"a structure with matrices, as from fc.build_structure(scene), to compute {purpose}"
+            f"a structure with matrices, as fc.build_structure(scene) returns, for {purpose}"
         )
         return InputError("structure", "a file of a prepared structure", requirement)
 

@@ -583,7 +583,7 @@ class Structure(Coordinates):
         if self.tangential is not None or self.pairs.tangential_gap_matrix is None:
             return self
         if self is not self.whole:
-            requirement = "not reduced yet; reduce structure.whole.with_tangents()"
+            requirement = "a structure that is not reduced; reduce structure.whole.with_tangents()"
             raise InputError("structure", repr(self), requirement)
         return self.compute_once(_add_tangents)._in_setting(self.setting)
 

@@ -89,7 +89,7 @@ def test_frequency_that_follows_the_speed(stiffening: float) -> None:
     constant_fit = fc.fit_passage(record, 100.0, [order])
     assert constant_fit.damping == pytest.approx(damping / (1.0 - stiffening), rel=0.15)
     assert constant_fit.disagree and constant_fit.disagreement.startswith(
-        "passages differ more than errors"
+        "passages differ by more than their errors"
     )
     catch_error(
         lambda: fc.fit_passage(record, 100.0, [order], stiffening=0.95),
@@ -386,7 +386,7 @@ def test_a_missed_mark(
     catch_error(
         lambda: fc.read_record(path, tip_radius=0.5),
         f"{path}: {column}",
-        f"revolution {revolution} takes 2 times as long as those around it",
+        f"revolution {revolution} takes 2 times as long as the revolutions around it",
     )
 
 

@@ -243,7 +243,7 @@ def test_a_result_of_an_older_version(
     """It has no digest; without another attribute it is not what was written."""
     with h5py.File(result, "r+") as file:
         del file.attrs[attribute]
-    reason = "older versions did not write" if attribute == "digest" else "damaged"
+    reason = "did not write" if attribute == "digest" else "damaged"
     catch_error(lambda: fc.load(result, structure), "path", str(result), names=reason)
     assert reason in refused(run_command, "plot", result)
 
@@ -334,17 +334,19 @@ def test_readers_know_no_rank_and_end(home: Path, monkeypatch: pytest.MonkeyPatc
     assert isinstance(names, dict) and "HOME" in names["names"].tolist()
     assert not any(name.startswith(("OMPI_", "PMI")) for name in names["names"].tolist())
     program.write_text(f"{start}while True: pass")
-    assert run_reader_for_arrays(program, program, 1) == "it is not read in 1 s"
+    assert run_reader_for_arrays(program, program, 1) == "reading it takes more than 1 s"
     program.write_text(f"{start}return {{'zeros': np.ones(2**33)}}")
     assert "allocate" in str(run_reader_for_arrays(program, program, int(LIMIT)))
     program.write_text(f"{start}np.ones(2**25)")
     assert "allocate" in str(run_reader_for_arrays(program, program, int(LIMIT), 2**28))
     program.write_text(f"{start}os._exit(0)")
-    assert (
-        run_reader_for_arrays(program, program, int(LIMIT)) == "its reader has handed over nothing"
+    assert run_reader_for_arrays(program, program, int(LIMIT)) == (
+        "the program that reads it returned nothing: the file is damaged"
     )
     program.write_text(f"{start}os.abort()")
-    assert run_reader_for_arrays(program, program, int(LIMIT)) == "it crashes its reader"
+    assert run_reader_for_arrays(program, program, int(LIMIT)) == (
+        "the program that reads it crashed: the file is damaged, or too large"
+    )
 
 
 def test_one_reader_reads_every_file(home: Path) -> None:
