@@ -344,7 +344,9 @@ class StoredFile:
     def _older_version_error(self, content: str) -> InputError:
         """Return the error for a file from an older version without some content."""
         version = self.attributes.get("version", "unknown")
-        requirement = f"a file with {content}, which version {version} did not write"
+        requirement = (
+            f"a file with {content}, which older versions did not write (this file: {version})"
+        )
         remedy_text = "compute it again with the same command, a sweep in a new folder"
         return self.refusal(f"{requirement}; {remedy_text}")
 

@@ -367,7 +367,7 @@ def check_law(structure: Structure, contact: Any, *, allows_rigid: bool = False)
     if absent_members or (is_rigid(contact) and not allows_rigid):
         absent_text = f"; missing attributes: {', '.join(absent_members)}" if absent_members else ""
         raise InputError(
-            "contact", contact, f"a contact law such as UnilateralPenalty(1e9){absent_text}"
+            "contact", contact, f"a contact law object such as UnilateralPenalty(1e9){absent_text}"
         )
     stiffness = np.asarray(contact.stiffness, dtype=np.float64)
     if stiffness.shape not in ((), (structure.n_pairs,)):

@@ -232,7 +232,7 @@ def test_angles_of_probes_that_are_not_known(sine: fc.PeriodicSolution) -> None:
         ),
         "arrivals",
         "5 arrivals",
-        names=" 8$",
+        names=" 8,",
     )
 
 

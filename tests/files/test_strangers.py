@@ -121,7 +121,7 @@ def test_a_result_runs_nothing(
         content = (home / "new").read_bytes()
         path.write_bytes(SCRIPT.encode() + content[len(SCRIPT) :])
     reasons = {
-        "polyglot": "begin as HDF5", "no digest": "older versions", "any digest": "has changed",
+        "polyglot": "not an HDF5 file", "no digest": "older versions", "any digest": "unchanged",
         "script with its digest": r"\$MeshFormat",
     }  # fmt: skip
     for words in (["plot", path], ["report", path], ["plot", path, path, "--label", "a"]):
@@ -220,8 +220,8 @@ def many(file: h5py.File) -> None:
         (soft_link, "is a link"), (external_link, "is a link"),
         (external_storage, "another file"), (virtual, "another file"),
         (long, "would take more"), (rather_long, "would take more"), (bomb, "would take more"),
-        (long_words, "[Mm]emory"), (large_pieces, "pieces"), (unknown_filter, "packed"),
-        (group, "no dataset"), (pairs, "neither numbers nor words"), (number, "no text"),
+        (long_words, "[Mm]emory"), (large_pieces, "chunks"), (unknown_filter, "filter"),
+        (group, "not a dataset"), (pairs, "neither numbers nor words"), (number, "not a text"),
         (many, "parts"),
     ],
 )  # fmt: skip
@@ -243,7 +243,7 @@ def test_a_result_of_an_older_version(
     """It has no digest; without another attribute it is not what was written."""
     with h5py.File(result, "r+") as file:
         del file.attrs[attribute]
-    reason = "did not write" if attribute == "digest" else "damaged"
+    reason = "older versions did not write" if attribute == "digest" else "damaged"
     catch_error(lambda: fc.load(result, structure), "path", str(result), names=reason)
     assert reason in refused(run_command, "plot", result)
 
