@@ -200,7 +200,7 @@ TABLE = [
     ("solve scene.toml sweep.over={'crack.lenght'=[1]}", "sweep.over = 'crack.lenght': must be a table.key of the scene, given once, with a table of SWEPT; did you mean crack.length?"),
     ("solve scene.toml mesh.layout=gird", "mesh.layout = 'gird': must be one of 'grid', 'graded', 'file'; did you mean 'grid'?"),
     ("solve scene.toml damping.ratio=[0.1,0.2] damping.modes=3", "damping.ratio = (0.1, 0.2): must be a list of damping.modes = 3"),
-    ("solve scene.toml damping.ratio=[0.1,0.2]", "damping.ratio = '2 ratios': must be one or 14, one per mode"),
+    ("solve scene.toml damping.ratio=[0.1,0.2]", "damping.ratio = '2 ratios': must be one ratio, or 14 with one per mode"),
     ("solve scene.toml damping.mass=1", "damping.mass = 1.0: not allowed with ratio = 0.02"),
     ("solve scene.toml damping.ratio=none", "damping.ratio is missing: must be given, or damping.mass or damping.stiffness, or damping.ratios with omegas"),
     ("solve scene.toml damping.ratio=none damping.mass=-1", "damping.mass = -1: must be a finite number >= 0 (0, or of size 1e-30 to 1e+30)"),

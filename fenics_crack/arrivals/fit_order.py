@@ -747,9 +747,7 @@ def track_order(
     n_groups, n_unknowns = len(arrivals) // revolutions, 2 * len(multiples) + 1
     n_probes = len(arrivals.probes)
     if not n_groups:
-        raise InputError(
-            "revolutions", revolutions, f"at most {len(arrivals)}, the revolutions of the record"
-        )
+        raise InputError("revolutions", revolutions, f"at most {len(arrivals)}, all of the record")
     first_phases = order * arrivals.nominal_angle[:revolutions].ravel()
     if np.isinf(condition_number(fourier_basis(first_phases, multiples))):
         raise_too_few_probes(arrivals, n_unknowns)

@@ -156,7 +156,7 @@ def result_class(stored_file: StoredFile) -> type[Result]:
             return result_type
     if stored_file.kind == "backbone":
         raise stored_file.refusal(
-            "of a kind that this version reads; compute it again with follow_resonance"
+            "of a present kind: follow_resonance takes the place of backbones; compute it again"
         )
     requirement = (
         f"a result of one vibration; a {stored_file.kind} is read by load of its class, "

@@ -443,9 +443,7 @@ def _read_op4(path: Path, matrix_letter: str) -> sparse.csr_matrix:
                 matrix.eliminate_zeros()  # between the numbers of a column
                 return matrix
     except StopIteration:
-        raise ValueError(
-            f"it has no complete matrix whose name begins with {matrix_letter}"
-        ) from None
+        raise ValueError(f"it has no whole matrix whose name begins with {matrix_letter}") from None
     except ValueError:
         expected_format = "a real matrix that OUTPUT4 writes as text"
         raise ValueError(
