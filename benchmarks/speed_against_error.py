@@ -171,7 +171,7 @@ def statements_of(demo: str, rung: str, quantities: list[Row], messages: str) ->
     """Return what a run states, by its quantities and its messages."""
     values = {quantity["name"]: quantity["value"] for quantity in quantities}
     amplitude = next(entry for entry in quantities if entry["name"].endswith("amplitude"))
-    helps = re.search(r"error ([^,;]+), [^,;]+ was asked; what helps: ([^;(]*[^;( ])", messages)
+    helps = re.search(r"error ([^,;]+), [^,;]+ was requested; what helps: ([^;(]*[^;( ])", messages)
     conclusion, error = values["conclusion"], amplitude["error [%]"]
     is_varied = rung == "scene" and demo not in FIXED_MESH_DEMOS
     return {

@@ -129,7 +129,7 @@ def test_smooth_law_with_few_harmonics_has_no_verdict() -> None:
     stability = fc.floquet(case.structure, solution)
     assert solution.report.truncation == pytest.approx(0.0857, rel=0.01)
     assert abs(stability.multipliers[0]) < 1.0 and stability.verdict == "undecided"
-    assert "the truncated harmonics change it by 8.6 %" in stability.reason
+    assert "the truncated harmonics change the solution by 8.6 %" in stability.reason
 
 
 def around_fold(curve: fc.ResponseCurve) -> np.ndarray:
@@ -238,7 +238,7 @@ def test_tolerance_that_says_that_it_is_missed() -> None:
         reported_solution = replace(solution, status=status).reported(report)
         return campaign.judge(case, reported_solution, "tolerance", "-", 1e-9).judgement
 
-    missed_text = "solved; error 1 %, 1e-07 % was asked; what helps: "
+    missed_text = "solved; error 1 %, but 1e-07 % was requested; what helps: "
     assert judged(missed_text + "modes") == campaign.LIMITED
     assert judged(missed_text + "more damping") == campaign.UNCONVERGED
     assert judged("converged") == judged(missed_text + "modes", 0.1) == campaign.WRONG

@@ -30,7 +30,7 @@ ARRIVAL_COLUMN_NAMES = ("revolution", "angle [rad]", "mark [s]", "next_mark [s]"
 """Required columns of a CSV file."""
 RADIUS_COLUMN_NAME = "tip_radius [m]"
 """Optional column of a CSV file."""
-RADIUS_HINT_TEXT = "distance of tips and axis in m; from the shell --set tip_timing.tip_radius=0.5"
+RADIUS_HINT_TEXT = "on the command line, --set tip_timing.tip_radius=0.5"
 """Hint of the error that the radius is missing."""
 MAX_STEADY_SPEED_VARIATION = 1e-2
 """Maximum relative variation of a constant speed."""
@@ -85,13 +85,15 @@ class ArrivalTimes(Tabular):
             try:
                 values = np.asarray(getattr(self, field_name), dtype=float)
             except (TypeError, ValueError):
-                raise InputError(field_name, getattr(self, field_name), "numbers") from None
+                raise InputError(
+                    field_name, getattr(self, field_name), "an array of numbers"
+                ) from None
             object.__setattr__(self, field_name, values)
         check_number("tip_radius", self.tip_radius, 0.0, excludes_bound=True)
         check_probe_angles(self.probes)
         if self.marks.ndim != 1 or len(self.marks) < 2:
             shape_text = f"of shape {self.marks.shape}"
-            raise InputError("marks", shape_text, "two or more increasing times")
+            raise InputError("marks", shape_text, "an array of two or more increasing times [s]")
         if not np.all(has_later_mark := np.diff(self.marks) > 0.0):
             mark, next_mark = self.marks[int(np.argmin(has_later_mark)) :][:2]
             raise InputError("marks", f"{next_mark:.9g} s after {mark:.9g} s", "increasing times")
@@ -103,7 +105,9 @@ class ArrivalTimes(Tabular):
             )
             raise InputError("time", f"of shape {self.time.shape}", requirement)
         if not np.any(np.isfinite(self.time)):
-            raise InputError("time", "no finite number", "the times of some arrivals")
+            raise InputError(
+                "time", "no finite number", "an array with at least one arrival time [s]"
+            )
         revolution_durations = np.diff(self.marks)[:, None]
         delays_after_mark = self.time - self.marks[:-1, None]
         is_misplaced = (delays_after_mark < -revolution_durations) | (
@@ -111,7 +115,7 @@ class ArrivalTimes(Tabular):
         )
         if np.any(is_misplaced):
             requirement = (
-                "within the revolution of the row, the one before or the one after; or nan"
+                "a time [s] in the revolution of its row, or in the one before or after it; or nan"
             )
             raise InputError("time", float(self.time[is_misplaced][0]), requirement)
 
@@ -187,14 +191,15 @@ class ArrivalTimes(Tabular):
         angle_shifts -= np.nanmedian(angle_shifts)
         far_probe_indices = np.flatnonzero(np.abs(angle_shifts) > 0.5 * RAD_PER_TURN)
         if len(far_probe_indices):
-            far_probe_text = f"those at {np.degrees(self.probes[far_probe_indices[0]]):g} degrees"
+            far_probe_text = (
+                f"arrivals at {np.degrees(self.probes[far_probe_indices[0]]):g} degrees"
+            )
             problem_text = (
-                f"{far_probe_text} are of the revolutions "
-                f"{'before' if angle_shifts[far_probe_indices[0]] > 0.0 else 'after'}"
+                f"{far_probe_text} belong to the revolution "
+                f"{'before' if angle_shifts[far_probe_indices[0]] > 0.0 else 'after'} their row"
             )
-            raise InputError(
-                "time", problem_text, "in the rows of their own revolutions, at all probes"
-            )
+            requirement = "arrivals in the row of their revolution; move this probe's column"
+            raise InputError("time", problem_text, requirement)
         angle_distances = np.abs(
             self.probes - angle_shifts - self.probes[:, None]
         )  # [stated, passed]
@@ -211,10 +216,12 @@ class ArrivalTimes(Tabular):
                 ]
             )
             problem_text = (
-                f"the one at {stated_degrees:g} degrees is passed "
-                f"where that at {passed_degrees:g} degrees is"
+                f"arrivals of the probe at {stated_degrees:g} degrees "
+                f"fit the angle of the probe at {passed_degrees:g} degrees"
             )
-            requirement = "where their arrivals are; two are swapped, or times too coarse"
+            requirement = (
+                "the angles of the arrivals; correct swapped probes, or measure finer times"
+            )
             raise InputError("probes", problem_text, requirement)
 
     def zeroed(self, begin: int, end: int) -> Self:
@@ -264,11 +271,15 @@ class ArrivalTimes(Tabular):
         revolution_numbers, row_indices = np.unique(passage_revolutions, return_inverse=True)
         probe_angles, probe_indices = np.unique(passage_angles, return_inverse=True)
         if np.any(np.diff(revolution_numbers) != 1.0):
-            raise InputError("path", str(path), "a file without gaps between its revolutions")
+            raise InputError(
+                "path",
+                str(path),
+                "a file with all revolutions; the cell of a missed arrival is empty",
+            )
         if len(revolution_numbers) * len(probe_angles) > MAX_ALLOWED_PASSAGES:
             size_text = f"{len(revolution_numbers)} revolutions, {len(probe_angles)} probes"
             raise InputError(
-                "path", f"{path}: {size_text}", f"{MAX_ALLOWED_PASSAGES:.0e} passages at most"
+                "path", f"{path}: {size_text}", f"at most {MAX_ALLOWED_PASSAGES:.0e} passages"
             )
         begin_times = np.empty(len(revolution_numbers))
         end_times = np.empty(len(revolution_numbers))
@@ -285,9 +296,9 @@ class ArrivalTimes(Tabular):
         ]
         if not all(map(np.all, check_results)):
             requirement = (
-                "a file in which each revolution has one mark and one next_mark, that of the "
+                "a file with one row per revolution and probe, in which next_mark is the mark of "
             )
-            raise InputError("path", str(path), requirement + "one after, and passes a probe once")
+            raise InputError("path", str(path), requirement + "the next revolution")
         return cls(
             time,
             np.append(begin_times, end_times[-1]),
@@ -373,12 +384,14 @@ def check_revolution_durations(key: str, durations: np.ndarray, first_revolution
         problem_text = (
             f"revolution {first_revolution + outlier_index} takes "
             f"{durations[outlier_index] / median_durations[outlier_index]:.3g} times "
-            "as long as those"
+            "as long as the revolutions"
         )
         requirement = (
-            "marks of which none was missed or seen twice; leave out such rows, but count "
+            "marks of which none was missed or counted twice; remove the rows of such revolutions, "
         )
-        raise InputError(key, f"{problem_text} around it", f"{requirement}their revolutions")
+        raise InputError(
+            key, f"{problem_text} around it", f"{requirement}and keep the other revolution numbers"
+        )
 
 
 def check_probe_angles(probes: np.ndarray) -> None:
@@ -403,7 +416,8 @@ def choose_tip_radius(
     if file_radii is None:
         if given_radius is None:
             requirement = (
-                f"given for {path}, which has no column '{RADIUS_COLUMN_NAME}': {RADIUS_HINT_TEXT}"
+                "given: the distance from the axis to the blade tips [m], for which "
+                f"{path} has no column '{RADIUS_COLUMN_NAME}'; {RADIUS_HINT_TEXT}"
             )
             raise InputError("tip_radius", None, requirement)
         return given_radius
@@ -411,8 +425,8 @@ def choose_tip_radius(
         np.append(file_radii, file_radii[0] if given_radius is None else given_radius)
     )
     if len(distinct_radii) > 1:
-        requirement = "one number, in all rows" + (
-            "" if given_radius is None else f" {given_radius:g}, as given"
+        requirement = "the same radius in all rows" + (
+            "" if given_radius is None else f", equal to the given tip_radius = {given_radius:g} m"
         )
         raise InputError(
             "path", f"{path}, {RADIUS_COLUMN_NAME} = {distinct_radii.tolist()}", requirement
@@ -432,13 +446,13 @@ def _read_headings_and_number_table(path: str | Path) -> tuple[list[str], list[i
     number_table : (columns, n)
         Numbers in SI; nan in cells without a number.
     """
-    with report_read_errors("path", path, "a table of numbers"):
+    with report_read_errors("path", path, "a CSV file with a table of numbers"):
         (_, original_headings), *numbered_rows = read_numbered_csv_rows(path) or [(0, [])]
         for line_number, cells in numbered_rows:
             if len(cells) < len(original_headings):
                 requirement = (
-                    f"a row of {len(original_headings)} cells, as there are headings, "
-                    f"not of {len(cells)}"
+                    f"a row with a cell for each of the {len(original_headings)} headings; "
+                    f"it has {len(cells)}"
                 )
                 raise InputError("path", f"{path}, line {line_number}", requirement)
     heading_factor_pairs = [convert_heading_to_si(heading) for heading in original_headings]
@@ -483,7 +497,9 @@ def _read_passages_and_radii(path: str | Path) -> tuple[np.ndarray, np.ndarray |
         & (revolution_numbers % 1.0 == 0.0)
         & (np.abs(revolution_numbers) < 2**53)
     ):
-        requirement = "a row of finite numbers but for the arrival, and of a whole revolution"
+        requirement = (
+            "a row of finite numbers, with a whole revolution number; only the arrival may be empty"
+        )
         raise InputError(
             "path", f"{path}, line {line_numbers[int(np.argmin(is_valid))]}", requirement
         )
@@ -565,10 +581,12 @@ def read_record(
                 int(heading_match[2])
             ] = heading
     if len(column_by_heading) != len(headings):
-        raise InputError("path", f"{path}: {', '.join(headings)}", "headings, each given once")
+        raise InputError(
+            "path", f"{path}: {', '.join(headings)}", "a file in which each heading occurs once"
+        )
     if number_table.shape[1] < 2:
         problem_text = f"{path}: {format_count(number_table.shape[1], 'revolution')}"
-        raise InputError("path", problem_text, "two or more, between which the speed is measured")
+        raise InputError("path", problem_text, "a file with two or more revolutions")
     revolution_numbers = _check_revolution_numbers(
         path, column_by_heading.get("revolution", np.arange(float(number_table.shape[1])))
     )
@@ -579,7 +597,7 @@ def read_record(
         arrival_angles = np.full((len(marks) - 1, len(heading_by_probe)), np.nan)
         for probe_index, (_, heading) in enumerate(sorted(heading_by_probe.items())):
             if not np.any(np.isfinite(column_by_heading[heading])):
-                raise InputError("path", f"{path}: {heading}", "a column with finite numbers")
+                raise InputError("path", f"{path}: {heading}", "a column with at least one number")
             arrival_angles[revolution_numbers - revolution_numbers[0], probe_index] = (
                 _read_arrival_angles(
                     path, heading, column_by_heading[heading], revolution_numbers, marks
@@ -642,7 +660,7 @@ def write_record(
     >>> fc.write_record(arrivals, "record.csv", np.radians(disk.tip_timing.probes))
     """
     if not blades:
-        raise InputError("blades", blades, "arrivals of one blade or more")
+        raise InputError("blades", blades, "a dict with the arrivals of at least one blade")
     first_arrivals = next(iter(blades.values()))
     column_by_heading: dict[str, Any] = {
         "revolution": (first_arrivals.first + np.arange(len(first_arrivals))).tolist(),
@@ -666,7 +684,9 @@ def _find_unit_factor(path: str | Path, heading: str, factor_by_unit: dict[str, 
     unit_name = unit_match[1] if unit_match else next(iter(factor_by_unit))
     if unit_name not in factor_by_unit:
         raise InputError(
-            "path", f"{path}: {heading}", f"with one of the units {', '.join(factor_by_unit)}"
+            "path",
+            f"{path}: {heading}",
+            f"a heading with one of the units {', '.join(factor_by_unit)}",
         )
     return factor_by_unit[unit_name]
 
@@ -683,7 +703,7 @@ def _check_revolution_numbers(path: str | Path, revolution_numbers: np.ndarray) 
         or np.any(np.diff(revolution_numbers) <= 0.0)
         or np.ptp(revolution_numbers) > MAX_ALLOWED_PASSAGES
     ):
-        raise InputError("path", f"{path}: revolution", "increasing whole numbers >= 0")
+        raise InputError("path", f"{path}: revolution", "a column of increasing whole numbers >= 0")
     return revolution_numbers.astype(int)
 
 
@@ -701,7 +721,7 @@ def _read_mark_times(
             row_values = row_values * _find_unit_factor(path, heading, SECONDS_BY_TIME_UNIT)
             mean_durations = np.diff(row_values) / np.diff(revolution_numbers)
             if not np.all((mean_durations > 0.0) & np.isfinite(mean_durations)):
-                raise InputError("path", f"{path}: {heading}", "increasing times")
+                raise InputError("path", f"{path}: {heading}", "a column of increasing times")
             marks = np.interp(all_revolution_numbers, revolution_numbers, row_values)
             check_revolution_durations(
                 f"{path}: {heading}", np.diff(marks), int(revolution_numbers[0])
@@ -715,14 +735,14 @@ def _read_mark_times(
         if "speed" in heading.lower() and not PASSAGE_HEADING_PATTERN.search(heading):
             speeds = row_values * _find_unit_factor(path, heading, RAD_PER_S_BY_SPEED_UNIT)
             if not np.all(speeds > 0.0):
-                raise InputError("path", f"{path}: {heading}", "numbers > 0")
+                raise InputError("path", f"{path}: {heading}", "a column of numbers > 0")
             speeds = np.interp(all_revolution_numbers, revolution_numbers, speeds)
             check_revolution_durations(
                 f"{path}: {heading}", RAD_PER_TURN / speeds, int(revolution_numbers[0])
             )
             durations = RAD_PER_TURN / smooth_series(speeds)
             return np.concatenate([[0.0], np.cumsum(durations)])
-    requirement = "a file with a column 'speed [rpm]' (rad/s, Hz) or 'mark [s]'"
+    requirement = "a file with a column 'speed [rpm]' (or rad/s, Hz) or 'mark [s]'"
     raise InputError("path", str(path), f"{requirement}; it has {', '.join(column_by_heading)}")
 
 
@@ -737,7 +757,9 @@ def _read_arrival_angles(
     if "[s]" not in heading:
         angles = column * _find_unit_factor(path, heading, RAD_BY_ANGLE_UNIT)
         if np.nanmedian(np.abs(angles)) > 2.0 * RAD_PER_TURN:
-            requirement = "angles from the mark to the arrival, in a revolution; in degrees?"
+            requirement = (
+                "an angle of at most 2 revolutions; for degrees, write [deg] in the heading"
+            )
             raise InputError("path", f"{path}: {heading} = {np.nanmedian(column):g}", requirement)
         return angles
     mark_revolution_numbers = np.arange(revolution_numbers[0], revolution_numbers[0] + len(marks))
@@ -762,7 +784,7 @@ def _build_arrivals(
     )
     if len(probe_angles) != angles.shape[1]:
         raise InputError(
-            "probes", probe_angles, f"{angles.shape[1]} angles, as the record has probes"
+            "probes", probe_angles, f"{angles.shape[1]} angles, one for each probe of the record"
         )
     probe_order = np.argsort(probe_angles)
     row_indices = np.arange(len(angles))

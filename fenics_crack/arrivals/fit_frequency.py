@@ -103,7 +103,8 @@ def fit_frequency(
     n_arrivals = int(has_arrival.sum())
     n_constants = int(has_arrival.any(axis=0).sum()) if angle_deviation else 1
     if n_arrivals <= (n_unknowns := 2 * harmonics + 1 + n_constants):
-        raise InputError("arrivals", f"{n_arrivals} arrivals", f"more than {n_unknowns}")
+        requirement = f"more than {n_unknowns}, the unknowns of the fit; fit fewer harmonics"
+        raise InputError("arrivals", f"{n_arrivals} arrivals", requirement)
     arrivals_shape = arrivals.time.shape
     constant_numbers = (
         np.arange(arrivals_shape[1]) * bool(angle_deviation) * np.ones(arrivals_shape, dtype=int)
@@ -116,7 +117,9 @@ def fit_frequency(
         probe_text = (
             f"one at {np.degrees(arrivals.probes[0]):g} degrees, whose arrivals do not vary"
         )
-        requirement = "two or more: to one a vibration of a whole order is no vibration"
+        requirement = (
+            "two or more probes: one probe sees a vibration of a whole order as a constant"
+        )
         raise InputError("probes", probe_text, requirement)
     return fit
 
@@ -372,7 +375,8 @@ class _FrequencySearch:
         end_step = int(np.floor(max_omega / omega_step)) + 1
         if not 0 < end_step - first_step < MAX_SCANNED_FREQUENCIES:
             requirement = (
-                f"between {omega_step:.3g} and {MAX_SCANNED_FREQUENCIES * omega_step:.3g} rad/s"
+                f"between {omega_step:.3g} and {MAX_SCANNED_FREQUENCIES * omega_step:.3g} rad/s "
+                "for a record of this duration"
             )
             raise InputError("high - low", max_omega - min_omega, requirement)
         noise_psi = self._null_noise.psi

@@ -225,7 +225,7 @@ def _find_period_in_revolutions(orders: np.ndarray, multiples: np.ndarray) -> in
         requirement = (
             f"whole numbers, or fractions that repeat within {max_allowed_period} revolutions"
         )
-        raise InputError("orders", orders.tolist(), f"{requirement}; fit_frequency finds others")
+        raise InputError("orders", orders.tolist(), f"{requirement}; else use fit_frequency")
     return period_in_revolutions
 
 
@@ -747,7 +747,7 @@ def track_order(
     n_groups, n_unknowns = len(arrivals) // revolutions, 2 * len(multiples) + 1
     n_probes = len(arrivals.probes)
     if not n_groups:
-        raise InputError("revolutions", revolutions, f"at most {len(arrivals)}, what there is")
+        raise InputError("revolutions", revolutions, f"at most {len(arrivals)}, all of the record")
     first_phases = order * arrivals.nominal_angle[:revolutions].ravel()
     if np.isinf(condition_number(fourier_basis(first_phases, multiples))):
         raise_too_few_probes(arrivals, n_unknowns)

@@ -96,7 +96,7 @@ class HarmonicFit(Tabular):
         """Words for the gravest doubt: a list with one text or none."""
         if self.does_not_fit:
             return ["DOES NOT FIT"]
-        return ["harmonics left out may be folded"] * self.may_be_folded
+        return ["harmonics that are not fitted may be folded onto these"] * self.may_be_folded
 
 
 @dataclass(frozen=True, repr=False)
@@ -218,7 +218,11 @@ class TipFit(HarmonicFit):
         for required_multiple in (1.0, multiple):
             matching_indices = np.flatnonzero(np.isclose(self.multiples, required_multiple))
             if not len(matching_indices):
-                raise InputError("multiple", required_multiple, f"one of {self.multiples.tolist()}")
+                raise InputError(
+                    "multiple",
+                    required_multiple,
+                    f"one of the fitted multiples {self.multiples.tolist()}",
+                )
             harmonic_indices.append(int(matching_indices[0]))
         base_amplitude, amplitude = self.amplitudes[harmonic_indices]
         amplitude_errors = self.amplitude_errors[harmonic_indices]
@@ -287,9 +291,9 @@ class TipFit(HarmonicFit):
         ]
         title_parts += self._doubt_texts
         if self.spare < 1:
-            title_parts.append("as many unknowns as probes")
+            title_parts.append("not tested: as many unknowns as probes")
         elif self.seen_once:
-            title_parts.append("no probe sees it twice")
+            title_parts.append("not tested: each probe sees the vibration once")
         title_parts += [f"beside {line_fit.omega:.6g} rad/s" for line_fit in self.asynchronous]
         for orders_label, listed_orders in (
             ("as well", self.ambiguous),
@@ -400,7 +404,7 @@ def raise_too_few_probes(arrivals: ArrivalTimes, n_unknowns: int) -> NoReturn:
     angles_text = ", ".join(f"{angle:g}" for angle in np.degrees(arrivals.probes))
     probes_text = f"{format_count(len(arrivals.probes), 'probe')} at {angles_text} degrees"
     requirement = (
-        f"able to determine {n_unknowns} unknowns of a fit: more probes, unequally spaced, "
+        f"enough for the {n_unknowns} unknowns of the fit: use more probes at unequal angles, "
     )
-    requirement += "fewer harmonics, or arrivals that scatter less"
+    requirement += "fewer harmonics, or more accurate arrivals"
     raise InputError("probes", probes_text, requirement)

@@ -179,7 +179,7 @@ class PassageFit(Tabular):
                 f"in damping, {self.dampings.min():.2g} to {self.dampings.max():.2g}"
             )
         return (
-            f"passages differ more than errors do: {', '.join(difference_texts)}"
+            f"passages differ by more than their errors: {', '.join(difference_texts)}"
             if difference_texts
             else ""
         )
@@ -341,7 +341,7 @@ def fit_passage(
     if not runs:
         speed_ends = arrivals.speed.min(), arrivals.speed.max()
         allowed_speed_text = (
-            f"one that is passed in {MIN_REQUIRED_REVOLUTIONS} revolutions or more, from "
+            f"a speed that {MIN_REQUIRED_REVOLUTIONS} revolutions or more pass through, from "
         )
         raise InputError(
             "speed", speed, f"{allowed_speed_text}{speed_ends[0]:.6g} to {speed_ends[1]:.6g} rad/s"
@@ -528,7 +528,7 @@ class _ResonanceSearch:
         """Find further resonances, up to a total number."""
         centre_speeds, gains_and_reductions = self._centre_speeds, self._gains_and_reductions
         while len(self.resonances) < max_resonances:
-            begin_stage("scan of the speeds")
+            begin_stage("search of the speed range for resonances")
             for centre_index in np.flatnonzero(np.isnan(gains_and_reductions[:, 0])):
                 gains_and_reductions[centre_index] = _compute_gain_and_squares_reduction(
                     self.record, self.residuals, centre_speeds[centre_index]

@@ -344,9 +344,12 @@ class Assessment:
             cause_text = f"the load is so slow that the highest modes have {cycles_text}"
             return f"{cause_text}, too many for exact time integration; keep fewer modes"
         if self.flow is None:
-            return "there is no exact flow for its law or structure"
+            return "no exact orbits can be computed for this contact law or structure"
         if self.orbit_prediction is None:
-            return "the crack opens and closes too often; less so with crack faces without mass"
+            return (
+                "the crack opens and closes too often for an exact orbit; "
+                "use crack faces without mass, method = 'massless'"
+            )
         predicted_gap_error = self.predicted_error
         error_text = (
             format_percent(predicted_gap_error)
@@ -354,9 +357,9 @@ class Assessment:
             else "100 % or more"
         )
         if self.nearest_orbit is None:
-            change_text = f"the truncated harmonics change it by {error_text}"
+            change_text = f"the truncated harmonics change the solution by {error_text}"
             last_failure_reasons = self._failure_reasons[-1:] or [
-                "no exact orbit was found near it"
+                "no exact orbit was found near the solution"
             ]
             return f"{change_text}, and {last_failure_reasons[0]}"
         stability_text = "stable" if self.nearest_orbit.is_stable else "unstable"
@@ -364,7 +367,7 @@ class Assessment:
             f"the nearest exact orbit, which is {stability_text}, "
             f"is {format_percent(self.relative_orbit_distance)} away"
         )
-        return f"{orbit_text} where {error_text} was predicted: it may be another motion"
+        return f"{orbit_text}, but {error_text} was predicted: it may be another motion"
 
 
 def stated_error(predicted_error: float) -> float:

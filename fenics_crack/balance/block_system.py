@@ -328,7 +328,7 @@ class BlockSolver(Solver):
         is_refused_by_condition = {
             "with UnilateralConstraint of crack faces with mass": problem.has_projected_constraint,
             "with friction": problem.has_friction,
-            "of a bladed disk that is not reduced": structure.n_sectors > 1,
+            "for a bladed disk that is not reduced": structure.n_sectors > 1,
         }
         for condition_text in (
             condition_text
@@ -346,7 +346,10 @@ class BlockSolver(Solver):
             + 200.0 * n_unknowns * n_damping_modes
         )
         if n_bytes > 0.8 * machine_memory():
-            requirement = f"fewer, or form = 'condensed': the block takes {n_bytes / 2**30:.3g} GiB"
+            requirement = (
+                f"fewer, or form = 'condensed': form = 'block' needs {n_bytes / 2**30:.3g} GiB "
+                "of memory"
+            )
             raise InputError("harmonics", problem.harmonics, requirement)
 
     def search_point_and_wave(

@@ -106,7 +106,11 @@ class DynamicStiffness:
                 self._damped_modes.omega[is_near & (self._damped_modes.damping_rates == 0.0)]
                 == omega
             ):
-                raise InputError("omega", omega, "away from the frequency of an undamped mode")
+                raise InputError(
+                    "omega",
+                    omega,
+                    "another frequency than that of an undamped mode; or add damping",
+                )
             factored_receptance = np.divide(
                 1.0, modal_stiffness, out=np.zeros_like(modal_stiffness), where=~is_near
             )
@@ -121,7 +125,11 @@ class DynamicStiffness:
         )
         if self._factorisation.n_null_pivots:
             self.destroy()
-            cause_text = "it can move as a rigid body" if omega == 0.0 else "an undamped resonance"
+            cause_text = (
+                "it can move as a rigid body: clamp it"
+                if omega == 0.0
+                else "undamped resonance: add damping"
+            )
             raise ConvergenceError(
                 f"dynamic stiffness at {omega:g} rad/s: the structure is singular ({cause_text})"
             )
@@ -214,7 +222,9 @@ class ModalCompliance:
 
     def __init__(self, structure: Structure, base_omega: float, load_rows: np.ndarray) -> None:
         if not is_small(structure):
-            raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
+            raise InputError(
+                "structure", f"{structure.n_dofs} dofs", "a reduced structure, on one rank"
+            )
         self._pair_clearances = structure.clearance
         self._all_modes = all_modes(structure)
         self.reachable_gap_basis = (
@@ -536,7 +546,9 @@ class FactoredCompliance:
         self.gap_shape = self.linear_gap.shape
         if not (np.all(np.isfinite(self.matrices)) and np.all(np.isfinite(self.linear_gap))):
             self.destroy()
-            raise ConvergenceError("dynamic compliance: the structure is singular")
+            raise ConvergenceError(
+                "dynamic compliance: the structure is singular to rounding; add damping"
+            )
 
     def higher_harmonics_compliance(self, max_harmonic: int) -> np.ndarray:
         """Return R_k for k = H+1 to ``max_harmonic``: (n, n_pairs, n_pairs) complex [m/N].

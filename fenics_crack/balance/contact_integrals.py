@@ -573,7 +573,9 @@ class _ExactForces(CoupledForces):
             if outcome == kernel.NO_MEMORY:
                 raise MemoryError("contact forces")
             if outcome != kernel.FOUND:
-                raise ConvergenceError("contact: no forces were found at an instant of the period")
+                raise ConvergenceError(
+                    "contact: no forces were found at an instant of the period; soften the contact"
+                )
             kernel_evaluator.evaluated_forces = self
         return kernel_evaluator.handle
 

@@ -100,7 +100,9 @@ def default_projection_weight(compliance_model: ComplianceModel) -> float:
     """
     max_row_sum = float(np.abs(compliance_model.matrices[0]).sum(axis=1).max())
     if not max_row_sum > 0.0:
-        raise InputError("structure", "static compliance 0", "one whose pairs can move")
+        raise InputError(
+            "structure", "static compliance 0", "a structure whose contact forces move its pairs"
+        )
     return 1.0 / max_row_sum
 
 
@@ -603,7 +605,7 @@ class Wave:
 
     def _check_friction(self) -> None:
         if friction_of(self.contact) is None:
-            raise InputError("contact", self.contact, "CoulombFriction")
+            raise InputError("contact", self.contact, "a law with friction, CoulombFriction")
 
     def displacement_of_local_dofs(self, time: np.ndarray) -> np.ndarray:
         """Return the displacement of this rank's dofs at times [s]: (len(time), n_local) [m]."""
@@ -731,7 +733,9 @@ class CompiledEquations(Equations):
                     self.function_table.evaluate, pointer(point.unknown), point.parameter
                 )
             ):
-                raise ConvergenceError("contact: no forces were found at an instant of the period")
+                raise ConvergenceError(
+                    "contact: no forces were found at an instant of the period; soften the contact"
+                )
             self._last_linearisation_reference = ref(point)
         return self.function_table
 

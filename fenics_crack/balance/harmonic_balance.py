@@ -173,7 +173,7 @@ def linear_response(
     check_choice("lips", lips, LIP_STATES)
     load_omegas = floats_or_nan(omega)
     if load_omegas.ndim != 1 or not np.all(np.isfinite(load_omegas) & (load_omegas >= 0.0)):
-        raise InputError("omega", omega, "finite numbers >= 0, in an array (n,)")
+        raise InputError("omega", omega, "an array (n,) of finite numbers >= 0 [rad/s]")
     load_rows = load_coefficients(structure, 1, 1)
     dof_selection_row = structure.values_at(np.eye(structure.n_dofs), [dof]).T
     amplitudes = np.full(len(load_omegas), np.inf)
@@ -284,11 +284,11 @@ def solve_harmonic_balance(
     if tolerance is not None:
         check_number("tolerance", tolerance, 0.0, excludes_bound=True)
         if harmonics is not None:
-            raise InputError("tolerance", tolerance, "left out where harmonics are given")
+            raise InputError("tolerance", tolerance, "left out with harmonics; give one of the two")
         if samples is not None:
-            raise InputError("samples", samples, "left out where a tolerance is given")
+            raise InputError("samples", samples, "left out with a tolerance; give one of the two")
         if form == "block":
-            raise InputError("tolerance", tolerance, "left out with form = 'block'")
+            raise InputError("tolerance", tolerance, "left out with form = 'block'; give harmonics")
     if harmonics is None:
         check_count("subharmonic", subharmonic, 1)
         default_harmonics = Problem.harmonics
@@ -313,14 +313,17 @@ def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
     initial_dofs_and_pairs = initial.structure.n_dofs, initial.structure.n_pairs
     needs_gaps_only = structure.light_lips and initial_dofs_and_pairs[1] == structure.n_pairs
     if not needs_gaps_only and initial_dofs_and_pairs != (structure.n_dofs, structure.n_pairs):
-        requirement = f"a solution with {structure.n_dofs} dofs and {structure.n_pairs} pairs"
+        requirement = (
+            f"a solution with {structure.n_dofs} dofs and {structure.n_pairs} pairs, "
+            "as the structure has"
+        )
         raise InputError(
             "initial",
             f"{initial_dofs_and_pairs[0]} dofs, {initial_dofs_and_pairs[1]} pairs",
             requirement,
         )
     if subharmonic % initial.subharmonic:
-        requirement = f"of a subharmonic that divides {subharmonic}"
+        requirement = f"a solution whose subharmonic divides {subharmonic}"
         raise InputError("initial", f"subharmonic {initial.subharmonic}", requirement)
 
 
@@ -477,7 +480,7 @@ def _with_tolerance_status(
             n_sectors = massless_structure.whole.n_sectors
             modes_remedy_text = modes_key or ("families" if n_sectors > 1 else "modes")
             modes_remedy_text += (
-                f" {2 * massless_structure.n_modes // n_sectors}, in about twice the time"
+                f" = {2 * massless_structure.n_modes // n_sectors}, in about twice the time"
             )
     if report.total <= tolerance:
         choice_text = (
@@ -487,16 +490,18 @@ def _with_tolerance_status(
     error_by_remedy = {
         modes_remedy_text: report.reduction,
         "more damping, which needs fewer harmonics": report.truncation + report.sampling,
-        "a larger tolerance, as the error is rounding": report.residual,
+        "a larger tolerance, as rounding causes the error": report.residual,
     }
     size_text = "unknown" if report.unknown else format_percent(report.total)
-    message = f"solved; error {size_text}, {format_percent(tolerance)} was asked; what helps: "
+    message = (
+        f"solved; error {size_text}, but {format_percent(tolerance)} was requested; what helps: "
+    )
     message += (
         f"{max(error_by_remedy, key=error_by_remedy.__getitem__)} "
         f"(H = {solution.harmonics}{kept_modes_text})"
     )
     if solver.throw:
-        message += f"; {solution.status}; throw = False returns it"
+        message += f"; {solution.status}; throw = False returns this solution"
         raise ConvergenceError(f"harmonic balance at {solution.omega:g} rad/s: {message}")
     return replace(solution, status=f"{message}; {solution.status}")
 
@@ -537,7 +542,8 @@ def _solve_structure(
         for load_harmonics in SearchOptions.guess_harmonic_counts
     )
     status = (
-        f"no exact orbit found from H = {harmonics_text}; {search.outcome_text}; {solution.status}"
+        f"no exact orbit was found from H = {harmonics_text}; {search.outcome_text}; "
+        f"{solution.status}"
     )
     return replace(solution, status=status)
 

@@ -187,7 +187,9 @@ def solve_many(
     if len(shapes) != 1 or not all(len(shape) == 1 and shape[0] for shape in shapes):
         shapes_in_words = ", ".join(str(argument.shape) for argument in argument_arrays)
         raise InputError(
-            "omega, load, damping, clearance", shapes_in_words, "numbers and arrays (n,)"
+            "omega, load, damping, clearance",
+            shapes_in_words,
+            "numbers or arrays of one length (n,), at least one array",
         )
     case_parameters = np.array(np.broadcast_arrays(*argument_arrays), dtype=float)
     Problem(structure, 1.0, contact, harmonics)  # raises the errors common to all cases
@@ -285,7 +287,9 @@ def _find_orbit_of_case(
     """
     flow = ContactFlow(problem.structure, problem.contact)
     if not is_orbit_search_affordable(flow, problem.omega):
-        raise ConvergenceError("a load too slow, or too many modes, for exact orbits")
+        raise ConvergenceError(
+            "an exact orbit takes too long: the load is too slow, or there are too many modes"
+        )
     is_usable_neighbour = (orbit_table.verdict[neighbour_indices] != "") & (
         orbit_table.load[neighbour_indices] != 0.0
     )

@@ -111,13 +111,13 @@ MAX_CURVE_UNKNOWNS_PER_CALL = 15_000
 """Unknowns that one kernel call computes along a curve, summed over points. Ctrl-C waits for the
 call, a second or two."""
 REMEDY_IF_SINGULAR = (
-    "'penalty', with a stiffness, as some pairs hardly give beside others: they lie on a strip too "
-    "thin for no penetration at all, or no modes are left out; or cracks farther apart"
+    "'penalty' with a stiffness, as rigid contact is singular here: a strip beside a crack is too "
+    "thin, or all modes are kept; or place cracks farther apart"
 )
 """Remedies if R_inf, the quasi-static compliance of a rigid contact, is singular to rounding."""
 REMEDY_WITHOUT_COMPLIANCE = (
-    "a penalty with a tangential stiffness, or crack faces without mass, "
-    "reduce_structure(structure, method='massless'): pairs that stick must give a little"
+    "a penalty law with a tangential stiffness, as sticking pairs need some compliance; or "
+    "reduce the structure by reduce_structure(structure, method='massless')"
 )
 """Remedies if pairs with friction have no compliance in series."""
 N_JACOBIANS_IN_MEMORY = 4
@@ -179,7 +179,7 @@ class Problem:
         check_count("harmonics", self.harmonics, self.least_harmonics)
         check_law(self.structure, self.contact, allows_rigid=True)
         if self.structure.n_pairs == 0:
-            requirement = "one with contact pairs; else use solve_linear"
+            requirement = "a structure with contact pairs; without pairs, use solve_linear"
             raise InputError("structure", "0 pairs", requirement)
         if self.samples is not None:
             if is_rigid(self.contact):
@@ -417,7 +417,8 @@ def check_memory(structure: Structure, harmonics: int) -> None:
             f"{n_bytes / 2**30:.0f}" for n_bytes in (8 * n_numbers, machine_bytes)
         )
         memory_text = (
-            f"{n_unknowns} unknowns need {needed_gib_text} GiB of this machine's {machine_gib_text}"
+            f"{n_unknowns} unknowns need {needed_gib_text} GiB of memory, "
+            f"and this machine has {machine_gib_text} GiB"
         )
         raise InputError(
             "harmonics",
@@ -755,7 +756,7 @@ class Search:
         if self.orbit is not None:
             gap_and_force_coefficients = self.orbit.coefficients(problem.harmonics)
             self._max_iterations += self._max_iterations_per_guess
-            self.remedy = "a tolerance, which takes the exact orbit that was found"
+            self.remedy = "a tolerance: the solution is then the exact orbit that was found"
             yield from self._yield_guess_and_damped_newton_point(
                 self.system,
                 self.system.slow_gap(
@@ -824,9 +825,9 @@ def relative_residual_rounding(compliance_model: ComplianceModel, law: ContactLa
     )
     if not max_contact_stiffness < max_allowed_stiffness:
         requirement = (
-            f"at most {max_allowed_stiffness:.2g} N/m on this structure, beyond which rounding "
+            f"at most {max_allowed_stiffness:.2g} N/m on this structure, else rounding hides "
         )
-        requirement += "leaves nothing; UnilateralConstraint is the limit"
+        requirement += "the contact force; for rigid contact use UnilateralConstraint"
         raise InputError("contact stiffness", max_contact_stiffness, requirement)
     return residual_rounding(max_contact_stiffness * float(row_sums.max(initial=0.0)))
 

@@ -221,7 +221,9 @@ def prepare_folder(
 def check_inner_folder(folder: Path, key: str = "path") -> None:
     """Raise InputError if a folder below the results is a link or a file."""
     if _is_link_or_file(folder):
-        raise InputError(key, str(folder), "a folder for files, and no link to one")
+        raise InputError(
+            key, str(folder), "a folder, not a link or a file; remove it, or choose another folder"
+        )
 
 
 def _is_link_or_file(path: Path) -> bool:

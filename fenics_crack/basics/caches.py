@@ -15,7 +15,7 @@ from pathlib import Path
 from fenics_crack.basics.atomic_files import report_write_errors
 from fenics_crack.basics.progress import LOGGER
 
-PRIVATE_FOLDER_REQUIREMENT = "a folder that this user alone can write"
+PRIVATE_FOLDER_REQUIREMENT = "a folder that only this user can write to"
 """Text of errors."""
 
 
@@ -33,7 +33,7 @@ def replace_unusable_caches() -> None:
     """
     home_folder = os.path.expanduser("~")
     if not (os.path.isdir(home_folder) and os.access(home_folder, os.X_OK)):
-        _set_private_folder("HOME", Path(home_folder), "no folder that can be entered")
+        _set_private_folder("HOME", Path(home_folder), "not a folder that this user can open")
     cache_folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     try:
         check_private_folder(cache_folder / "fenics", makes_folder=False)
@@ -53,7 +53,7 @@ def _set_private_folder(variable_name: str, unusable_path: Path, reason: str) ->
         check_private_folder(private_path, makes_folder=False)
     os.environ[variable_name] = str(private_path)
     # Python prints a warning without a handler.
-    LOGGER.warning("%s: %s; %s is used", unusable_path, reason, private_path)
+    LOGGER.warning("%s is %s; %s is used instead", unusable_path, reason, private_path)
 
 
 def check_private_folder(

@@ -48,7 +48,9 @@ def report_missing_libraries() -> Iterator[None]:
         library_name, _, reason_text = str(error).partition(": ")
         if not reason_text.startswith("cannot open shared object file"):
             raise
-        requirement = "installed by the system's packages (docs/install.md lists them)"
+        requirement = (
+            "installed with the system's package manager (docs/install.md lists the packages)"
+        )
         raise InputError(library_name, None, requirement) from error
 
 
@@ -68,11 +70,15 @@ def find_c_compiler() -> str:
         command for command in candidate_commands if program_on_path(shlex.split(command)[0])
     ]
     if not present_commands:
-        requirement = "a C compiler, by which DOLFINx compiles forms: install gcc or clang"
+        requirement = (
+            "an installed C compiler, which DOLFINx needs: install gcc or clang, or correct CC"
+        )
         raise InputError("CC", candidate_commands[0], requirement)
     header_file = Path(sysconfig.get_path("include"), "Python.h")
     if not header_file.exists():
-        requirement = "there: install python3-dev (Debian, Ubuntu) or python3-devel (Fedora)"
+        requirement = (
+            "an existing file: install python3-dev (Debian, Ubuntu) or python3-devel (Fedora)"
+        )
         raise InputError("Python.h", str(header_file), requirement)
     return present_commands[0]
 
@@ -121,5 +127,6 @@ def foreign_launcher_error(launcher_description: str, mpi_library: str) -> Input
     return InputError(
         "mpirun",
         launcher_description,
-        f"that of {mpi_library}{f', {mpirun_path}' if mpirun_path.exists() else ''}",
+        f"the mpirun of {mpi_library}, this program's MPI library"
+        f"{f': run {mpirun_path}' if mpirun_path.exists() else ''}",
     )

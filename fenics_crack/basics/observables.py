@@ -26,8 +26,8 @@ class Place(Enum):
 
     POINT = "each watched point and direction"
     FACES = "all crack faces"
-    MODES = "the mode whose bilinear frequency is nearest to the load's"
-    TIPS = "the crack tip, or place of a crack front, whose effective range is the largest"
+    MODES = "the mode whose bilinear frequency is nearest to the load frequency"
+    TIPS = "the crack tip, or front station, with the largest effective range of K_I"
     ELLIPSE = "the deepest place and the ends of a half-ellipse"
     CLAMP = "the clamp"
 
@@ -126,9 +126,9 @@ class Observables:
         PRINTED_WITH_ERROR | IN_SWEEP_PICTURES)
     ratio_half_1: Any = _make_point_row("harmonic ratio 1/2 over 1", "1",
         lambda point: point.ratio(0.5), IN_PRINTED_TABLE)
-    ratio_largest: Any = _make_point_row("largest harmonic above the load's, over harmonic 1", "1",
+    ratio_largest: Any = _make_point_row("largest harmonic above harmonic 1, over harmonic 1", "1",
         lambda point: point.ratio_largest, PRINTED_WITH_ERROR)
-    largest_order: Any = _make_point_row("order of the largest harmonic above the load's", "1",
+    largest_order: Any = _make_point_row("order of the largest harmonic above harmonic 1", "1",
         lambda point: point.largest_order, IN_PRINTED_TABLE)
     mean_shift: Any = _make_point_row("mean displacement over harmonic 1", "1",
         lambda point: point.mean / point.fundamental, PRINTED_WITH_ERROR | IN_SWEEP_PICTURES)
@@ -173,17 +173,18 @@ OBSERVABLES_BY_NAME: dict[str, Observable] = {
         lambda tip: np.abs(tip.K_II).max()),
     "K_III_max": _make_tip_row("largest stress intensity K_III, of either sign", "Pa m^0.5",
         lambda tip: np.abs(tip.K_III).max(), REQUIRES_SOLID),
-    "delta_K_equivalent": _make_tip_row("range of K_I, R = 0, that makes the crack grow as much",
+    "delta_K_equivalent": _make_tip_row("range of K_I at R = 0 with the same crack growth",
         "Pa m^0.5", lambda tip: tip.equivalent_range, REQUIRES_GROWTH_LAW),
     "delta_K_effective_deepest": _make_ellipse_row("range of K_I while open, at the deepest place",
         read_number=lambda ellipse: np.ptp(ellipse.deepest_history.K_I.clip(0.0))),
     "delta_K_effective_surface": _make_ellipse_row("range of K_I while open, mean of the ends",
         read_number=lambda ellipse: np.mean(
             [np.ptp(end.K_I.clip(0.0)) for end in ellipse.end_histories])),
-    "delta_K_equivalent_deepest": _make_ellipse_row("range that makes it grow as much in depth",
+    "delta_K_equivalent_deepest": _make_ellipse_row(
+        "range of K_I at R = 0 with the same growth in depth",
         read_number=lambda ellipse: ellipse.deepest_history.equivalent_range),
     "delta_K_equivalent_surface": _make_ellipse_row(
-        "range that makes it grow as much along the face",
+        "range of K_I at R = 0 with the same growth along the face",
         read_number=lambda ellipse: np.mean(
             [end.equivalent_range for end in ellipse.end_histories])),
     "reaction_force": _make_clamp_row("largest force of the clamp", "N",

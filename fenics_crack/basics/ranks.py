@@ -77,9 +77,7 @@ def check_scalar_type() -> None:
     from petsc4py import PETSc
 
     if PETSc.ScalarType is not np.float64:
-        requirement = (
-            "float64: install a PETSc of real numbers (dolfinx-solver-real, petsc=*=real*)"
-        )
+        requirement = "float64: install PETSc for real numbers (dolfinx-solver-real, petsc=*=real*)"
         raise InputError("PETSc.ScalarType", PETSc.ScalarType.__name__, requirement)
 
 
@@ -116,7 +114,7 @@ def check_communicator(comm: object) -> None:
     if not isinstance(comm, MPI.Comm) or comm == MPI.COMM_NULL:
         requirement = "a communicator of mpi4py, such as MPI.COMM_WORLD"
         if isinstance(comm, Mapping):
-            requirement += "; changes are made by scene.replace({...})"
+            requirement += "; to change a scene, call scene.replace({...})"
         raise InputError("comm", comm, requirement)
 
 

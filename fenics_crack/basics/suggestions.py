@@ -64,6 +64,9 @@ OWN_VERB_BY_FOREIGN_VERB = {"plot": "draw", "show": "draw", "read": "load", "exp
 DESCRIPTION_BY_CLASS_NAME = {
     "Scene": "a Scene, as fc.Scene.load(path) returns", "Path": "a path", "str": "a text",
     "Mapping": "a dict", "None": "None", "Run": "a Run, as fc.solve(scene) returns",
+    "ResponseCurve": "a ResponseCurve, as fc.curve(scene).result",
+    "PeriodicSolution": "a PeriodicSolution, as fc.solve(scene).result",
+    "Structure": "a Structure, as fc.build_structure(scene) returns",
     "bool": "True or False", "Iterable": "a list of values", "int": "a whole number",
     "float": "a number",
 }  # fmt: skip
@@ -243,14 +246,16 @@ def fit_argument_to_annotation(
         ):
             return value.result
         is_plain_value = isinstance(value, str | int | float | None)
-        class_descriptions = (
+        class_descriptions = [
             DESCRIPTION_BY_CLASS_NAME.get(class_name)
             or f"a{'n' * (class_name[0] in 'AEIO')} {class_name}"
             for class_name in annotation_class_names
-        )
-        raise InputError(
-            key, value if is_plain_value else type(value).__name__, " or ".join(class_descriptions)
-        )
+        ]
+        requirement = " or ".join(class_descriptions)
+        if is_plain_value:
+            raise InputError(key, value, requirement)
+        class_name = type(value).__name__
+        raise InputError(key, class_name, f"{requirement}; this argument is of class {class_name}")
     return value
 
 

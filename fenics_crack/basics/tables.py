@@ -256,7 +256,9 @@ def import_optional(library: str, method: str) -> Any:
     try:
         return import_module(library)
     except ImportError as error:
-        alternative_text = "to_dict() has the same columns, and to_csv(path) writes them"
+        alternative_text = (
+            "without it, to_dict() returns the same columns, and to_csv(path) writes them"
+        )
         raise ImportError(
             f"{method} needs {library} (pip install {library}); {alternative_text}"
         ) from error

@@ -217,7 +217,8 @@ def read_numbered_csv_rows(path: str | Path) -> list[tuple[int, list[str]]]:
         if re.fullmatch(r"[\d.eE+-]+", cell)
     ]:
         raise ValueError(
-            f"line {bad_line_numbers[0]} has more cells than headings; use decimal points"
+            f"line {bad_line_numbers[0]} has more cells than headings; write decimal points, "
+            "not commas"
         )
     if [cells[0] for _, cells in numbered_rows] == ["", *map(str, range(len(numbered_rows) - 1))]:
         numbered_rows = [(line_number, cells[1:]) for line_number, cells in numbered_rows]
@@ -248,7 +249,9 @@ def _map_decimal_commas_to_points(cells: Sequence[str]) -> dict[str, str]:
         comma_cells and all(re.fullmatch(r"[+-]?[1-9]\d{0,2},\d{3}", cell) for cell in comma_cells)
     ):
         example_text = " and ".join(sorted({comma_cells[0], *ambiguous_cells[:1]}))
-        raise ValueError(f"the decimal mark is ambiguous: {example_text}; use points alone")
+        raise ValueError(
+            f"the decimal mark is ambiguous: {example_text}; write decimal points only"
+        )
     return {cell: cell.replace(",", ".") for cell in comma_cells}
 
 
@@ -309,7 +312,9 @@ def _yield_limited_lines(file: TextIO, max_characters: int) -> Iterator[str]:
     while line := file.readline(max_characters + 1):
         max_characters -= len(line)
         if max_characters < 0:
-            raise ValueError("unpacked it is too large for its size")
+            raise ValueError(
+                "its unpacked text is too large for a packed file of its size; unpack the file"
+            )
         yield line
 
 
@@ -345,15 +350,15 @@ def run_reader_for_arrays(
             reader_file, json.dumps(request_entries).encode(), array_file.fileno()
         )
         if exit_status in (-signal.SIGXCPU, -signal.SIGALRM):
-            return f"it is not read in {max_seconds} s"
+            return f"reading it takes more than {max_seconds} s"
         if exit_status:
-            return "it crashes its reader"
+            return "the program that reads it crashed: the file is damaged, or too large"
         array_file.seek(0)
         try:
             with np.load(array_file, allow_pickle=False) as npz_arrays:
                 array_by_name = dict(npz_arrays)
         except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
-            return "its reader has handed over nothing"
+            return "the program that reads it returned nothing: the file is damaged"
     return str(array_by_name["error"]) if "error" in array_by_name else array_by_name
 
 

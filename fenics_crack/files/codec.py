@@ -210,7 +210,7 @@ class _DatasetReader(NamedTuple):
         if declared_type is not Any and not (
             isinstance(declared_type, type) and isinstance(stored_content, declared_type)
         ):
-            raise ValueError(f"its {field_name} does not fit")
+            raise ValueError(f"its entry '{field_name}' has the wrong type")
         return stored_content
 
 
@@ -225,4 +225,4 @@ def check_arrays(datasets: Mapping[str, Any]) -> None:
             if array.dtype.kind not in allowed_kinds or np.any(
                 np.abs(array) > MAX_ALLOWED_MAGNITUDE
             ):
-                raise ValueError(f"its {name} does not fit")
+                raise ValueError(f"its entry '{name}' has wrong or too large numbers")

@@ -50,7 +50,7 @@ def read_contents_and_arrays(
         The arrays with numbers; empty for a sweep.
     """
     if max(len(file), len(file.attrs)) > MAX_ENTRIES:
-        raise ValueError(f"it has more than {MAX_ENTRIES} parts")
+        raise ValueError(f"it has more than {MAX_ENTRIES} datasets or attributes")
     text_by_attribute = read_text_attributes(file)
     dataset_by_name = {
         name: open_checked_dataset(file, name, file_size, max_bytes) for name in file
@@ -70,7 +70,7 @@ def read_contents_and_arrays(
         for name, dataset in dataset_by_name.items():
             offset = dataset.id.get_offset()
             if offset is None or offset + stated_bytes(dataset) > file_size:
-                raise ValueError(f"{name!r} is not in one piece in the file")
+                raise ValueError(f"{name!r} is not contiguous in the file")
             contents["columns"][name] = (dataset.dtype.str, dataset.shape, offset)
         return contents, []
     if sum(map(stated_bytes, dataset_by_name.values())) > max_bytes:
@@ -90,7 +90,7 @@ def read_text_attributes(file_or_dataset: h5py.File | h5py.Dataset) -> dict[str,
     text_by_name = {}
     for name, attribute in file_or_dataset.attrs.items():
         if not isinstance(attribute, str):
-            raise ValueError(f"its attribute {name!r} is no text")
+            raise ValueError(f"its attribute {name!r} is not a text")
         attribute.encode()  # what is no UTF-8 cannot be handed over
         text_by_name[name] = attribute
     return text_by_name
@@ -107,18 +107,18 @@ def open_checked_dataset(
         raise ValueError(f"{name!r} is a link")
     dataset = file[name]
     if not isinstance(dataset, h5py.Dataset):
-        raise ValueError(f"{name!r} is no dataset")
+        raise ValueError(f"{name!r} is not a dataset")
     creation_properties = dataset.id.get_create_plist()
     if (
         creation_properties.get_layout() not in ALLOWED_LAYOUTS
         or creation_properties.get_external_count()
     ):
-        raise ValueError(f"{name!r} lies in another file")
+        raise ValueError(f"{name!r} is stored in another file")
     if {
         creation_properties.get_filter(filter_index)[0]
         for filter_index in range(creation_properties.get_nfilters())
     } - ALLOWED_FILTERS:
-        raise ValueError(f"{name!r} is packed in an unknown way")
+        raise ValueError(f"{name!r} is compressed by an unknown filter")
     string_type = h5py.check_string_dtype(dataset.dtype)
     if (
         dataset.shape is None
@@ -130,7 +130,7 @@ def open_checked_dataset(
         if stated_bytes(dataset) > file_size:
             raise ValueError(f"{name!r} is larger than the file")
     elif math.prod(dataset.chunks) * dataset.dtype.itemsize > max_bytes:
-        raise ValueError(f"the pieces of {name!r} would take more than {max_bytes} bytes")
+        raise ValueError(f"the chunks of {name!r} would take more than {max_bytes} bytes")
     return dataset
 
 
@@ -142,7 +142,7 @@ def stated_bytes(dataset: h5py.Dataset) -> int:
 def read_words(dataset: h5py.Dataset, max_characters: int) -> str | list[str]:
     """Return a word, or a list of words; ValueError above ``max_characters``."""
     if dataset.ndim > 1 or dataset.size > MAX_ENTRIES:
-        raise ValueError(f"{dataset.name!r} is no list of words")
+        raise ValueError(f"{dataset.name!r} is not a list of words")
     word_or_words = dataset.asstr()[()]
     word_list = (
         [word_or_words] if isinstance(word_or_words, str) else [str(word) for word in word_or_words]

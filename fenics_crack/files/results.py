@@ -155,9 +155,12 @@ def result_class(stored_file: StoredFile) -> type[Result]:
         if result_type.KIND == stored_file.kind:
             return result_type
     if stored_file.kind == "backbone":
-        raise stored_file.refusal("of another kind; follow_resonance takes the place of backbones")
+        raise stored_file.refusal(
+            "of a present kind: follow_resonance takes the place of backbones; compute it again"
+        )
     requirement = (
-        f"of another kind; a {stored_file.kind} is read by its class, as by SweepResult.load"
+        f"a result of one vibration; a {stored_file.kind} is read by load of its class, "
+        "as SweepResult.load"
     )
     raise stored_file.refusal(requirement)
 
@@ -196,7 +199,7 @@ def _unpack_modes(datasets: Datasets, structure: Structure, contact: OptionalLaw
             or stored_shapes.ndim != 2
             or stored_shapes.shape[1] != whole_structure.n_dofs
         ):
-            requirement = f"that of the file, {stored_shapes.shape}"
+            requirement = f"the structure of the file, with {stored_shapes.shape[-1]} dofs"
             raise InputError("structure", f"{whole_structure.n_dofs} dofs", requirement)
         local_dof_slice = slice(
             whole_structure.first_dof, whole_structure.first_dof + whole_structure.n_local
@@ -219,7 +222,9 @@ def _unpack_modes(datasets: Datasets, structure: Structure, contact: OptionalLaw
     ) == len(stored_node_indices)
     if not is_one_to_one or nearest_distances.max() > 1e-6 * nodal_mesh.size:
         raise InputError(
-            "structure", f"{len(positions)} nodes", f"that of the file, {len(stored_positions)}"
+            "structure",
+            f"{len(positions)} nodes",
+            f"the structure of the file, with {len(stored_positions)} nodes at the same places",
         )
     first_node = whole_structure.comm.exscan(len(whole_structure.nodes.points)) or 0
     local_shapes = nodal_mesh.to_nodal_frames(stored_shapes[:, stored_node_indices])[
@@ -314,7 +319,7 @@ def rebuild_solution(
     }
     omega, subharmonic = datasets["omega"], datasets["subharmonic"]
     if not omega >= 0.0 or subharmonic < 1:
-        raise ValueError("its frequency does not fit")
+        raise ValueError("its omega is negative, or its subharmonic below 1")
     tangential_force_coefficients = datasets.get("tangential_force_coefficients")
     all_force_coefficients = (
         force_coefficients
@@ -348,7 +353,7 @@ def rebuild_solution(
 def _check_n_pairs(n_pairs: int, pair_gaps: np.ndarray) -> None:
     """Raise InputError unless gaps (..., n_pairs) have as many pairs as the structure."""
     if pair_gaps.shape[-1] != n_pairs:
-        requirement = f"one with {pair_gaps.shape[-1]} pairs"
+        requirement = f"the structure of the file, with {pair_gaps.shape[-1]} pairs"
         raise InputError("structure", f"{n_pairs} pairs", requirement)
 
 
@@ -372,7 +377,11 @@ def _check_gap_coefficients(
     closing_coefficients[0] -= structure.clearance
     difference_norm = np.linalg.norm(closing_coefficients - gap_coefficients)
     if not difference_norm <= difference_tolerance:  # nan neither
-        raise InputError("structure", "another load, mesh or material", "that of the file")
+        raise InputError(
+            "structure",
+            "another load, mesh or material",
+            "the structure with which the file was computed",
+        )
 
 
 # --- curves ---------------------------------------------------------------------------------------
@@ -440,7 +449,7 @@ def _unpack_curve(datasets: Datasets, structure: Structure, contact: OptionalLaw
         or datasets["parameter"] not in EQUATIONS_CLASS_BY_PARAMETER
         or datasets["subharmonic"] < 1
     ):
-        raise ValueError("its parts do not fit")
+        raise ValueError("its parameter, subharmonic or one of its entries is missing or wrong")
     vector_dataset_names = "values", "omega", "iterations", "multipliers", "undecided", "irregular"
     shape_by_name: ShapeByName = {
         f"{prefix}{name}": (count,)
@@ -503,7 +512,11 @@ def _unpack_exact_points(
     )
     curve = replace(curve, points=states)
     if not curve.orbit(0).residual <= 1e-4:  # nan neither
-        raise InputError("structure", "another load, mesh or material", "that of the file")
+        raise InputError(
+            "structure",
+            "another load, mesh or material",
+            "the structure with which the file was computed",
+        )
     return curve, special_states
 
 
@@ -569,7 +582,9 @@ def _unpack_states_by_mode(
 
 def _pack_history(history: TimeHistory) -> Datasets:
     if history.structure.comm.size > 1:
-        raise InputError("result", "spread over several ranks", "a time history of one rank")
+        raise InputError(
+            "result", "spread over several ranks", "a time history of a run on one rank"
+        )
     datasets = pack_dataclass(history, *_FIELDS_NOT_STORED, "final_state")
     datasets["couplings"] = _stack_gap_and_load_rows(history.structure)
     datasets["final_state"] = history.final_state[:2]
@@ -591,7 +606,7 @@ def _unpack_history(datasets: Datasets, structure: Structure, contact: OptionalL
     shape_by_name |= {"final_places": (structure.n_pairs,)}
     check_shapes(datasets, shape_by_name)
     if datasets["steps_per_period"] < 1 or n_instants % datasets["steps_per_period"]:
-        raise ValueError("it does not hold whole periods")
+        raise ValueError("its instants are not a whole number of periods")
     sticking_gaps = (datasets["final_places"],) if "final_places" in datasets else ()
     final_state = (*(dof_signs * datasets["final_state"]), *sticking_gaps)
     datasets["recorded"] = (
@@ -617,12 +632,16 @@ def _find_dof_signs(structure: Structure, stored_rows: np.ndarray) -> np.ndarray
     if stored_rows.shape != structure_rows.shape:
         sizes_text = f"{structure.n_local} dofs, {structure.n_pairs} pairs"
         n_pairs = len(stored_rows) - len(structure.force)
-        requirement = f"one with {stored_rows.shape[1]} dofs and {n_pairs} pairs"
+        requirement = (
+            f"the structure of the file, with {stored_rows.shape[1]} dofs and {n_pairs} pairs"
+        )
         raise InputError("structure", sizes_text, requirement)
     dof_signs = np.where((stored_rows * structure_rows).sum(axis=0) < 0.0, -1.0, 1.0)
     row_maxima = np.abs(stored_rows).max(axis=1, initial=0.0, keepdims=True)
     if np.any(np.abs(stored_rows - structure_rows * dof_signs) > 1e-6 * row_maxima):
-        raise InputError("structure", "other load or pairs", "that of the file")
+        raise InputError(
+            "structure", "other load or pairs", "the structure with which the file was computed"
+        )
     return dof_signs
 
 
@@ -676,9 +695,11 @@ def _check_law(datasets: Datasets, contact: OptionalLaw, structure: Structure) -
         for dataset_name in law_datasets
         if dataset_name != "law"
     ):
-        raise InputError("contact", law_datasets, f"the law of the file: {stored_datasets}")
+        raise InputError("contact", law_datasets, f"the law of the file, {stored_datasets}")
     if stored_force is not None and not np.allclose(law_force, stored_force, rtol=1e-9, atol=0.0):
-        raise InputError("contact", contact, "the law of the file: its forces are others")
+        raise InputError(
+            "contact", contact, "the law of the file: at the same gaps this law gives other forces"
+        )
 
 
 _FIELDS_NOT_STORED = ("structure", "contact", "bifurcations", "others", "assessment", "estimate")

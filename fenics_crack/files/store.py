@@ -235,7 +235,7 @@ class Column:
         n_numbers = math.prod(self.shape) if count is None else count
         numbers = np.fromfile(path, self.dtype, n_numbers, offset=start_byte)
         if len(numbers) < n_numbers:
-            raise ValueError("it ends too early")
+            raise ValueError("it ends before its last number")
         return numbers.reshape(self.shape) if count is None else numbers
 
 
@@ -277,7 +277,7 @@ class StoredFile:
             return None
         scene = Scene.from_text(self.attributes["scene"], str(self.path))
         if len(self._stored_scene_file_digests) < len(file_keys_and_paths(scene)):
-            raise self._older_version_error("digests of its mesh or matrices")
+            raise self._older_version_error("checksums of its mesh or matrices")
         return scene
 
     def check_files(self, scene: Scene, *, is_required: bool = True) -> None:
@@ -292,11 +292,12 @@ class StoredFile:
             file_digest = _file_digest(path)
             if file_digest != stored_digest and (is_required or file_digest != MISSING_FILE_DIGEST):
                 requirement = (
-                    f"the file with which {self.path} was computed; it has changed or gone"
+                    f"unchanged since {self.path} was computed; restore it, "
+                    "or compute the result again"
                 )
                 raise InputError(key, path, requirement)
         if is_required and len(self._stored_scene_file_digests) != len(key_path_pairs):
-            raise self._older_version_error("digests of all files of its matrices")
+            raise self._older_version_error("checksums of all files of its matrices")
 
     def refusal(self, requirement: str) -> InputError:
         """Return the error for a file that does not meet a requirement."""
@@ -305,7 +306,7 @@ class StoredFile:
     def check_kind(self, kind: str) -> None:
         """Raise InputError if the file holds another kind of result."""
         if self.kind != kind:
-            raise self.refusal(f"a file with a {kind}; in this one is a {self.kind}")
+            raise self.refusal(f"a file with a {kind}; it holds a {self.kind}")
 
     @contextlib.contextmanager
     def yield_checked_datasets(self) -> Iterator[dict[str, Any]]:
@@ -320,7 +321,9 @@ class StoredFile:
         except InputError:
             raise
         except DATASET_ERROR_CLASSES as error:
-            raise self.refusal(f"a {self.kind} written by save ({error})") from None
+            raise self.refusal(
+                f"a {self.kind} as fc.save writes it; compute it again ({error})"
+            ) from None
 
     @property
     def _stored_scene_file_digests(self) -> list[str]:
@@ -331,20 +334,20 @@ class StoredFile:
         """Raise InputError unless the file is unchanged since writing."""
         stored_digest = self.attributes.get("digest")
         if stored_digest is None:
-            raise self._older_version_error("a digest")
+            raise self._older_version_error("a checksum")
         if (
             content_digest(self.attributes, self.datasets or column_texts(self.columns))
             != stored_digest
         ):
-            raise self.refusal("a whole file; this one is damaged")
+            raise self.refusal("a whole file; this one is damaged: compute it again")
 
     def _older_version_error(self, content: str) -> InputError:
         """Return the error for a file from an older version without some content."""
         version = self.attributes.get("version", "unknown")
         requirement = (
-            f"a file with {content}, which older versions did not write (this one: {version})"
+            f"a file with {content}, which older versions did not write (this file: {version})"
         )
-        remedy_text = "make it again with the command that wrote it, a sweep in a new folder"
+        remedy_text = "compute it again with the same command, a sweep in a new folder"
         return self.refusal(f"{requirement}; {remedy_text}")
 
 
@@ -363,7 +366,7 @@ def read_result_file(path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> Stored
 
 def _read_and_check_result_file(path: Path) -> StoredFile:
     def refusal(reason: str) -> InputError:
-        kinds_text = "one of the .h5 files that solve, curve and the other commands write"
+        kinds_text = "an .h5 file that solve, curve or another command wrote"
         return InputError("path", str(path), f"a readable result file, {kinds_text} ({reason})")
 
     try:
@@ -371,13 +374,13 @@ def _read_and_check_result_file(path: Path) -> StoredFile:
         if (
             read_first_bytes(path, len(HDF5_SIGNATURE)) != HDF5_SIGNATURE
         ):  # where it may also begin later
-            raise refusal("it does not begin as HDF5 files do")
+            raise refusal("it is not an HDF5 file")
         max_seconds = 5 + file_size // 10**7  # processor time: files are read at 10 MB/s and more
         array_by_name = run_reader_for_arrays(
             Path(__file__).with_name("h5_reader.py"), path, max_seconds, 2**28 + 2**27
         )
     except FileNotFoundError:
-        raise InputError("path", str(path), "a file that exists") from None
+        raise InputError("path", str(path), "an existing file") from None
     except OSError as error:
         raise refusal(error.strerror or str(error)) from None
     if isinstance(array_by_name, str):
@@ -393,7 +396,11 @@ def _read_and_check_result_file(path: Path) -> StoredFile:
         raise InputError("path", str(path), f"a result file of {PROGRAM_NAME}")
     stored_file.check_digest()
     if missing_attributes := {"version", "versions"} - stored_file.attributes.keys():
-        raise InputError("path", str(path), f"a file with the attribute {min(missing_attributes)}")
+        raise InputError(
+            "path",
+            str(path),
+            f"a file with the attribute {min(missing_attributes)}; compute it again",
+        )
     return stored_file
 
 
@@ -425,7 +432,7 @@ def check_shapes(datasets: Mapping[str, Any], shape_by_name: Mapping[str, tuple[
             length not in (-1, stored_length)
             for length, stored_length in zip(shape, stored_shape, strict=True)
         ):
-            raise ValueError(f"its {name} does not fit")
+            raise ValueError(f"its entry '{name}' has the wrong shape")
 
 
 def read_result_file_without_numbers(path: str | Path) -> StoredFile:
@@ -496,17 +503,17 @@ UNIT_AND_MEANING_BY_NAME: dict[str, tuple[str, str]] = {
         f"{COEFFICIENT_ROWS_TEXT}; along a curve points before rows; last: 'watched'",
     ),
     "watched_displacement": ("m", "instants; 'watched'"),
-    "multipliers": ("1", "Floquet multipliers, those of a curve the largest of each point"),
+    "multipliers": ("1", "Floquet multipliers; of a curve, the largest of each point"),
     "rest_amplitude": ("m", "half peak-to-peak of the motion from rest at the watched dof"),
-    "static_above": ("rad/s", "modes of higher frequencies are quasi-static"),
+    "static_above": ("rad/s", "frequency above which modes are quasi-static"),
     "weight": ("N/m", "of the constraint"),
     "law_stiffness": ("N/m", "of all pairs, or of each"),
     "law_sharpness": ("1/m", ""),
     "law_coefficient": ("1", "of friction, of all pairs, or of each"),
-    "law_direction": ("rad", "of the line along which each pair of a solid slides"),
-    "law_turning": ("1", "sliding across these lines over that along them"),
+    "law_direction": ("rad", "angle of the line along which each pair of a solid slides"),
+    "law_turning": ("1", "sliding across these lines over sliding along them"),
     "law_tangential_stiffness": ("N/m", "of all pairs, or of each"),
-    "law_force": ("N", "of a law of one's own, of all pairs together, at gaps of 1e-12 to 10 m"),
+    "law_force": ("N", "of a user's law, sum of all pairs, at gaps of 1e-12 to 10 m"),
     "unknowns": ("m", f"points; {GAP_ROWS_TEXT}; gaps, or slow gaps where static_above is there"),
     "states": ("m, m/s", "points; displacement and velocity at phase zero of the load; dofs"),
     "places": ("m", "points; tangential gaps at which pairs stick at phase zero; pairs"),
@@ -514,7 +521,7 @@ UNIT_AND_MEANING_BY_NAME: dict[str, tuple[str, str]] = {
     "bifurcation_states": ("m, m/s", "bifurcations; displacement and velocity; dofs"),
     "bifurcation_multipliers": ("1", "the largest Floquet multiplier of each bifurcation"),
     "shapes": ("kg^-1/2", "modes; nodes; x and y"),
-    "nodes": ("m", "nodes; x and y, and those of the middle of the cells around it"),
+    "nodes": ("m", "nodes; x and y, then x and y of the centre of the cells around the node"),
     "time": ("s", "instants"),
     "gap": ("m", "instants; pairs; positive: penetration"),
     **dict.fromkeys(("contact_force", "tangential_force"), ("N", "instants; pairs")),
@@ -526,8 +533,8 @@ UNIT_AND_MEANING_BY_NAME: dict[str, tuple[str, str]] = {
     "couplings": ("1, N", "pairs, then mean, cosine and sine part of the load; dofs"),
     "seconds": ("s", "wall-clock time"),
     "length": ("m", "of the crack"),
-    "solved": ("m", "lengths that were solved; between them are splines"),
-    "cycles": ("1", "of the load, until the crack is so long"),
+    "solved": ("m", "lengths that were solved; splines connect them"),
+    "cycles": ("1", "of the load, until the crack has this length"),
     "rate": ("m", "growth in a cycle"),
     "response": ("m", "half peak-to-peak, at the load"),
     **dict.fromkeys(("largest", "smallest"), ("Pa m^0.5", "K_I over a cycle")),
@@ -545,9 +552,9 @@ UNIT_AND_MEANING_BY_NAME: dict[str, tuple[str, str]] = {
     "residuals": ("m", "root mean square of the fit of each order"),
     "amplitudes": ("m", "speeds; harmonics"),
     "amplitude_errors": ("m", "standard errors: speeds; harmonics"),
-    "forces": ("m", "amplitude of each passage in a resonance that lasts"),
+    "forces": ("m", "amplitude of each passage if the resonance lasted"),
     "omegas": ("rad/s", "natural frequency of each passage by itself"),
-    "omega_errors": ("rad/s", "standard error of these"),
+    "omega_errors": ("rad/s", "standard errors of these frequencies"),
 }
 """Units and meanings by dataset name; a meaning goes axis by axis."""
 

@@ -188,7 +188,11 @@ class UnilateralConstraint:
 
     def force(self, gap: np.ndarray) -> np.ndarray:
         """Raise InputError: the force does not follow from the gap."""
-        raise InputError("contact", self, "a law that gives the force from the gap")
+        raise InputError(
+            "contact",
+            self,
+            "a law whose force follows from the gap, such as UnilateralPenalty(1e9)",
+        )
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
         """Raise InputError, as :meth:`force`."""
@@ -361,18 +365,16 @@ def check_law(structure: Structure, contact: Any, *, allows_rigid: bool = False)
     is_class = isinstance(contact, type)
     absent_members = [name for name in members if is_class or not hasattr(contact, name)]
     if absent_members or (is_rigid(contact) and not allows_rigid):
-        absent_text = (
-            f", with {', '.join(absent_members)}, which it lacks" if absent_members else ""
-        )
+        absent_text = f"; missing attributes: {', '.join(absent_members)}" if absent_members else ""
         raise InputError(
-            "contact", contact, f"a contact law such as UnilateralPenalty(1e9){absent_text}"
+            "contact", contact, f"a contact law object such as UnilateralPenalty(1e9){absent_text}"
         )
     stiffness = np.asarray(contact.stiffness, dtype=np.float64)
     if stiffness.shape not in ((), (structure.n_pairs,)):
-        requirement = f"one number or {structure.n_pairs}, one per pair"
+        requirement = f"one number, or an array ({structure.n_pairs},) with one per pair"
         raise InputError("contact stiffness", stiffness.shape, requirement)
     if not is_rigid(contact) and not np.all(np.isfinite(stiffness)):
-        raise InputError("contact stiffness", contact, "finite")
+        raise InputError("contact stiffness", contact, "finite; or use UnilateralConstraint()")
     if not is_unilateral(contact):
         _check_law_outputs(contact, structure.n_pairs)
 
@@ -387,10 +389,12 @@ def _check_law_outputs(law: ContactLaw, n_pairs: int) -> None:
         except (ArithmeticError, TypeError, ValueError, IndexError):
             output_values = np.asarray(np.nan)
         if output_values.shape != gap.shape or not np.all(np.isfinite(output_values)):
-            requirement = f"a law with a finite {method_name}(gap) for each gap, (n, n_pairs)"
+            requirement = (
+                f"a law whose {method_name}(gap) returns a finite number for each gap (n, n_pairs)"
+            )
             raise InputError("contact", law_name, requirement)
     if np.any(output_values < -MACHINE_EPSILON * np.abs(output_values).max(initial=0.0)):
-        raise InputError("contact", law_name, "a law with tangent(gap) >= 0, a stiffness in N/m")
+        raise InputError("contact", law_name, "a law whose tangent(gap) is a stiffness >= 0 [N/m]")
     try:
         half_law = law.scaled(0.5)
         is_scaled = isinstance(half_law, type(law)) and np.allclose(
@@ -399,7 +403,9 @@ def _check_law_outputs(law: ContactLaw, n_pairs: int) -> None:
     except (ArithmeticError, TypeError, ValueError):
         is_scaled = False
     if not is_scaled:
-        requirement = "a law whose scaled(factor) is a law of its kind, factor times as stiff"
+        requirement = (
+            "a law whose scaled(factor) returns a law of the same class, factor times as stiff"
+        )
         raise InputError("contact", law_name, requirement)
 
 
@@ -423,7 +429,7 @@ def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
     # step. Differences leave some digits; half of these may be wrong.
     uncertainty = float(np.abs(increments[[0, 3]] - increments[[1, 2]]).max(initial=0.0))
     if np.any(slope_excess > np.sqrt(CENTRAL_DIFFERENCE_STEP) * increment_size + uncertainty):
-        requirement = "a law whose tangent(gap) is the slope of its force(gap)"
+        requirement = "a law whose tangent(gap) is the derivative of force(gap)"
         raise InputError("contact", type(law).__name__, requirement)
 
 
@@ -436,7 +442,9 @@ def _checked_positive_number(
         np.isfinite(number_array) & (number_array > 0.0)
     )
     if isinstance(number, str | bool) or number_array.ndim > allows_array or not is_all_positive:
-        requirement = "a finite number > 0" + (", or one per pair" if allows_array else "")
+        requirement = "a finite number > 0" + (
+            ", or an array with one per pair" if allows_array else ""
+        )
         raise InputError(key, number, requirement)
     return number_array.copy() if number_array.ndim else float(number_array)
 
@@ -516,7 +524,9 @@ class FrictionContactSolver:
             ),
         )
         if kernel.march_friction(self.handle, n_instants, max_periods, *array_pointers):
-            raise ConvergenceError("contact: an instant has no forces, or more than one solution")
+            raise ConvergenceError(
+                "contact: the forces at an instant have no unique solution; try less friction"
+            )
         return forces, states, sampled_slider_positions, last_unstuck_instants
 
 
@@ -580,7 +590,9 @@ class ActiveSetSolver:
         is_closed = require_shape(sets, len(sets), len(self.compliance_matrix), kind=bool)
         inverses = np.empty((*is_closed.shape, is_closed.shape[1]))
         if kernel.invert_sets(self.handle, len(is_closed), pointer(is_closed), pointer(inverses)):
-            raise ConvergenceError("contact: the compliance of the closed pairs is singular")
+            raise ConvergenceError(
+                "contact: the compliance of the closed pairs is singular; try a penalty law"
+            )
         return inverses
 
     def solve(
@@ -684,7 +696,7 @@ def solve_complementarity_by_least_squares(matrix: np.ndarray, gap: np.ndarray) 
             and np.abs(opening[force > 0.0]).max(initial=0.0) <= tolerance
         ):
             return force
-    raise ConvergenceError("contact: no set of closed pairs satisfies the step's constraints")
+    raise ConvergenceError("contact: no contact forces were found for a step; try a penalty law")
 
 
 def forces_and_slopes_of_smooth_law(
@@ -801,7 +813,9 @@ def solve_forces(
             reached_gap, law_force, tangent = evaluate(
                 all_forces[unfinished_instants], unfinished_gap
             )
-    raise ConvergenceError("contact: Newton's method for the forces of a step does not converge")
+    raise ConvergenceError(
+        "contact: Newton's method for a step's forces did not converge; soften the contact"
+    )
 
 
 def _minimising_step_fraction_by_instant(

@@ -113,7 +113,7 @@ class LabelledMatrix:
         rows = [row_by_label.get(tuple(label)) for label in self.labels.tolist()]
         if None in rows:
             node, direction = self.labels[rows.index(None)]
-            raise ValueError(f"node {node}, direction {direction} is no row of the stiffness")
+            raise ValueError(f"node {node}, direction {direction} is missing in the stiffness")
         coo_matrix, new_rows = self.matrix.tocoo(), np.array(rows, dtype=int)
         is_kept = (new_rows[coo_matrix.row] >= 0) & (new_rows[coo_matrix.col] >= 0)
         rows_and_columns = new_rows[coo_matrix.row[is_kept]], new_rows[coo_matrix.col[is_kept]]
@@ -147,7 +147,8 @@ def read_matrix(
     suffix = path.suffix.lower()
     if (suffix, matrix_letter) in ((".sti", "M"), (".mas", "K")):
         raise ValueError(
-            f"CalculiX writes the {'stiffness' if matrix_letter == 'M' else 'mass'} there"
+            f"a {suffix} file of CalculiX holds "
+            f"the {'stiffness' if matrix_letter == 'M' else 'mass'}"
         )
     if suffix in (".sti", ".mas"):
         return _read_calculix(path, labels_path or path.with_suffix(".dof"))
@@ -160,7 +161,7 @@ def read_matrix(
         return LabelledMatrix(_read_op4(path, matrix_letter), labels)
     matrix = read_matrix_market(path, n_rows if labels is None else len(labels))
     if labels is not None and matrix.shape[1] != len(labels):
-        raise ValueError(f"of shape {matrix.shape}, for {len(labels)} rows that are named")
+        raise ValueError(f"it has shape {matrix.shape}, but {labels_path} names {len(labels)} rows")
     return LabelledMatrix(matrix, labels)
 
 
@@ -186,9 +187,11 @@ def read_labels(path: Path) -> np.ndarray:
             labels.append((int(match[2]), DIRECTION_NUMBER_BY_DOF_LABEL[match[3]]))
             row_numbers.append(int(match[1] or len(labels)))
         elif labels:
-            raise ValueError(f"{path.name}, line {number}: {line[:80]!r} names no dof of a node")
+            raise ValueError(
+                f"{path.name}, line {number}: {line[:80]!r} is not a node and a direction"
+            )
     if not labels or len(set(labels)) < len(labels):
-        raise ValueError(f"{path.name}: {'a row twice' if labels else 'no dof of a node'}")
+        raise ValueError(f"{path.name}: {'it names a row twice' if labels else 'it names no row'}")
     label_order = np.argsort(row_numbers)
     if np.any(np.diff(np.array(row_numbers)[label_order]) != 1) or min(row_numbers) > 1:
         raise ValueError(
@@ -234,8 +237,8 @@ def _make_matrix_from_triangle(
             row_number = row_indices[is_off_diagonal][has_twin][0] + 1
             column_number = column_indices[is_off_diagonal][has_twin][0] + 1
             raise ValueError(
-                f"row {row_number}, column {column_number} is there on both sides of the diagonal, "
-                "others on one"
+                f"row {row_number}, column {column_number} is on both sides of the diagonal, "
+                "other entries on one side only"
             )
     rows_and_columns = (
         np.append(row_indices, column_indices[is_off_diagonal]),
@@ -292,12 +295,14 @@ def _read_calculix(path: Path, labels_path: Path) -> LabelledMatrix:
     if np.any(is_invalid):
         line_number = int(np.argmax(is_invalid)) + 1
         raise ValueError(
-            f"line {line_number}: {indices[line_number - 1].tolist()} is outside of {n} rows"
+            f"line {line_number}: entry {indices[line_number - 1].tolist()} is outside of {n} rows"
         )
     rows, columns = (indices - 1).astype(int).T
     missing_rows = np.setdiff1d(np.arange(n), rows[rows == columns])
     if len(missing_rows):
-        raise ValueError(f"it ends early: row {missing_rows[0] + 1} of {n} has no diagonal")
+        raise ValueError(
+            f"it is incomplete: row {missing_rows[0] + 1} of {n} has no diagonal entry"
+        )
     return LabelledMatrix(_make_matrix_from_triangle(entry_table[:, 2], rows, columns, n), labels)
 
 
@@ -351,12 +356,14 @@ def _read_nastran(path: Path, matrix_letter: str) -> LabelledMatrix:
                 raise ValueError
         except LookupError:
             problem = (
-                f"{line[8:16].strip()}, a second matrix whose name begins with {matrix_letter}"
+                f"{line[8:16].strip()} is a second matrix whose name begins with {matrix_letter}"
             )
             raise ValueError(f"line {number}: {problem}") from None
         except ValueError:
             expected_format = "a real square matrix DMIG in fields of 16 characters"
-            raise ValueError(f"line {number}: {line[:80]!r} is not of {expected_format}") from None
+            raise ValueError(
+                f"line {number}: {line[:80]!r} is no line of {expected_format}"
+            ) from None
     if not entry_labels:
         raise ValueError(f"it has no matrix DMIG whose name begins with {matrix_letter}")
     label_pairs = np.array(entry_labels, dtype=np.int64).reshape(-1, 2, 2)
@@ -439,7 +446,9 @@ def _read_op4(path: Path, matrix_letter: str) -> sparse.csr_matrix:
         raise ValueError(f"it has no whole matrix whose name begins with {matrix_letter}") from None
     except ValueError:
         expected_format = "a real matrix that OUTPUT4 writes as text"
-        raise ValueError(f"line {line_number}: {line[:80]!r} is not of {expected_format}") from None
+        raise ValueError(
+            f"line {line_number}: {line[:80]!r} is no line of {expected_format}"
+        ) from None
 
 
 # --- Matrix Market --------------------------------------------------------------------------------
@@ -467,7 +476,7 @@ def read_matrix_market(path: Path, n_rows: int | None = None) -> sparse.csr_matr
         if n_rows is not None and shape[0] != n_rows:
             raise ValueError(f"it has {shape[0]} rows instead of {n_rows}")
         if symmetry != "general" and shape[0] != shape[1]:
-            raise ValueError(f"{symmetry}, but of shape {shape}")
+            raise ValueError(f"it is declared {symmetry}, but has shape {shape}")
         table = parse_number_rows(text_lines, "%", max_rows=n_entries + 1)
     n_found = table.size if layout == "array" else len(table)
     if n_found != n_entries:
@@ -477,7 +486,7 @@ def read_matrix_market(path: Path, n_rows: int | None = None) -> sparse.csr_matr
     if layout == "array":
         entries, rows_and_columns = table.ravel(), _dense_row_and_column_indices(shape, symmetry)
     elif max(shape) > max(len(table), n_rows or 1):
-        raise ValueError(f"of shape {shape}, it has only {len(table)} entries")
+        raise ValueError(f"it has shape {shape}, but only {len(table)} entries")
     else:
         entries, rows_and_columns = _split_entries_and_positions(table, shape, symmetry)
     if symmetry == "general":
@@ -519,7 +528,7 @@ def read_matrix_market_shape(path: Path) -> tuple[int, int]:
     with open_lines_and_byte_limit(path) as (text_file, allowed_bytes):
         _, sizes, _ = _read_header_and_sizes(iter(text_file), allowed_bytes)
     if len(sizes) == 3 and sizes[1] > sizes[2]:
-        raise ValueError(f"{sizes[1]} columns, but only {sizes[2]} entries")
+        raise ValueError(f"it has {sizes[1]} columns, but only {sizes[2]} entries")
     return sizes[0], sizes[1]
 
 
@@ -541,7 +550,7 @@ def _read_header_and_sizes(
     line = next((line for line in lines if line.strip() and not line.startswith("%")), "")
     sizes = [int(word) for word in line.split()]
     if len(sizes) != (3 if header[0] == "coordinate" else 2) or min(sizes) < 0:
-        raise ValueError("the line with its size is missing or wrong")
+        raise ValueError("the line with the numbers of rows and columns is missing or wrong")
     n_rows, n_columns = sizes[:2]
     if len(sizes) == 3:
         n_entries = sizes[2]
@@ -550,7 +559,7 @@ def _read_header_and_sizes(
     else:
         n_entries = n_rows * n_columns
     if n_entries * MIN_ENTRY_BYTES_BY_FORMAT[header[0]] > allowed_bytes:
-        raise ValueError(f"it announces {n_entries} entries, more than it can hold")
+        raise ValueError(f"it announces {n_entries} entries, too many for its size")
     return header, sizes, n_entries
 
 
@@ -566,7 +575,9 @@ def _parse_header(line: str) -> tuple[str, str]:
         (symmetry, SYMMETRIES),
     ):
         if word not in allowed_words:
-            raise ValueError(f"{word!r} instead of one of {', '.join(allowed_words)}")
+            raise ValueError(
+                f"its first line has {word!r} instead of one of {', '.join(allowed_words)}"
+            )
     return layout, symmetry
 
 
@@ -597,13 +608,15 @@ def _split_entries_and_positions(
         Their rows and columns, from 0.
     """
     if len(table) and table.shape[1] != 3:
-        raise ValueError(f"its entries have {table.shape[1]} numbers instead of 3")
+        raise ValueError(
+            f"its entries have {table.shape[1]} numbers instead of 3: row, column, value"
+        )
     table = table.reshape(-1, 3)
     if not np.all((table[:, :2] >= 1) & (table[:, :2] <= shape) & (table[:, :2] % 1 == 0)):
         raise ValueError("an entry lies outside of the matrix")
     rows, columns = table[:, :2].astype(np.int64).T - 1
     if symmetry != "general" and np.any(rows < columns):
-        raise ValueError(f"{symmetry}, but with entries above the diagonal")
+        raise ValueError(f"it is declared {symmetry}, but has entries above the diagonal")
     return table[:, 2], (rows, columns)
 
 
@@ -691,12 +704,14 @@ class AbsentMatrix:
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
-        raise self.input_error("this")
+        raise self.input_error("this result")
 
     @staticmethod
     def input_error(purpose: str) -> InputError:
         """Return the error for a purpose that needs matrices or a mesh."""
-        requirement = f"one with its matrices, for {purpose}: solve the scene itself"
+        requirement = (
+            f"a structure with matrices, as fc.build_structure(scene) returns, for {purpose}"
+        )
         return InputError("structure", "a file of a prepared structure", requirement)
 
 
@@ -704,7 +719,7 @@ def expand_to_pairs(name: str, data: Any, n_pairs: int) -> np.ndarray:
     """Return one finite number per pair, from one for all or one each: (n_pairs,)."""
     pair_values = floats_or_nan(data)
     if pair_values.shape not in ((), (n_pairs,)) or not np.all(np.isfinite(pair_values)):
-        raise InputError(name, data, f"one finite number, or {n_pairs}")
+        raise InputError(name, data, f"one finite number, or {n_pairs} with one per pair")
     return np.broadcast_to(pair_values, (n_pairs,)).copy()
 
 
@@ -717,7 +732,7 @@ def make_petsc_matrix(name: str, data: Any, comm: MPI.Comm, n: int | None = None
     given_matrix = data if is_petsc else sparse.csr_matrix(_load_matrix(name, data, n))
     n_rows, n_columns = given_matrix.size if is_petsc else given_matrix.shape
     if n_rows != n_columns or n_rows == 0 or n not in (None, n_rows):
-        requirement = "of shape (n, n)" if n is None else f"of shape ({n}, {n})"
+        requirement = "a square matrix (n, n)" if n is None else f"of shape ({n}, {n})"
         raise InputError(name, (n_rows, n_columns), requirement)
     if not is_petsc:
         _check_entries(name, given_matrix.data)
@@ -742,7 +757,7 @@ def _load_matrix(name: str, data: Any, n_rows: int | None) -> Any:
     except (ValueError, TypeError, OverflowError):
         raise InputError(name, type(data).__name__, "a real matrix") from None
     if matrix.ndim > 2:
-        raise InputError(name, matrix.shape, "a matrix, two-dimensional")
+        raise InputError(name, matrix.shape, "a matrix with two dimensions")
     return matrix
 
 
@@ -760,7 +775,9 @@ def make_whole_csr_matrix(name: str, data: Any, n: int) -> sparse.csr_matrix:
         data = gather_rows(data.comm.tompi4py(), np.atleast_2d(own_rows))
     loaded_matrix = _load_matrix(name, data, n)
     if loaded_matrix.ndim == 0 or loaded_matrix.shape[0] != n:
-        raise InputError(name, loaded_matrix.shape, f"with {n} rows")
+        raise InputError(
+            name, loaded_matrix.shape, f"an array or matrix with {n} rows, one per dof"
+        )
     loaded_matrix = sparse.csr_matrix(loaded_matrix.reshape(n, -1))
     _check_entries(name, loaded_matrix.data)
     return loaded_matrix
@@ -774,12 +791,15 @@ def _check_entries(name: str, entries: np.ndarray) -> None:
     magnitudes = np.abs(entries)
     if not np.all(np.isfinite(magnitudes)):
         invalid_values = entries[~np.isfinite(magnitudes)]
-        raise InputError(name, float(invalid_values.ravel()[0]), "finite in every entry")
+        raise InputError(
+            name, float(invalid_values.ravel()[0]), "a matrix whose entries are all finite"
+        )
     max_magnitude = float(magnitudes.max(initial=0.0))
     max_allowed_magnitude = MAX_ALLOWED_MAGNITUDE**2  # the product of two numbers in a scene
     if max_magnitude and not 1.0 / max_allowed_magnitude <= max_magnitude <= max_allowed_magnitude:
         requirement = (
-            f"0 or from {1.0 / max_allowed_magnitude:g} to {max_allowed_magnitude:g} in size"
+            f"0 or from {1.0 / max_allowed_magnitude:g} to {max_allowed_magnitude:g} in size; "
+            "check the units"
         )
         raise InputError(name, f"{max_magnitude:g}, the largest entry", requirement)
 
@@ -808,7 +828,7 @@ def check_and_distribute_parts(
         n_zero_pivots = factored_mass.n_null_pivots
     if n_negative_pivots or n_zero_pivots:
         problem = f"{n_negative_pivots} negative and {n_zero_pivots} zero eigenvalues"
-        raise InputError("mass", problem, "positive definite")
+        raise InputError("mass", problem, "positive definite; give each dof a mass > 0")
     _check_semidefinite("stiffness", stiffness, mass)
 
     given_gap, tangential = gaps
@@ -819,7 +839,9 @@ def check_and_distribute_parts(
     )
     if len(empty_columns := np.flatnonzero(abs(gap).sum(axis=0) == 0.0)):
         problem = f"zero in column {empty_columns[0] + 1} of {gap.shape[1]}"
-        requirement = "a pair in each: a gap that depends on no displacement never opens or closes"
+        requirement = (
+            "a matrix whose columns are the gaps of pairs, each with an entry that is not zero"
+        )
         raise InputError("gap", problem, requirement)
     part_by_name = {
         "mass": mass,
@@ -831,7 +853,7 @@ def check_and_distribute_parts(
     if tangential is not None:
         tangential = make_whole_csr_matrix("tangential", tangential, n)
         if tangential.shape[1] not in (gap.shape[1], 2 * gap.shape[1]):
-            requirement = f"of shape {gap.shape}, as gap is, or with twice the columns"
+            requirement = f"of shape {gap.shape}, as gap, or with twice as many columns"
             raise InputError("tangential", tangential.shape, requirement)
         part_by_name["tangential"] = tangential[own_rows]
     return part_by_name
@@ -889,7 +911,7 @@ def add_harmonics(
     """
     n, own_rows = mass.size[0], slice(*mass.owner_range)
     if not isinstance(harmonics, Mapping):
-        raise InputError("harmonics", harmonics, "cosine and sine part by the order")
+        raise InputError("harmonics", harmonics, "a dict {order: (cosine, sine)}")
     for order in harmonics:
         check_count("order in harmonics", order, 1, MAX_HARMONIC_ORDER)
     new_coefficients = resize_harmonics(
@@ -898,7 +920,9 @@ def add_harmonics(
     for order, cosine_and_sine in harmonics.items():
         key = f"harmonics[{order}]"
         if not isinstance(cosine_and_sine, tuple | list) or len(cosine_and_sine) != 2:
-            raise InputError(key, cosine_and_sine, "(cosine, sine), each (n,) or None")
+            raise InputError(
+                key, cosine_and_sine, f"a tuple (cosine, sine), each None or of shape ({n},)"
+            )
         new_coefficients[2 * order - 1 : 2 * order + 1] += [
             _read_load_columns_as_rows(key, load_part, n)[0, own_rows]
             for load_part in cosine_and_sine
@@ -916,7 +940,7 @@ def lump_mass(mass: Any) -> Any:
     mass.mult(ones_vector, row_sums)
     min_row_sum = row_sums.min()[1]
     if min_row_sum <= MATRIX_TOLERANCE * row_sums.max()[1]:  # zero at a triangle's corners
-        requirement = "lumped only where every row sum is positive"
+        requirement = "a matrix whose row sums are all > 0, so that it can be lumped"
         raise InputError("mass", f"row sum {min_row_sum:.3g}", requirement)
     local_shape = mass.local_size[0], mass.size[1]
     return make_matrix_from_local_rows(

@@ -145,7 +145,9 @@ class AllModes:
         if is_singular.any():
             singular_omega = omega[np.argmax(is_singular)]
             cause_text = (
-                "it can move as a rigid body" if singular_omega == 0.0 else "an undamped resonance"
+                "it can move as a rigid body: clamp it"
+                if singular_omega == 0.0
+                else "undamped resonance: add damping"
             )
             raise ConvergenceError(
                 f"dynamic compliance at {singular_omega:g} rad/s: the structure is singular "
@@ -347,7 +349,7 @@ class AllModes:
         if is_singular:
             raise ConvergenceError(
                 f"exponential: at {omega:g} rad/s the load is on an undamped resonance, or moves "
-                "the structure as a rigid body"
+                "the structure as a rigid body; add damping, or clamp the structure"
             )
         return amplitudes
 

@@ -36,8 +36,8 @@ from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 
 LIP_STATES = ("open", "tied")
 ROUNDING_ADVICE = (
-    "what is too slender, or held by too little, has frequencies below the rounding of its "
-    "stiffness; make it thicker, or what is left beside a crack wider"
+    "the structure is too slender, or held too weakly, for the rounding of its stiffness; make it "
+    "thicker, or the ligament beside a crack wider"
 )
 ZERO_TOLERANCE: float = kernel.ZERO_TOLERANCE
 """Relative size that counts as zero.
@@ -274,7 +274,11 @@ def solve_modes_with_factor(
         )
         if squares[0] < -1e-8 * square_scale:
             negative_square_text = f"{squares[0]:.3g} = omega^2 of a mode"
-            raise InputError("stiffness", negative_square_text, "positive semidefinite")
+            raise InputError(
+                "stiffness",
+                negative_square_text,
+                "positive semidefinite, without a negative omega^2",
+            )
         # A Krylov space holds one mode of a multiple frequency until rounding brings in the
         # others. So count the frequencies below the highest one; if any is missing, ask for more.
         square_bound = squares[n_modes - 1] - 1e-6 * max(squares[n_modes - 1], 0.01 * square_scale)
@@ -295,7 +299,7 @@ def solve_modes_with_factor(
     squares[squares <= ZERO_TOLERANCE * np.maximum(single_dof_squares, square_scale)] = 0.0
     if squares[0] == 0.0 and structure.clamp is not None:  # no part of a mesh is without one
         raise ConvergenceError(
-            f"modes: omega^2 of the lowest is rounding of the stiffness: {ROUNDING_ADVICE}"
+            f"modes: the lowest frequency is lost in rounding: {ROUNDING_ADVICE}"
         )
     omega = np.sqrt(squares)
     shapes *= _mode_signs(structure, shapes)
@@ -618,7 +622,9 @@ def count_damped_modes(structure: Structure) -> int:
     damping_ratios = np.asarray(damping.ratio, dtype=float)
     if damping_ratios.ndim == 1 and len(damping_ratios) != count:
         raise InputError(
-            "damping ratio", f"{len(damping_ratios)} ratios", f"one or {count}, one per mode"
+            "damping ratio",
+            f"{len(damping_ratios)} ratios",
+            f"one ratio, or {count} with one per mode",
         )
     return count
 

@@ -89,10 +89,12 @@ class Nodes(ReadOnlyArrays):
             raise InputError(key, point_tuple, f"on the mesh ({hint})")
         if len(find_node_indices_at(all_points, all_points[nearest_index])) > 1:
             raise InputError(
-                key, point_tuple, f"near a node that exists once, not on a face ({hint})"
+                key,
+                point_tuple,
+                f"near a node off the crack faces, where nodes are double ({hint})",
             )
         if np.all(all_node_dofs[nearest_index] < 0):
-            raise InputError(key, point_tuple, f"near a node that is free to move ({hint})")
+            raise InputError(key, point_tuple, f"near a node that is not clamped ({hint})")
         return all_points[nearest_index], all_node_dofs[nearest_index]
 
 
@@ -215,7 +217,7 @@ class Coordinates:
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
         raise AttributeError(
-            f"{name}: a structure cannot be changed; varied() and damped() make another one"
+            f"{name}: a structure cannot be changed; varied() and damped() return a changed one"
         )
 
     @property
@@ -317,7 +319,9 @@ class Coordinates:
         """
         mesh_and_dofs = getattr(self.whole.nodes, "mesh_dofs", None)
         if mesh_and_dofs is None:
-            raise InputError("structure", repr(self), "made from a mesh of DOLFINx, or from forms")
+            raise InputError(
+                "structure", repr(self), "a structure from a mesh of DOLFINx, or from forms"
+            )
         return mesh_and_dofs.function(self.expand(displacement[None])[0])
 
     def apply_bt(self, displacement: np.ndarray) -> np.ndarray:
@@ -392,7 +396,7 @@ class Coordinates:
             & (dof_numbers < self.n_dofs)
             & (dof_numbers == np.round(dof_numbers))
         ):
-            raise InputError("dofs", dofs, f"whole numbers between 0 and {self.n_dofs - 1}")
+            raise InputError("dofs", dofs, f"whole numbers from 0 to {self.n_dofs - 1}")
         return dof_numbers.astype(int)
 
     def find_dof(self, point: Sequence[float], component: int | str) -> int:
@@ -412,7 +416,11 @@ class Coordinates:
             structure was made from matrices and has no positions.
         """
         if self.nodes is None:
-            raise InputError("point", point, "given only for a structure made from a mesh")
+            raise InputError(
+                "point",
+                point,
+                "left out for a structure from matrices, without positions; give a dof's number",
+            )
         n_dimensions, comm = self.nodes.points.shape[1], self.whole.comm
         allowed_components: list[int | str] = [*range(n_dimensions), *AXES[:n_dimensions]]
         if component not in allowed_components:
@@ -429,12 +437,12 @@ class Coordinates:
         node_indices = find_node_indices_at(points, coordinates)
         if len(node_indices) != 1:
             hint = describe_nearest_node(points, coordinates)
-            requirement = f"at a node that exists once ({len(node_indices)} found there; {hint})"
+            requirement = f"at exactly one node ({len(node_indices)} are there; {hint})"
             raise InputError("point", tuple(coordinates), requirement)
         dofs_of_node = gather_rows(comm, self.nodes.dofs)[node_indices[0]]
         dof = int(dofs_of_node[allowed_components.index(component) % n_dimensions])
         if dof < 0:
-            requirement = f"free in component {component!r}, not clamped"
+            requirement = f"at a node that is not clamped in component {component!r}"
             raise InputError("point", tuple(coordinates), requirement)
         return dof
 

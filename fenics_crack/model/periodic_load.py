@@ -64,14 +64,18 @@ def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.nda
         and instants[-1] > instants[0]
     )
     if not is_time_valid or np.any(np.diff(instants) < 0.0):
-        raise InputError("time", time, "two or more ascending numbers, of a whole period")
+        raise InputError(
+            "time", time, "two or more ascending times [s], from the first to the last of a period"
+        )
     if (
         samples.ndim not in (1, 2)
         or len(samples) != len(instants)
         or not np.all(np.isfinite(samples))
     ):
         raise InputError(
-            "values", np.shape(values), f"finite, ({len(instants)},) or ({len(instants)}, m)"
+            "values",
+            np.shape(values),
+            f"finite numbers ({len(instants)},) or ({len(instants)}, m), one row per time",
         )
     sample_columns = samples.reshape(len(instants), -1)
     phase = 2.0 * np.pi * (instants - instants[0]) / (instants[-1] - instants[0])
@@ -123,7 +127,7 @@ def read_load_harmonics_and_error(
     InputError
         The file cannot be read, or is no such table.
     """
-    requirement = f"a CSV file with a line of words, then rows of a time and {dimension} forces [N]"
+    requirement = f"a CSV file with a line of headings, then rows: time [s], {dimension} forces [N]"
     with report_read_errors(key, path, requirement):
         table = np.array(
             [[float(cell) for cell in cells] for _, cells in read_numbered_csv_rows(path)[1:]]

@@ -244,7 +244,7 @@ def _extend_receptance(
     structure: Structure, known_receptance: Receptance | None, n_modes: int
 ) -> Receptance:
     """Make a receptance with ``n_modes`` modes, from one with fewer modes or none (collective)."""
-    begin_stage("factor of the stiffness")
+    begin_stage("factorisation of the stiffness")
     with Factor(structure.stiffness, definite=True) as factored_stiffness:
         modes = solve_modes_with_factor(factored_stiffness, structure, n_modes)
         squares, has_all_modes = modes.omega**2, n_modes == structure.n_dofs

@@ -44,7 +44,7 @@ from fenics_crack.model.receptance import (
 )
 from fenics_crack.model.structure import DampingRule, Structure
 
-MASS_REMEDY = "reduce with method = 'free_interface', or march by integrate_exponential"
+MASS_REMEDY = "reduce it with method = 'free_interface', or use integrate_exponential"
 """Remedy for a scheme that needs mass at the crack faces."""
 
 
@@ -430,7 +430,9 @@ class MasslessStructure(QuasiStaticReduction):
 def check_faces_have_mass(structure: Structure, remedy: str) -> None:
     """Raise InputError, with advice ``remedy``, if crack faces lack mass."""
     if structure.light_lips:
-        raise InputError("structure", repr(structure), f"one with mass at its faces; {remedy}")
+        raise InputError(
+            "structure", repr(structure), f"a structure whose crack faces have mass; {remedy}"
+        )
 
 
 def as_massless_structure_or_none(structure: Structure | None) -> MasslessStructure | None:

@@ -107,7 +107,7 @@ def reduce_structure(
     >>> reduced = fc.reduce_structure(structure, modes=10)
     """
     check_choice("method", method, REDUCTION_METHODS)
-    check_faces_have_mass(structure, "reduce the whole one")
+    check_faces_have_mass(structure, "reduce structure.whole")
     uniform_rule = _uniform_damping_rule_or_none(structure)
     is_modally_damped = uniform_rule is None and isinstance(structure.damping, ModalDamping)
     n_damped = count_damped_modes(structure) if is_modally_damped else None
@@ -186,7 +186,7 @@ def _reduce_massless(
     mode_counts = (n_reference, n_kept) if reference_choice else (n_kept,)
     largest_receptance = receptance(original, max(mode_counts))
     if n_missing_rigid_modes := np.count_nonzero(largest_receptance.squares[n_kept:] == 0.0):
-        requirement = f"at least {n_kept + n_missing_rigid_modes}: all motions as a rigid body"
+        requirement = f"at least {n_kept + n_missing_rigid_modes}, to keep all rigid-body motions"
         raise InputError("modes", n_kept, requirement)
     if (
         reference_choice
@@ -278,7 +278,7 @@ def _uniform_damping_rule_or_none(structure: Structure) -> DampingRule | None:
         return None
     problem = f"{len(damping.ratio)} ratios for all {structure.n_dofs} modes"
     requirement = (
-        "one ratio, or ratios of the lowest damping.modes, as there are more than "
+        "one ratio, or ratios of the lowest modes (damping.modes), as the structure has more than "
         f"{MAX_DENSE_SIZE} dofs"
     )
     raise InputError("damping ratio", problem, requirement)

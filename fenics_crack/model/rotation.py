@@ -187,9 +187,7 @@ def describe_unstable_speed(structure: Structure, speed: float) -> str:
     subject, problem = "the plate", f"is unstable at {speed / RAD_PER_S_PER_RPM:.6g} rpm"
     if structure.nodes is not None:
         mesh_extents = np.ptp(gather_rows(structure.comm, structure.nodes.points), axis=0)
-        problem += (
-            f"; it measures {' x '.join(f'{mesh_extent:.3g}' for mesh_extent in mesh_extents)} m"
-        )
+        problem += f"; the mesh measures {' x '.join(f'{size:.3g}' for size in mesh_extents)} m"
         if len(mesh_extents) == 3:
             subject = "without the Coriolis force, which is left out, the solid"
     return f"lower: {subject} {problem}"
@@ -487,7 +485,7 @@ class RunUpStructure(QuasiStaticReduction):
 
     def damped(self, damping: DampingRule | None) -> RunUpStructure:
         """Raise InputError: the damping comes from the structure before the run-up."""
-        raise InputError("damping", damping, "that of the structure from which this one was made")
+        raise InputError("damping", damping, "left out; damp the structure before run_up_structure")
 
 
 def run_up_structure(structure: Structure, start: float, stop: float, modes: int) -> RunUpStructure:
@@ -521,7 +519,9 @@ def run_up_structure(structure: Structure, start: float, stop: float, modes: int
     """
     rotation = structure.rotation
     if rotation is None:
-        raise InputError("structure", repr(structure), "one that rotates, of a scene's [rotation]")
+        raise InputError(
+            "structure", repr(structure), "a rotating structure, from a scene with [rotation]"
+        )
     if not isinstance(structure.damping, DampingRule | None):
-        raise InputError("damping", "a matrix", "modal or Rayleigh damping in a run-up")
+        raise InputError("damping", "a matrix", "modal or Rayleigh damping for a run-up")
     return RunUpStructure(RitzProjection.of_range(structure, start, stop, modes), rotation.speed)

@@ -76,7 +76,7 @@ class ModalDamping:
     def __post_init__(self) -> None:
         ratio = floats_or_nan(self.ratio)
         if ratio.ndim > 1 or not ratio.size or not np.all(np.isfinite(ratio)) or ratio.min() < 0.0:
-            raise InputError("damping ratio", self.ratio, "finite and >= 0, one or one per mode")
+            raise InputError("damping ratio", self.ratio, "one finite number >= 0, or one per mode")
         if self.modes is not None:
             check_count("damping modes", self.modes, 1)
         object.__setattr__(self, "ratio", tuple(ratio.tolist()) if ratio.ndim else float(ratio))
@@ -534,7 +534,7 @@ class Structure(Coordinates):
         """
         spring_stiffnesses = expand_to_pairs("stiffness", stiffness, self.n_pairs)
         if np.any(spring_stiffnesses < 0.0):
-            raise InputError("stiffness", stiffness, ">= 0: springs that hold the pairs together")
+            raise InputError("stiffness", stiffness, ">= 0, as springs hold the pairs together")
         empty_gap_matrix = sparse.csr_matrix((self.n_local, 0))
 
         def bond_pairs(structure: Structure) -> Structure:
@@ -566,7 +566,9 @@ class Structure(Coordinates):
             whole one.
         """
         if self.whole is not self:
-            raise InputError("structure", repr(self), "one that is not reduced")
+            raise InputError(
+                "structure", repr(self), "a structure that is not reduced, as structure.whole"
+            )
         load_coefficients = add_harmonics(self.force, harmonics, self.mass)
         return self._in_setting(
             replace(self.setting, load_weights=1.0), force=load_coefficients, clamp=None
@@ -586,7 +588,7 @@ class Structure(Coordinates):
         if self.tangential is not None or self.pairs.tangential_gap_matrix is None:
             return self
         if self is not self.whole:
-            requirement = "a whole one: reduce structure.whole.with_tangents()"
+            requirement = "a structure that is not reduced; reduce structure.whole.with_tangents()"
             raise InputError("structure", repr(self), requirement)
         return self.compute_once(_add_tangents)._in_setting(self.setting)
 
@@ -607,10 +609,12 @@ class Structure(Coordinates):
             It has no tangents, or two directions a pair without ``direction``.
         """
         if self.tangential is None:
-            requirement = "one with tangents; with_tangents() of a solid has them"
+            requirement = "a structure with tangents, as structure.with_tangents() of a solid"
             raise InputError("structure", repr(self), requirement)
         if (self.tangential.shape[1] > self.n_pairs) != (direction is not None):
-            requirement = "given on solids alone: fc.slide_along_lines(structure, omega, contact)"
+            requirement = (
+                "given for solids only; fc.slide_along_lines(structure, omega, contact) finds it"
+            )
             raise InputError("direction of friction", direction, requirement)
         direction_and_structure_cache = self.compute_once(_make_empty_tangential_pairs_cache)
         if not direction_and_structure_cache or not np.array_equal(
@@ -684,7 +688,9 @@ class Structure(Coordinates):
             )
             raise InputError("load", load, requirement)
         if self.whole.rotation is not None and not _is_mean_kept(load_weights):
-            requirement = "1 for a structure that rotates: part of its mean load is centrifugal"
+            requirement = (
+                "1 for a rotating structure, whose mean load includes the centrifugal force"
+            )
             raise InputError("load", load, requirement)
         check_number("damping", damping, 0.0)
         added_clearance = expand_to_pairs("clearance", clearance, self.n_pairs)

@@ -238,5 +238,5 @@ def _describe_mode_choice(study: Study, mode_error: float) -> str:
         if mode_error < math.inf
         else "error unknown"
     )
-    remedy_text = f"what helps: {scene.modes_key} {2 * n_modes}"
-    return f"{error_text}, {format_percent(tolerance)} was asked; {remedy_text}"
+    remedy_text = f"what helps: {scene.modes_key} = {2 * n_modes}"
+    return f"{error_text}, but {format_percent(tolerance)} was requested; {remedy_text}"

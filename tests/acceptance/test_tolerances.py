@@ -70,7 +70,7 @@ def test_what_cannot_be_reached_says_so() -> None:
     law = fc.UnilateralPenalty(1e9)
     catch_error(
         lambda: fc.solve_harmonic_balance(judged.plate(), 2000.0, law, tolerance=1e-7),
-        names="1e-05 % was asked; what helps: modes",
+        names="1e-05 % was requested; what helps: modes",
         kind=fc.ConvergenceError,
     )
     solution = fc.solve_harmonic_balance(judged.plate(), 2000.0, law, tolerance=1e-7, throw=False)

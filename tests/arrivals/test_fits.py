@@ -232,7 +232,7 @@ def test_angles_of_probes_that_are_not_known(sine: fc.PeriodicSolution) -> None:
         ),
         "arrivals",
         "5 arrivals",
-        names=" 8$",
+        names=" 8,",
     )
 
 
@@ -243,7 +243,7 @@ def test_arrivals_that_are_the_marks() -> None:
     catch_error(
         lambda: fc.fit_order(arrivals, harmonics=2),
         "probes",
-        "the one at 0 degrees is passed where that at 63 degrees is",
+        "arrivals of the probe at 0 degrees fit the angle of the probe at 63 degrees",
     )
 
 
@@ -462,8 +462,12 @@ def test_probes_that_are_swapped(sine: fc.PeriodicSolution) -> None:
         lambda record: fc.Measurements.from_arrivals(record, 5),
     ]
     for time, key, value in (
-        (swapped_times, "probes", "the one at 20 degrees is passed where that at 88 degrees is"),
-        (late_times, "time", "those at 41 degrees are of the revolutions before"),
+        (
+            swapped_times,
+            "probes",
+            "arrivals of the probe at 20 degrees fit the angle of the probe at 88 degrees",
+        ),
+        (late_times, "time", "arrivals at 41 degrees belong to the revolution before their row"),
     ):
         for call in calls:
             catch_error(partial(call, replace(arrivals, time=time)), key, value)

@@ -89,7 +89,7 @@ def test_frequency_that_follows_the_speed(stiffening: float) -> None:
     constant_fit = fc.fit_passage(record, 100.0, [order])
     assert constant_fit.damping == pytest.approx(damping / (1.0 - stiffening), rel=0.15)
     assert constant_fit.disagree and constant_fit.disagreement.startswith(
-        "passages differ more than errors"
+        "passages differ by more than their errors"
     )
     catch_error(
         lambda: fc.fit_passage(record, 100.0, [order], stiffening=0.95),
@@ -321,7 +321,7 @@ GOOD_ROWS = [[1000.0, 0.1], [1000.0, 0.1], [1000.0, 0.1]]
         ("pace,probe 1 [rad]", GOOD_ROWS, "", r"speed \[rpm\]"),
         ("speed [rpm],probe 1 [rad]", GOOD_ROWS[:1], ": 1 revolution", None),
         ("speed [rpm],probe 1 [rad],", GOOD_ROWS[:0], ": 0 revolutions", None),
-        ("speed [rpm],probe 1 [rad],probe 1 [rad]", GOOD_ROWS, ", line 3", "3 cells"),
+        ("speed [rpm],probe 1 [rad],probe 1 [rad]", GOOD_ROWS, ", line 3", "3 headings"),
         (
             "speed [rpm],speed [rpm],probe 1 [rad]",
             [[9.0, 9.0, 0.1]] * 3,
@@ -336,9 +336,9 @@ GOOD_ROWS = [[1000.0, 0.1], [1000.0, 0.1], [1000.0, 0.1]]
             ": revolution",
             ">= 0",
         ),
-        ("speed [rpm],probe 1 [rad]", [[1000.0, 0.1], [1.0]], ", line 4", "2 cells"),
+        ("speed [rpm],probe 1 [rad]", [[1000.0, 0.1], [1.0]], ", line 4", "2 headings"),
         ("speed [rpm],probe 1 [rad]", [[1000.0, None]] * 3, ": probe 1 [rad]", None),
-        ("speed [rpm],probe 1 [rad]", [[1000.0, 41.0]] * 3, ": probe 1 [rad] = 41", "in degrees"),
+        ("speed [rpm],probe 1 [rad]", [[1000.0, 41.0]] * 3, ": probe 1 [rad] = 41", "for degrees"),
         (
             "mark [s],probe 1 [rad]",
             [[None if n == 5 else 0.1 * n, 0.1] for n in range(12)],
@@ -386,7 +386,7 @@ def test_a_missed_mark(
     catch_error(
         lambda: fc.read_record(path, tip_radius=0.5),
         f"{path}: {column}",
-        f"revolution {revolution} takes 2 times as long as those around it",
+        f"revolution {revolution} takes 2 times as long as the revolutions around it",
     )
 
 

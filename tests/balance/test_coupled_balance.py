@@ -231,7 +231,8 @@ def test_nothing_converges(plate: fc.Structure) -> None:
     starts = "from fewer harmonics", "from an exact orbit", "continuation in the contact compliance"
     attempts = "; then ".join(rf"{start}: failed \(\d+ iterations\)" for start in starts)
     message = (
-        attempts + r"; no solution in \d+ iterations: try a tolerance, which takes the exact orbit"
+        attempts
+        + r"; no solution in \d+ iterations: try a tolerance: the solution is then the exact orbit"
     )
     catch_error(
         lambda: fc.solve_harmonic_balance(plate, 2000.0, RIGID, **options),

@@ -337,4 +337,6 @@ def test_no_orbit_judges_where_no_flow_is_exact(law: ContactLaw) -> None:
     assessment = fc.solve_harmonic_balance(oscillator(), 1.0, law).assessment
     assert assessment.nearest_orbit is None and assessment.predicted_error == np.inf
     assert not assessment.is_accepted and np.isnan(assessment.relative_orbit_distance)
-    assert assessment.rejection_reason == "there is no exact flow for its law or structure"
+    assert assessment.rejection_reason == (
+        "no exact orbits can be computed for this contact law or structure"
+    )

@@ -64,21 +64,21 @@ def test_integers(tmp_path: Path) -> None:
         ("", "does not begin"),
         ("matrix array complex general\n1 1\n1 0\n", "'complex' instead of"),
         ("matrix coordinate pattern general\n1 1 1\n1 1\n", "'pattern' instead of"),
-        ("matrix array real general\n", "size is missing"),
+        ("matrix array real general\n", "line with the numbers"),
         ("matrix array real general\n2 1\n1\n2\n3\n", "more entries instead of 2"),
-        ("matrix array real symmetric\n2 1\n1\n2\n", "symmetric, but of shape"),
+        ("matrix array real symmetric\n2 1\n1\n2\n", "symmetric, but has shape"),
         ("matrix coordinate real general\n2 2 1\n1 1 1\n2 2 1\n", "more entries instead of 1"),
         ("matrix coordinate real general\n2 2 2\n1 1 1\n3 2 1\n", "outside of the matrix"),
         ("matrix coordinate real general\n3 1 3\n1 1 1\n1 2 1\n1 3 1\n", "outside of the matrix"),
         ("matrix coordinate real general\n2 2 2\n1 1 1\n1.5 2 1\n", "outside of the matrix"),
         ("matrix coordinate real symmetric\n2 2 2\n1 1 1\n1 2 1\n", "above the diagonal"),
-        ("matrix coordinate real general\n9 9 1\n1 1 1\n", "has only 1 entries"),
+        ("matrix coordinate real general\n9 9 1\n1 1 1\n", "but only 1 entries"),
         ("matrix coordinate real general\n2 2 2\n1 1\n2 2\n", "2 numbers instead of 3"),
-        ("matrix coordinate real general\n9 9 1000000000000\n1 1 1\n", "more than it can hold"),
-        ("matrix array real general\n1000000 1000000\n1\n", "more than it can hold"),
-        ("matrix coordinate real general\n9 9 99999999999999999999999\n1 1 1\n", "hold"),
-        ("matrix coordinate real general\n1000000 1000000 1\n1 1 1\n", "of shape"),
-        ("matrix array real symmetric\n1000000 1000000\n1\n", "more than it can hold"),
+        ("matrix coordinate real general\n9 9 1000000000000\n1 1 1\n", "too many for its size"),
+        ("matrix array real general\n1000000 1000000\n1\n", "too many for its size"),
+        ("matrix coordinate real general\n9 9 99999999999999999999999\n1 1 1\n", "too many"),
+        ("matrix coordinate real general\n1000000 1000000 1\n1 1 1\n", "has shape"),
+        ("matrix array real symmetric\n1000000 1000000\n1\n", "too many for its size"),
     ],
 )
 def test_what_a_file_does_not_keep(tmp_path: Path, text: str, reason: str) -> None:
@@ -107,8 +107,8 @@ def test_bombs(tmp_path: Path, packed: Callable[[bytes], bytes], kind: str) -> N
         packed(b"%%MatrixMarket matrix array real general\n" + size + b"\n" + body[kind])
     )
     assert path.stat().st_size < 200_000
-    reason = {"lines": "more entries", "announced": "more than it can hold"}
-    check_refused(path, reason.get(kind, "too large for its size"))
+    reason = {"lines": "more entries", "announced": "too many for its size"}
+    check_refused(path, reason.get(kind, "too large for a packed file"))
 
 
 def test_columns_without_an_entry(tmp_path: Path) -> None:

@@ -128,7 +128,7 @@ def test_a_packed_table_of_nodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         (tmp_path / f"nodes.{suffix}").write_bytes(pack(b"1,0,0,0\n2,1,0,0\n"))
     assert read_model(tmp_path / "nodes.gz").labels.tolist() == [1, 2]
     monkeypatch.setattr(untrusted_files, "max_allowed_unpacked_bytes", lambda _: 12)
-    for suffix, reason in (("xz", "instead of 4 numbers"), ("gz", "too large for its size")):
+    for suffix, reason in (("xz", "instead of 4 numbers"), ("gz", "too large for a packed file")):
         catch_error(
             partial(read_model, tmp_path / f"nodes.{suffix}"), names=reason, kind=ValueError
         )

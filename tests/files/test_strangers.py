@@ -121,7 +121,7 @@ def test_a_result_runs_nothing(
         content = (home / "new").read_bytes()
         path.write_bytes(SCRIPT.encode() + content[len(SCRIPT) :])
     reasons = {
-        "polyglot": "begin as HDF5", "no digest": "older versions", "any digest": "has changed",
+        "polyglot": "not an HDF5 file", "no digest": "older versions", "any digest": "unchanged",
         "script with its digest": r"\$MeshFormat",
     }  # fmt: skip
     for words in (["plot", path], ["report", path], ["plot", path, path, "--label", "a"]):
@@ -220,8 +220,8 @@ def many(file: h5py.File) -> None:
         (soft_link, "is a link"), (external_link, "is a link"),
         (external_storage, "another file"), (virtual, "another file"),
         (long, "would take more"), (rather_long, "would take more"), (bomb, "would take more"),
-        (long_words, "[Mm]emory"), (large_pieces, "pieces"), (unknown_filter, "packed"),
-        (group, "no dataset"), (pairs, "neither numbers nor words"), (number, "no text"),
+        (long_words, "[Mm]emory"), (large_pieces, "chunks"), (unknown_filter, "filter"),
+        (group, "not a dataset"), (pairs, "neither numbers nor words"), (number, "not a text"),
         (many, "parts"),
     ],
 )  # fmt: skip
@@ -334,17 +334,19 @@ def test_readers_know_no_rank_and_end(home: Path, monkeypatch: pytest.MonkeyPatc
     assert isinstance(names, dict) and "HOME" in names["names"].tolist()
     assert not any(name.startswith(("OMPI_", "PMI")) for name in names["names"].tolist())
     program.write_text(f"{start}while True: pass")
-    assert run_reader_for_arrays(program, program, 1) == "it is not read in 1 s"
+    assert run_reader_for_arrays(program, program, 1) == "reading it takes more than 1 s"
     program.write_text(f"{start}return {{'zeros': np.ones(2**33)}}")
     assert "allocate" in str(run_reader_for_arrays(program, program, int(LIMIT)))
     program.write_text(f"{start}np.ones(2**25)")
     assert "allocate" in str(run_reader_for_arrays(program, program, int(LIMIT), 2**28))
     program.write_text(f"{start}os._exit(0)")
-    assert (
-        run_reader_for_arrays(program, program, int(LIMIT)) == "its reader has handed over nothing"
+    assert run_reader_for_arrays(program, program, int(LIMIT)) == (
+        "the program that reads it returned nothing: the file is damaged"
     )
     program.write_text(f"{start}os.abort()")
-    assert run_reader_for_arrays(program, program, int(LIMIT)) == "it crashes its reader"
+    assert run_reader_for_arrays(program, program, int(LIMIT)) == (
+        "the program that reads it crashed: the file is damaged, or too large"
+    )
 
 
 def test_one_reader_reads_every_file(home: Path) -> None:

@@ -87,11 +87,11 @@ def test_a_law_without_all_methods_is_told_which() -> None:
 
     mass = Structure.from_matrices(np.eye(1), np.eye(1), gap=np.ones((1, 1)), force_sin=[1.0])
     solve: Any = solve_harmonic_balance
-    catch_error(lambda: solve(mass, 0.5, Law()), "contact", names=" with tangent, scaled, ")
+    catch_error(lambda: solve(mass, 0.5, Law()), "contact", names="attributes: tangent, scaled")
     catch_error(
         lambda: solve(mass, 0.5, UnilateralPenalty),
         "contact",
-        names=" with stiffness, force, tangent, scaled, ",
+        names="attributes: stiffness, force, tangent, scaled",
     )
 
 

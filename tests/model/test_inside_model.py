@@ -339,7 +339,7 @@ def test_complementarity_without_solution_is_an_error() -> None:
     """Two opposite pairs on one dof that both penetrate."""
     catch_error(
         lambda: solve_complementarity(np.array([[1.0, -1.0], [-1.0, 1.0]]), np.ones(2)),
-        names="closed pairs",
+        names="contact forces",
         kind=fc.ConvergenceError,
     )
 

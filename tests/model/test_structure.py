@@ -318,8 +318,8 @@ def test_find_dof(paper_structure: Structure) -> None:
 @pytest.mark.parametrize(
     ("key", "point", "component", "names"),
     [
-        ("point", (0.03, 0.05), 0, "0 found"),
-        ("point", (0.0, 0.05), 1, "2 found"),
+        ("point", (0.03, 0.05), 0, "0 are there"),
+        ("point", (0.0, 0.05), 1, "2 are there"),
         ("point", (0.05, 0.0), 0, None),
         ("point", (0.1, 0.1, 0.0), 0, None),
         ("point", (np.nan, 0.1), 0, None),

@@ -76,9 +76,9 @@ def test_a_record_from_the_shell(tmp_path: Path, timing: RunCommand) -> None:
     assert [row.split(",")[2] for row in rows[1:]] == ["5.0", "7.0"]
     assert (tmp_path / "timing.png").stat().st_size > 1000
     for sets, error in (
-        ([], "tip_radius is missing: must be given for"),
-        ([], "'tip_radius [m]': distance of tips and axis in m; "),
-        ([], "from the shell --set tip_timing.tip_radius=0.5\n"),
+        ([], "the distance from the axis to the blade tips [m], "),
+        ([], "has no column 'tip_radius [m]'; "),
+        ([], "on the command line, --set tip_timing.tip_radius=0.5\n"),
         (["crack.length=1"], "crack.length = 1: not allowed with a record"),
         (["tip_timing.orders=[0]"], "tip_timing.orders = [0]: must be a list of"),
     ):

@@ -351,7 +351,7 @@ def test_csv_of_a_measured_run_up(tmp_path: Any) -> None:
     catch_error(
         lambda: fc.ArrivalTimes.from_csv(tmp_path / "one.csv", tip_radius=0.5),
         "path",
-        names=r"tip_radius \[m\] = .* 0\.5, ",
+        names=r"tip_radius \[m\] = .* = 0\.5 m",
     )
 
 
@@ -365,7 +365,7 @@ MANY_PROBES = "".join(f"\n{n},1,{n / 4000.0},{n},{n + 1},1e-3,1,1,0.5" for n in 
         (
             lambda text: text.replace(",0.5\n", ",0.6\n", 1),
             ", tip_radius [m] = [0.5, 0.6]",
-            r" 0\.5, ",
+            r" = 0\.5 m",
         ),
         (lambda text: text.replace("arrival [s]", "arrival [ms]"), "", r"'arrival \[s\]'"),
         (lambda text: text.replace("\n1,", "\n1.5,"), ", line 4", None),
@@ -378,7 +378,7 @@ MANY_PROBES = "".join(f"\n{n},1,{n / 4000.0},{n},{n + 1},1e-3,1,1,0.5" for n in 
             r"1e\+07 ",
         ),
         (lambda text: text.replace("\n0,2,", "\n1,2,"), "", "next_mark"),
-        (lambda text: text + "1,2\n", ", line 8", "9 cells.* 2$"),
+        (lambda text: text + "1,2\n", ", line 8", "9 headings.* 2$"),
         (lambda text: text.splitlines()[0], "", None),
         (lambda text: text.splitlines()[0] + "\n\n", "", None),
         (lambda text: "", "", "'revolution'"),

@@ -158,7 +158,7 @@ def test_tolerance_beyond_the_file_is_said_to_be_missed(file: Path) -> None:
     keys = {"harmonic_balance.tolerance": 1e-3, "harmonic_balance.harmonics": None}
     run = fc.solve(fc.load_prepared(file, keys | {"reduction.modes": None}))
     assert run.structure.n_modes == 10
-    assert run.result.report.reduction > 1e-3 and "was asked" in run.result.status
+    assert run.result.report.reduction > 1e-3 and "was requested" in run.result.status
 
 
 def test_curve_of_a_file(file: Path) -> None:

@@ -44,7 +44,7 @@ def test_a_curve_has_no_more_modes_than_are_chosen() -> None:
     """A tolerance that takes more is not met, and it says what helps."""
     stricter = fc.curve(new_scene().replace(COARSE | {"harmonic_balance.tolerance": 1e-4}))
     assert stricter.scene.given("reduction").modes == MAX_MODES_FOR_MANY_SOLUTIONS
-    assert "was asked; what helps: reduction.modes 80" in stricter.status
+    assert "was requested; what helps: reduction.modes = 80" in stricter.status
 
 
 @pytest.mark.nightly
