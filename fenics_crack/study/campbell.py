@@ -370,7 +370,7 @@ class Campbell(SavedResult):
 
         The frequencies w have the kind (crack state) at the nearest speed in the diagram. Between
         two speeds W and beyond them, w^2 is taken as linear in W^2 (Southwell).
-        :func:`find_passages` uses this method.
+        :func:`find_passages` calls this method.
 
         Parameters
         ----------

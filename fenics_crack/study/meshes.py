@@ -79,9 +79,9 @@ def prepare_coarser_study_or_reason(study: Study) -> tuple[Study, tuple[int, int
 
 
 def make_coarser_scene_or_reason(scene: Scene) -> Scene | str:
-    """Return the scene with a mesh about twice as coarse, or the reason for none.
+    """Return a scene with a coarser mesh, or the reason for none.
 
-    For a mesh file the coarser mesh is the file ``mesh.coarser``.
+    Elements are about twice as long; for a mesh file the coarser mesh is the file ``mesh.coarser``.
     """
     if scene.structure is not None:
         return "matrices have no coarser mesh"

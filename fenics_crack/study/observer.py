@@ -67,7 +67,7 @@ def make_requested_rows_and_readers(study: Study) -> list[ExtraRows]:
 
 
 class ObservedQuantity(NamedTuple):
-    """A number of a motion, or an array of n such numbers along a curve.
+    """A number read from a motion, with its name and unit.
 
     Attributes
     ----------
@@ -76,6 +76,7 @@ class ObservedQuantity(NamedTuple):
     words, unit : str
         Description, with the watched displacement, and unit.
     value : float or (n,)
+        The number; for a curve an array over its n points.
     """
 
     column_name: str
@@ -124,9 +125,10 @@ def observe_quantities(study: Study, motion: ObservedMotion) -> list[ObservedQua
 
 
 class ClampReactions(NamedTuple):
-    """Forces (n, d) [N] and moments (n, n_rigid - d) [N m] of the clamp at n instants.
+    """Forces and moments of the clamp at n instants.
 
-    ``n_rigid`` is the number of rigid-body motions: 3 in a plate, 6 in a solid.
+    ``force`` is (n, d) [N] and ``moment`` (n, n_rigid - d) [N m], for the n_rigid rigid-body
+    motions: 3 in a plate, 6 in a solid.
     """
 
     force: np.ndarray
@@ -191,7 +193,7 @@ def clamp_inertia_rows(structure: Structure) -> np.ndarray:
 
 
 class CrackTipHistory(NamedTuple):
-    """Stress intensity factors over time, at a crack tip or a station of a crack front.
+    """Stress intensity factors over time at a crack tip or front station.
 
     Attributes
     ----------
@@ -215,13 +217,13 @@ class CrackTipHistory(NamedTuple):
 
     @property
     def equivalent_range(self) -> float:
-        """Range of K_I from 0 that, once per load period, gives the same crack growth.
+        """Range of K_I from 0 with the same crack growth per load period.
 
             (sum_i (delta K_i / (1 - R_i)^(1 - gamma))^m / n_load_periods)^(1 / m) [Pa m^1/2]
 
-        The sum is over the rainflow cycles i of max(K_I, 0), with the range delta K_i and the ratio
-        R_i of minimum to maximum. gamma and m are ``ratio_exponent`` and ``exponent`` of the growth
-        law. Cycles below the threshold are left out if another cycle is above it.
+        The sum is over the rainflow cycles i of max(K_I, 0). Each has the range delta K_i and the
+        ratio R_i of minimum to maximum. gamma and m are ``ratio_exponent`` and ``exponent`` of the
+        growth law. Cycles below the threshold are left out if another cycle is above it.
         """
         assert self.growth_law is not None
         maxima, minima = find_rainflow_cycles(np.maximum(self.K_I, 0.0)).T
@@ -299,9 +301,9 @@ def compute_crack_tip_histories(
 
 
 class EllipseTipHistories(NamedTuple):
-    """Stress intensity factors over time at a half-ellipse's deepest station and ends.
+    """Stress intensity factors over time at an elliptic front's deepest station and ends.
 
-    The ends lie at the surface; a quarter-ellipse or a buried front has fewer than two.
+    The ends are those at the surface of the body.
     """
 
     deepest_history: CrackTipHistory
@@ -432,9 +434,9 @@ def make_tips_and_intensity_rows(
     """Make the rows that give K at crack tips or front stations (collective).
 
     K = displacement_rows u + force_rows lambda for displacement u and contact forces lambda. The
-    rows are made once for a structure and all structures with the same matrices. In a reduced
-    structure u includes the static responses to load and contact, so that K converges faster than a
-    sum over modes.
+    rows are made once for a structure and its copies with other load, damping or clearance. In a
+    reduced structure u includes the static responses to load and contact, so that K converges
+    faster than a sum over modes.
 
     Returns
     -------

@@ -38,7 +38,8 @@ from fenics_crack.study.sharing import LAST_STRUCTURES, SharedStructure, assembl
 REFUSAL_EXCEPTIONS = (InputError, ConvergenceError, np.linalg.LinAlgError)
 """Exceptions by which one computation fails while others, such as a sweep's cases, continue."""
 MAX_UNREDUCED_DOFS = 100
-"""Maximum dofs of a structure that is reduced only if the scene has a table ``[reduction]``."""
+"""Maximum dofs of a structure that is not reduced by default, on one rank. A table ``[reduction]``
+requests a reduction."""
 
 
 @dataclass(frozen=True)
