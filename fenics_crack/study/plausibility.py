@@ -619,7 +619,7 @@ def _round_to_three_digits(value: float, round_function: Callable[[float], int])
 def _curve_parameter_at_crossing(
     scene: Scene, parameter: str, omega: float, slope: float, harmonic: float = 1.0
 ) -> float:
-    """Return the value of a curve's parameter at which a harmonic meets a natural frequency.
+    """Return a curve's parameter at which a harmonic meets a natural frequency.
 
     Parameters
     ----------
@@ -696,7 +696,7 @@ class Remark:
 
 
 class RemarkRule(NamedTuple):
-    """Rule for remarks on a scene: plausible range of a number, computed from a key's value.
+    """Rule for remarks on a scene: a number's plausible range.
 
     Attributes
     ----------
@@ -704,7 +704,7 @@ class RemarkRule(NamedTuple):
         Keys, separated by blanks. The remark names the first key with a value other than 0; "crack"
         stands for every crack.
     lower_limit, upper_limit : float
-        Plausible range of the number; outside a remark is made.
+        Plausible range; a number outside gets a remark.
     text_template : str
         Text with fields for the number, further values, {kind} and {faces}.
     compute_number : callable, optional
@@ -849,8 +849,9 @@ def _relative_distance_and_node_text(
     Returns
     -------
     (float, str) or None
-        Distance over the mesh's longest extent, and the node's position as text. None unless mesh
-        or matrices come from a file, or if the load acts inside a cell.
+        Distance over the mesh's longest extent, and the node's position as text. None if the load
+        acts inside a cell, and for scenes without a part file (``geometry.file``) or given
+        matrices.
     """
     if structure.nodes is None or (scene.structure is None and scene.geometry.file is None):
         return None
@@ -918,7 +919,9 @@ def _clamp_height_ratio_and_height(
 def _clamp_bending_ratio_and_stress(
     _: object, scene: Scene, structure: Structure
 ) -> tuple[float, float] | None:
-    """Return the bending stress in a solid's clamp by an axis beside its centre (collective).
+    """Return the bending stress in a solid's clamp by an eccentric axis (collective).
+
+    The centrifugal force bends a blade whose rotor axis passes beside the clamp's centre.
 
     Returns
     -------
@@ -967,7 +970,7 @@ def _largest_coriolis_change(_: float, scene: Scene, structure: Structure) -> fl
 
 
 def describe_coriolis(relative_changes: np.ndarray) -> str:
-    """Describe the effect of the Coriolis force in words; "" if at most 1 %.
+    """Describe the Coriolis force's effect in words; "" if at most 1 %.
 
     ``relative_changes`` (m,) are those of the lowest natural frequencies; the largest one counts.
     """
@@ -1086,7 +1089,8 @@ def _peak_rotation_and_displacement(
 def _n_face_elements_if_chosen(_: object, scene: Scene, key_figures: KeyFigures) -> int | None:
     """Return the number of elements along each crack face, if the scene chooses it.
 
-    None for a grid, whose columns and rows set the number, and for contact at the mouth alone.
+    None for a grid without patches, whose columns and rows set the number. None, too, for contact
+    at the mouth alone.
     """
     has_mouth_contact_only = scene.contact is not None and scene.contact.pairs == "mouth"
     is_grid_without_patches = scene.mesh.layout == "grid" and scene.mesh.patches is None
