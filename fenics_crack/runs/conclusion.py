@@ -78,22 +78,22 @@ class StudyWithResult(Study):
 
 
 MIN_REPORTED_FRICTION_CHANGE = 0.01
-"""Minimum relative change of the watched amplitude by friction for a closing sentence to mention
-friction that the scene leaves out. A larger tolerance of the scene is the limit instead."""
+"""Minimum relative change of the watched amplitude by friction that a closing sentence mentions, if
+the scene leaves friction out. A larger tolerance of harmonic balance replaces this limit."""
 LINEAR_VIBRATION_TEXT = "no contact pair opens and closes: the vibration is linear"
 
 
 def list_linearity_sentences(closed_share: np.ndarray) -> list[str]:
     """Return a sentence if the vibration is linear, else an empty list.
 
-    Each vibration with all pairs always closed, or all always open, is linear. The list is also
-    empty without contact pairs.
+    A vibration is linear if all contact pairs stay closed, or all stay open. The list is empty if
+    any solution is not linear, and without contact pairs.
 
     Parameters
     ----------
     closed_share : array of any shape
         For each solution, the fraction of the period for which a pair is closed, averaged over the
-        pairs: 0 to 1, nan without pairs. Values between 0 and 1 give an empty list.
+        pairs: 0 to 1, nan without pairs. Any value between 0 and 1 gives an empty list.
     """
     breathes = np.any((closed_share > 0.0) & (closed_share < 1.0))
     has_pairs = np.any(np.isfinite(closed_share))

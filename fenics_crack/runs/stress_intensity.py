@@ -45,11 +45,11 @@ class StressIntensity(Tabular):
     points, ahead : (n_tips, d) [m], (n_tips, d)
         Positions of the tips, and unit vectors in which the cracks run straight on.
     one, two : (n, n_tips) [Pa m^1/2]
-        K_I is positive if the crack faces part. K_II is positive if the face on the left, looking
-        ahead, moves ahead. At a front without clearance K_I is never negative, and exactly zero
-        while all contact patches next to the station are closed.
+        K_I and K_II. K_I is positive if the crack faces part. K_II is positive if the face on the
+        left, looking ahead, moves ahead. At a front without clearance K_I is never negative, and
+        exactly zero while all contact patches next to the station are closed.
     three : (n, n_tips) [Pa m^1/2] or None
-        K_III is positive if the upper face moves along the front, in the direction e_3 = e_1 x e_2
+        K_III, positive if the upper face moves along the front, in the direction e_3 = e_1 x e_2
         with e_1 ahead and e_2 from the lower to the upper face. None for a plate.
     closed : (n_tips,) [Pa m^1/2]
         Error of K_I in a solid: largest |K_I| computed while the front is closed, where it is zero

@@ -92,7 +92,7 @@ class GatheredCsrMatrix:
         return cls(gather_rows(comm, matrix.data), gather_rows(comm, matrix.indices), row_starts)
 
     def to_matrix(self, *shape: int) -> sparse.csr_matrix:
-        """Return the matrix; ValueError unless the arrays make one with this shape.
+        """Return the matrix; ValueError if the arrays are no matrix of this shape.
 
         ``shape`` is (n_rows, n_columns). SciPy checks the order of row starts only if the last
         start is above zero.
@@ -404,8 +404,8 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
 def _gather_prepared_structure(study: Study) -> PreparedStructure:
     """Gather a reduced study's data for a file (collective).
 
-    They have as many modes as the reduction or its reference (for the reduction error), whichever
-    has more.
+    The number of modes is that of the reduction or of its reference (for the reduction error),
+    whichever is larger.
     """
     reference_structure = getattr(study.structure, "reference", None) or study.structure
     n_modes = max(study.structure.n_modes, reference_structure.n_modes)

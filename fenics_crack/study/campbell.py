@@ -75,7 +75,8 @@ from fenics_crack.study.resonance import (
 from fenics_crack.study.sharing import assemble_or_reuse_structure
 
 HELD_FREQUENCY_KINDS = (*FREQUENCY_KIND_NAMES[:2], "partly")
-"""Kinds of natural frequencies for a crack held in a state: open, shut ("tied"), partly open."""
+"""Kinds of natural frequencies for a crack that rotation or mean load holds in a state: "open",
+"tied" (held shut), "partly" (some pairs shut, the others open)."""
 STATE_TEXT_BY_KIND = {
     **dict(zip(HELD_FREQUENCY_KINDS, ("held open", "held shut", "held partly open"), strict=True)),
     "bilinear": "breathing",
@@ -85,12 +86,12 @@ RELATIVE_SPEED_TOLERANCE = 1e-4
 """Relative tolerance of rotor speeds at which the crack's state changes, or an engine order meets a
 mode."""
 MAX_REPORTED_ORDER = 8
-"""Highest engine order that a diagram shows. The report has all orders up to it if the load has
-none."""
+"""Highest engine order that a diagram shows, and that is reported for a load without engine
+order."""
 FrequenciesAndMarginsFunction = Callable[[float], tuple[np.ndarray, np.ndarray]]
-"""Function of a rotor speed [rad/s]. Returns natural frequencies [rad/s] of the kinds in
-HELD_FREQUENCY_KINDS, and margins; the crack is held in a state if its margin is positive. Both
-arrays are (3, n_modes)."""
+"""Function of a rotor speed [rad/s], for a crack open, shut and partly open. Returns natural
+frequencies [rad/s] and margins, (3, n_modes) each. A positive margin says that rotation or mean
+load holds the crack in the state, even at resonance."""
 PeakAmplitudeFunction = Callable[[Modes], np.ndarray]
 """Function of n modes. Returns each mode's modal amplitude at its resonance under a load: (n,)."""
 
@@ -125,7 +126,8 @@ class Campbell(SavedResult):
         Returns the frequencies held open, shut and partly open, and the margins by which they are
         held: (3, m) each. None in a diagram from a file; the blade is then meshed again on demand.
     met : tuple of (mode, LoadResonance)
-        Resonance at the load for each crossing of the load's own engine order.
+        Mode (from 1) and resonance under the load, where the load's own engine order crosses a
+        frequency.
     """
 
     scene: Scene

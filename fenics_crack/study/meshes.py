@@ -277,7 +277,7 @@ def count_elements(structure: Structure) -> int:
 def has_similar_finer_mesh(scene: Scene) -> bool:
     """Return True if a mesh 1.5 times finer is similar to a scene's mesh.
 
-    It is not for mesh layouts other than "graded", or if rounding raises the number of elements
+    False for mesh layouts other than "graded", and if rounding multiplies the number of elements
     along a crack face by more than 1.56.
     """
     if scene.mesh.layout != "graded":

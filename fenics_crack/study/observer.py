@@ -51,10 +51,10 @@ Each expansion factors the structure again."""
 
 
 def make_requested_rows_and_readers(study: Study) -> list[ExtraRows]:
-    """Make what observes crack tips and clamp, if the scene requests their numbers (collective).
+    """Make rows and readers for requested numbers of crack tips and clamp (collective).
 
     Each :class:`ExtraRows` has factors of the displacement, and a function that reads the numbers.
-    The list is empty without a request. Rows are made once for the study's structure.
+    The list is empty if the scene requests none. Rows are made once for the study's structure.
     """
     requested_places = {
         OBSERVABLES_BY_NAME[name].place for name in list_requested_extra_quantities(study.scene)
@@ -313,9 +313,9 @@ class EllipseTipHistories(NamedTuple):
 def estimate_closed_front_and_mesh_errors(
     study: Study, motion: ObservedMotion, coarser_study: Study, coarser_motion: ObservedMotion
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Estimate errors of a solid's stress intensities from closed fronts and a coarser mesh.
+    """Estimate errors of stress intensities from closed fronts and a coarser mesh (collective).
 
-    Collective. Both dicts are empty for a plate, or if no numbers of fronts are requested.
+    Both dicts are empty for a plate, or if the scene requests no numbers of crack fronts.
 
     Returns
     -------

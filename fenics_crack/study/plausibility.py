@@ -1076,7 +1076,8 @@ def _peak_rotation_and_displacement(
 ) -> tuple[float, float] | None:
     """Return peak rotation [rad] and displacement [m] under the excitation's force.
 
-    None with other loads, or without damping.
+    The crack is open; the peak is over the load frequencies that the scene asks for. None with
+    other loads, or without damping.
     """
     has_other_loads_or_no_damping = scene.has_other_loads or key_figures.damping_ratios.min() == 0.0
     return (

@@ -51,7 +51,7 @@ class WatchedDisplacement:
     name : str
         Prefix of its quantities' names, "tip.ux"; empty without points in the scene.
     words : str
-        "x displacement of tip".
+        Description, such as "x displacement of tip".
     dof : int
         Number of its dof in the unreduced structure.
     distance : float [m]
@@ -136,9 +136,9 @@ def prepare(
     Raises
     ------
     InputError
-        As :func:`build_structure` and :func:`reduce_structure`; a point of ``[output.points]`` is
-        not near a node of its own; or solving the scene would take more than 80 % of the machine's
-        memory.
+        As :func:`build_structure` and :func:`reduce_structure`. Or a point of ``[output.points]``
+        is off the mesh by more than 5 % of its size, or next to a clamped node or a crack face. Or
+        solving the scene would take more than 80 % of the machine's memory.
 
     Examples
     --------
@@ -174,7 +174,8 @@ def _find_watched_displacements(
     Raises
     ------
     InputError
-        A point is not near a node of its own, or the structure has no nodes.
+        A point is off the mesh by more than 5 % of its size, or next to a clamped node or a crack
+        face, or the structure has no nodes.
     """
     if not scene.output_points:
         dof = structure.watched_dof

@@ -139,8 +139,8 @@ CHANGES_REMOVING_UNUSED_TABLES = dict.fromkeys(
 UNIT_BY_WAVE = {"gap": "m", "force": "N"}
 """Units of the Fourier coefficients ("waves") stored for converged cases, by dataset name."""
 WAVES_CHECKSUM_COLUMN_NAME, CASE_CHECKSUM_COLUMN_NAME = "waves_checksum", "checksum"
-"""Columns with checksums (CRC-32) of each case: the first of gap and force coefficients, the second
-of all columns and the state (never 0)."""
+"""Names of two columns with checksums (CRC-32): for a case's gap and force coefficients, and for
+all columns with the state (never 0)."""
 REQUIRED_COLUMN_NAMES = {
     "state",
     WAVES_CHECKSUM_COLUMN_NAME,

@@ -359,10 +359,10 @@ class Manager:
     def _take_next_job(self, rank: int) -> Job | None:
         """Choose the next job for a rank; None if no chunk remains.
 
-        A rank first goes on with its present structure. Otherwise it gets a structure that no rank
-        has, or the structure with most chunks left. A job takes all chunks of a structure if there
-        is one rank, or while more structures than ranks are untouched. Later, jobs shrink so that
-        the ranks finish together.
+        A rank first goes on with the structure (mesh and modes) of its last job. Otherwise it gets
+        a structure that no rank works on, or the structure with most chunks left. A job takes all
+        chunks with a structure if there is one rank, or while more structures than ranks are
+        untouched. Later, jobs shrink so that the ranks finish together.
         """
         if not self._remaining_case_numbers_by_geometry:
             return None

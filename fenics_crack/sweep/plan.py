@@ -23,7 +23,7 @@ from fenics_crack.scene.tables import FORCE_KEYS, Contact
 LOAD_FREQUENCY_KEYS = ("excitation.omega", "excitation.frequency")
 """Scene keys that set the load frequency directly."""
 FULL_FORCE_KEYS = {f"excitation.{name}" for name in FORCE_KEYS}
-"""Scene keys of the excitation's force, with their table."""
+"""Scene keys for the excitation's force, such as "excitation.force_sin"."""
 GEOMETRY_INDEPENDENT_KEYS = {
     *LOAD_FREQUENCY_KEYS, *FULL_FORCE_KEYS,
     *map(Contact.full_key, Contact.field_by_key().keys() - {"pairs"}),
@@ -169,8 +169,9 @@ class Plan:
     def pair_bounds_and_crack_lengths(self) -> list[tuple[int, float]]:
         """Upper bound for contact pairs, and first crack's length [m], by geometry.
 
-        Both are 0 if all cases with a geometry are refused; the length is 0 without a crack or if a
-        frequency gives it. To find the bound, solids are meshed and mesh files read.
+        A geometry is a structure shared by several cases. Both numbers are 0 if all cases with a
+        geometry are refused. The length is 0 without a crack, or if a natural frequency stands for
+        the length. To find the bound, solids are meshed and mesh files read.
         """
         pair_bound_by_mesh: dict[Any, int] = {}
         bounds_and_lengths: list[tuple[int, float]] = []
@@ -250,8 +251,8 @@ def _find_pair_upper_bound(scene: Scene) -> int:
 def _find_keys_sharing_geometry(scene: Scene, swept_keys: Collection[str]) -> set[str]:
     """Return the scene keys that cases with a shared structure may change.
 
-    Crack clearances belong to them. Forces do not if the structure has other loads, harmonics of
-    the force, or rotation: its load is then no multiple of unit forces.
+    Crack clearances are included. Forces are not if the structure has other loads, harmonics of the
+    force, or rotation, because the load then is no multiple of unit forces.
     """
     geometry_independent_keys = GEOMETRY_INDEPENDENT_KEYS | {
         swept_key for swept_key in swept_keys if re.fullmatch(r"crack.*\.clearance", swept_key)

@@ -192,7 +192,10 @@ def run_sweep(
 
 
 def can_seek_resonance(scene: Scene) -> bool:
-    """Return True if a resonance can be sought in a scene: contact, no rotation."""
+    """Return True if a scene has contact and no rotation.
+
+    Only then a sweep can solve each case at its resonance.
+    """
     return scene.contact is not None and scene.speed == 0.0
 
 
@@ -590,7 +593,10 @@ class SweepResult(Tabular):
         )
 
     def _repr_text(self) -> str:
-        """Return the numbers of values on the axes and of cases in each state."""
+        """Return a short description: values on each axis, cases in each state.
+
+        States are pending, converged and failed; those without cases are left out.
+        """
         state_names_and_case_counts = zip(
             CASE_STATE_NAMES, np.bincount(self["state"].ravel(), minlength=3), strict=True
         )
@@ -608,10 +614,11 @@ class SweepResult(Tabular):
 
 
 def has_omitted_options(sweep_header: StoredFile) -> bool:
-    """Return True for a sweep without verdicts, errors or some vibrations.
+    """Return True for a sweep's file without verdicts, errors or some solutions.
 
-    Other computations make such sweeps, by the options ``verdicts``, ``judged`` and ``natural`` of
-    :func:`run_sweep`. ``sweep_header`` is the header of any result file.
+    Other computations than the command ``sweep`` make such files, by the options ``verdicts``,
+    ``judged`` and ``natural`` of :func:`run_sweep`. ``sweep_header`` is the header of any result
+    file.
     """
     return sweep_header.kind == KIND and bool(sweep_header.attributes.get("omitted"))
 
