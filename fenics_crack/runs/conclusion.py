@@ -151,7 +151,10 @@ def explain_unknown_solution_error(run: StudyWithResult) -> str:
 
 
 def frequency_in_words(scene: Scene, omega: float) -> str:
-    """Return a load frequency [rad/s] as text in the scene's unit: "50.1 Hz" or "315 rad/s"."""
+    """Return a load frequency [rad/s] as text in the scene's unit.
+
+    Examples are "50.1 Hz" and "315 rad/s".
+    """
     return format_in_unit(choose_frequency_factor_name_unit(scene.is_frequency_in_hertz), omega)
 
 
@@ -166,7 +169,10 @@ def make_conclusion(run: StudyWithResult) -> Conclusion:
 
 
 def _make_conclusion_of_modes(run: StudyWithResult) -> Conclusion:
-    """Build the closing sentence on modes: first frequency with open crack, and its error."""
+    """Build the closing sentence on modes.
+
+    It states the first natural frequency with open crack, and its error.
+    """
     first_omega = float(run.result.omega[0])
     answer_text = (
         f"the first natural frequency with the crack open is {first_omega / RAD_PER_TURN:.5g} Hz "
@@ -190,7 +196,10 @@ def _error_clause(run: StudyWithResult, quantity_name: str = "", fallback_text: 
 
 
 def _make_conclusion_of_solution(run: StudyWithResult) -> Conclusion:
-    """Build the closing sentence on a solution: amplitude, error, crack opening, stability."""
+    """Build the closing sentence on a periodic solution.
+
+    It states amplitude, error, crack opening and stability.
+    """
     solution: PeriodicSolution = run.result
     unknown_error_reason = explain_unknown_solution_error(run)
     if not solution.converged:
@@ -261,7 +270,10 @@ def _list_crack_and_verdict_sentences(
 
 
 def _make_conclusion_of_curve(run: StudyWithResult) -> Conclusion:
-    """Build the closing sentence on a curve: largest response, its error, stability by point."""
+    """Build the closing sentence on a response curve.
+
+    It states the largest response, its error, and how many points are stable.
+    """
     response_curve: ResponseCurve = run.result
     peak = response_curve.top(run.watched_dof)
     curve_axis = axis_factor_name_and_unit(
@@ -308,9 +320,10 @@ def _make_conclusion_of_curve(run: StudyWithResult) -> Conclusion:
 
 
 def _make_conclusion_of_history(run: StudyWithResult) -> Conclusion:
-    """Build the closing sentence on a motion in time: amplitude, and whether settled.
+    """Build the closing sentence on a motion in time.
 
-    For a free decay it states the amplitudes in the first and last period.
+    It states the amplitude, and whether the motion has settled. For a free decay it states the
+    amplitudes in the first and last period.
     """
     history: TimeHistory = run.result
     integration_table = run.scene.integration or Integration()

@@ -130,7 +130,7 @@ def _check_curve_is_possible(study: Study) -> None:
 
 
 def _follow_curve(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
-    """Follow the curve of a reduced study, with its number of modes unchanged (collective).
+    """Follow the curve of a study with a fixed number of modes (collective).
 
     Parameters
     ----------
@@ -210,10 +210,11 @@ def iterate_curve_studies(scene_or_study: Scene | Study, comm: MPI.Comm) -> Iter
 def _find_study_with_enough_modes(
     study: Study, studies: Iterator[Study], start_omega: float, stop_omega: float
 ) -> Study:
-    """Return the first study whose modal error on a curve meets the tolerance (collective).
+    """Return the first study with enough modes for a tolerance (collective).
 
-    The error is computed at the first resonance in the range, else at ``start_omega``. If the error
-    is unknown, or no study meets the tolerance, the study tried last is returned.
+    Its modal error on the curve meets the tolerance. The error is computed at the first resonance
+    in the range, else at ``start_omega``. If the error is unknown, or no study meets the tolerance,
+    the study tried last is returned.
 
     Parameters
     ----------

@@ -92,7 +92,7 @@ def make_run_from_file(
 
 
 def make_run_on_this_rank(result_file: StoredFile) -> Run[Result]:
-    """Build scene, structure and law for an open result file on one rank.
+    """Build scene, structure and law for an open result file.
 
     The structure lies on this rank alone (MPI.COMM_SELF). A periodic solution gets no reference
     structure for the reduction error, because the file has the stated errors.
@@ -103,7 +103,7 @@ def make_run_on_this_rank(result_file: StoredFile) -> Run[Result]:
 
 
 def study_under_mean_load(study: Study) -> Study:
-    """Return a study loaded by its mean load alone, for a free decay."""
+    """Return a study with its mean load alone, for free decay."""
     structure = structure_under_static_load(study.structure, 0.0)
     return replace(study, structure=structure.watching(study.watched[0].dof))
 

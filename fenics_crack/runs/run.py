@@ -43,7 +43,7 @@ class ResultAttribute:
 @with_old_names(watched_name="watched_description")
 @dataclass(frozen=True, repr=False)
 class Run(StudyWithResult, Generic[ResultType]):
-    """Result of a command, with its scene, structure, contact law and watched displacements.
+    """Result of a command, with scene, structure, contact law and watched displacements.
 
     All attributes of the result can be read from the run, too: ``run.amplitude()``.
 
@@ -260,7 +260,10 @@ class Run(StudyWithResult, Generic[ResultType]):
 
 
 def check_run_has_motion(run: object) -> None:
-    """Raise InputError unless ``run`` holds a periodic solution or a motion in time."""
+    """Raise InputError unless a run holds a motion.
+
+    The result must be a periodic solution or a motion in time.
+    """
     if not (isinstance(run, Run) and isinstance(run.result, PeriodicSolution | TimeHistory)):
         requirement = "what fc.solve(scene) or fc.integrate(scene) returns"
         raise InputError("run", type(getattr(run, "result", run)).__name__, requirement)

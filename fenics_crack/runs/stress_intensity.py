@@ -70,7 +70,7 @@ class StressIntensity(Tabular):
 
     @cached_property
     def numbers(self) -> Mapping[str, np.ndarray]:
-        """Extremes and ranges of K at each tip: (n_tips,) [Pa m^1/2], by name.
+        """Extremes and ranges of K, by name: (n_tips,) [Pa m^1/2] each.
 
         Names are K_max, K_min, delta_K = K_max - K_min, delta_K_effective, K_II_max and in a solid
         K_III_max. The effective range counts positive K_I only: max(K_max, 0) - max(K_min, 0). A
@@ -103,7 +103,7 @@ class StressIntensity(Tabular):
 
     @property
     def leading(self) -> int:
-        """Index of the tip or station with the largest :attr:`effective` range of K_I."""
+        """Index of the tip or station with the largest :attr:`effective` range."""
         return leading_crack_tip_index(self._tip_histories)
 
     @property
@@ -121,7 +121,7 @@ class StressIntensity(Tabular):
 
     @property
     def turn(self) -> np.ndarray:
-        """Angle by which each crack turns left at its largest K_I: (n_tips,) [rad].
+        """Angle by which cracks turn left at largest K_I: (n_tips,) [rad].
 
         In this direction theta the hoop stress is largest: K_I sin(theta) + K_II (3 cos(theta) - 1)
         = 0 (Erdogan, Sih, Journal of Basic Engineering 85, 1963, 519). The angle is nan if K_I is
@@ -135,9 +135,10 @@ class StressIntensity(Tabular):
 
     @cached_property
     def errors(self) -> Verification | None:
-        """Estimated errors of the :attr:`numbers` at the leading tip (collective at first use).
+        """Estimated errors of the :attr:`numbers` at the leading tip (collective).
 
-        None for motions in time, and for solutions without convergence or without estimated errors.
+        They are computed at first use. None for motions in time, and for solutions without
+        convergence or without estimated errors.
         """
         scene = self._run.scene.replace({"output.quantities": tuple(self.numbers)})
         return estimate_result_errors(
@@ -145,7 +146,10 @@ class StressIntensity(Tabular):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns "time" and "K_I, the crack tip" etc., a row for every instant."""
+        """Return columns of time and stress intensities, by name.
+
+        Names are "time", "K_I, the crack tip" etc.; there is a row for every instant.
+        """
         values_by_column = {"time": self.time.tolist()}
         values_by_name = {"K_I": self.one, "K_II": self.two} | (
             {} if self.three is None else {"K_III": self.three}

@@ -70,7 +70,7 @@ NODE_ARRAY_NAMES = ("points", "dofs", "cells")
 
 @dataclass(frozen=True)
 class GatheredCsrMatrix:
-    """Sparse matrix in CSR format, with the rows of all ranks on each rank.
+    """Sparse matrix in CSR format, with the rows of all ranks.
 
     ``data``, ``indices`` and ``indptr`` are the arrays of SciPy's ``csr_matrix``.
     """
@@ -92,10 +92,10 @@ class GatheredCsrMatrix:
         return cls(gather_rows(comm, matrix.data), gather_rows(comm, matrix.indices), row_starts)
 
     def to_matrix(self, *shape: int) -> sparse.csr_matrix:
-        """Return the matrix; ValueError if the arrays are no matrix of this shape.
+        """Return the SciPy matrix with a given shape.
 
-        ``shape`` is (n_rows, n_columns). SciPy checks the order of row starts only if the last
-        start is above zero.
+        ValueError if the arrays make no such matrix. ``shape`` is (n_rows, n_columns). SciPy checks
+        the order of row starts only if the last start is above zero.
         """
         matrix = sparse.csr_matrix((self.data, self.indices, self.indptr), shape)
         if np.diff(matrix.indptr).min(initial=0) < 0:
@@ -106,7 +106,7 @@ class GatheredCsrMatrix:
 
 @dataclass(frozen=True)
 class PreparedStructure:
-    """Data of a whole structure and its receptances, as stored in a file.
+    """Data of a whole structure and its receptances, for a file.
 
     A receptance (:class:`Receptance`) has modes and static responses at pairs, load and watched
     points.
@@ -259,7 +259,7 @@ class PreparedStructure:
         return structure
 
     def _check_arrays_and_count_dofs(self) -> int:
-        """Check the shapes and values of all arrays, and return the number of dofs.
+        """Check shapes and values of all arrays; return the number of dofs.
 
         Wrong shapes, and values that are not finite or out of range, raise ValueError.
         """

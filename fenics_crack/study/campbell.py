@@ -182,7 +182,7 @@ class Campbell(SavedResult):
 
     @property
     def omega_real(self) -> np.ndarray:
-        """Natural frequencies in the crack's actual state at each speed: (n, m) [rad/s].
+        """Natural frequencies in the crack's actual state: (n, m) [rad/s].
 
         :attr:`kind` names the state.
         """
@@ -244,7 +244,7 @@ class Campbell(SavedResult):
         return np.array(sorted(crossings)).reshape(-1, 2)
 
     def _crossings_in_actual_state(self, order: int) -> np.ndarray:
-        """Return crossings of an engine order with frequencies in the crack's actual state.
+        """Return an engine order's crossings for the crack's actual state.
 
         The result (k, 2) has mode (from 1) and rotor speed [rad/s]. Included are changes of the
         state that drop the frequency across the order's line.
@@ -286,9 +286,10 @@ class Campbell(SavedResult):
         return [kinds_begun_by_speed[0], *kinds_begun_below_speed][-1], kinds_begun_by_speed[-1]
 
     def _omega_of_kind(self, mode: int, speed: float, kind: str) -> float:
-        """Return a natural frequency [rad/s], by mode (from 1), rotor speed [rad/s] and kind.
+        """Return a mode's natural frequency [rad/s] at a rotor speed.
 
-        ``kind`` is "open", "tied", "partly" or "bilinear".
+        Modes count from 1; ``speed`` is in rad/s. ``kind`` is "open", "tied", "partly" or
+        "bilinear".
         """
         omega_of_kinds = self._frequencies_and_margins_function(speed)[0][:, mode - 1]
         if kind == "bilinear":
@@ -338,10 +339,10 @@ class Campbell(SavedResult):
         ]
 
     def meetings(self, order: int) -> Iterator[str]:
-        """Yield a text for each crossing of an engine order with a natural frequency.
+        """Yield a text for each crossing of an engine order.
 
-        It names the mode, the resonance under the load if known, and the speed for the crack's
-        actual state. Speeds for other states follow.
+        Each text names the mode, the resonance under the load if known, and the speed for the
+        crack's actual state. Speeds for other states follow.
         """
         for mode, speed, resonance in self._list_crossings_with_resonances(order):
             text = f"engine order {order} meets mode {mode} at "
@@ -431,10 +432,10 @@ class Campbell(SavedResult):
         return squares[upper_index] + slopes * (speed**2 - squared_speeds[upper_index]), slopes
 
     def to_dict(self) -> dict[str, Any]:
-        """Return lists by column name, with a row for every speed and mode.
+        """Return the diagram as lists by column name.
 
-        Columns are speed [rad/s], rpm, mode, the crack's state in words, and frequencies of each
-        kind [rad/s] and [Hz].
+        Each speed and mode has a row. Columns are speed [rad/s], rpm, mode, the crack's state in
+        words, and frequencies of each kind [rad/s] and [Hz].
         """
         n_speeds, n_modes = self.omega_open.shape
         repeated_speeds = np.repeat(self.speed, n_modes)
@@ -587,9 +588,10 @@ def campbell(
 def _find_modes_and_load_resonances(
     diagram: Campbell, projection: RitzProjection
 ) -> tuple[tuple[int, LoadResonance], ...]:
-    """Find the resonance under the load at each crossing of the load's engine order.
+    """Find resonances at the crossings of the load's engine order.
 
-    ``projection`` gives the blade's structure in few coordinates at any speed.
+    They are resonances of the nonlinear structure under the load. ``projection`` gives the blade's
+    structure in few coordinates at any speed.
 
     Returns
     -------
@@ -649,7 +651,7 @@ def report_of_campbell(diagram: Campbell) -> Report:
 
 
 def _frequency_kinds_from_margins(hold_margins: np.ndarray) -> np.ndarray:
-    """Return the kind of the crack's frequency in each mode: (n_modes,) of str.
+    """Return each mode's kind of frequency: (n_modes,) of str.
 
     ``hold_margins`` (3, n_modes) belong to "open", "tied" and "partly". The first kind with a
     positive margin is returned, else "bilinear".
@@ -747,11 +749,11 @@ def _find_frequencies_and_margins(
     n_modes: int,
     n_bonded_modes: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find natural frequencies with the crack held open, shut and partly open, with margins.
+    """Find natural frequencies and margins for three states of the crack.
 
-    The frequencies with open crack are the lowest. Those of the other states belong to the same
-    mode shapes, sought among the lowest ``n_bonded_modes``. Pairs pressed at rest are bonded in the
-    state partly open.
+    The states are open, shut, and partly open. The frequencies with open crack are the lowest.
+    Those of the other states belong to the same mode shapes, sought among the lowest
+    ``n_bonded_modes``. Pairs pressed at rest are bonded in the state partly open.
 
     Returns
     -------

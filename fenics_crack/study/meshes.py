@@ -103,7 +103,7 @@ def make_coarser_scene_or_reason(scene: Scene) -> Scene | str:
 def _coarser_over_fine_element_length(
     scene: Scene, coarser_scene: Scene, element_counts: tuple[int, int]
 ) -> float:
-    """Return the element length of a coarser mesh over that of a scene's mesh.
+    """Return the element length of a coarser mesh over a scene's.
 
     The ratio follows from ``element_counts`` (scene, coarser scene). For a solid with cracks or a
     disk's sector the given ``mesh.size`` is compared, because it holds where the error is largest.
@@ -118,7 +118,7 @@ def _coarser_over_fine_element_length(
 
 
 def _describe_crack_mismatch(structure: Structure, coarser_structure: Structure) -> str:
-    """Describe in words how cracks differ in a coarser mesh; "" if they agree.
+    """Describe how cracks differ in a coarser mesh; "" if they agree.
 
     Area and centroid of the crack faces may differ by about one element of the coarser mesh.
     """
@@ -153,9 +153,10 @@ def _describe_crack_mismatch(structure: Structure, coarser_structure: Structure)
 
 
 def _pair_areas_and_points_of_cracks(structure: Structure) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return areas (n,) [m^2] and positions (n, d) [m] of each crack's contact pairs.
+    """Return areas and positions of each crack's contact pairs.
 
-    The list is empty if areas or positions are unknown.
+    Each entry has areas (n,) [m^2] and positions (n, d) [m]. The list is empty if areas or
+    positions are unknown.
     """
     pairs = structure.whole.pairs
     if pairs.cracks is None or pairs.areas is None or pairs.points is None:
@@ -165,7 +166,7 @@ def _pair_areas_and_points_of_cracks(structure: Structure) -> list[tuple[np.ndar
 
 
 def refine_scene_or_none(scene: Scene, refinement_factor: float) -> Scene | None:
-    """Return a scene with a finer or coarser mesh; None without such a mesh.
+    """Return a scene with a finer or coarser mesh, or None.
 
     Elements are ``refinement_factor`` times as short; a factor below 1 makes them longer. Mesh
     files, and grids with odd counts to be made coarser, give None.
@@ -214,10 +215,10 @@ def refine_scene_or_none(scene: Scene, refinement_factor: float) -> Scene | None
 
 
 def _patch_key_changes(scene: Scene, refinement_factor: float) -> dict[str, int]:
-    """Return the new number of contact patches as ``{"mesh.patches": n}``; {} without patches.
+    """Return a changed number of contact patches, for ``Scene.replace``.
 
-    Patches become ``refinement_factor`` times as short, so that their error is part of the mesh's
-    error.
+    The result is ``{"mesh.patches": n}``, or {} without patches. Patches become
+    ``refinement_factor`` times as short, so that their error is part of the mesh's error.
     """
     n_patches = scene.mesh.patches
     return (
@@ -264,7 +265,10 @@ def _refine_graded_elements(
 
 
 def count_elements(structure: Structure) -> int:
-    """Return the number of elements in a structure's mesh; 1 for given matrices (collective)."""
+    """Return the number of elements in a structure's mesh (collective).
+
+    It is 1 for given matrices.
+    """
     whole_structure = structure.whole
     return max(
         1,
@@ -275,7 +279,7 @@ def count_elements(structure: Structure) -> int:
 
 
 def has_similar_finer_mesh(scene: Scene) -> bool:
-    """Return True if a mesh 1.5 times finer is similar to a scene's mesh.
+    """Return True if a similar mesh 1.5 times finer exists.
 
     False for mesh layouts other than "graded", and if rounding multiplies the number of elements
     along a crack face by more than 1.56.

@@ -217,7 +217,7 @@ class CrackTipHistory(NamedTuple):
 
     @property
     def equivalent_range(self) -> float:
-        """Range of K_I from 0 with the same crack growth per load period.
+        """Range of K_I from 0 with the same growth per load period.
 
             (sum_i (delta K_i / (1 - R_i)^(1 - gamma))^m / n_load_periods)^(1 / m) [Pa m^1/2]
 
@@ -301,9 +301,9 @@ def compute_crack_tip_histories(
 
 
 class EllipseTipHistories(NamedTuple):
-    """Stress intensity factors over time at an elliptic front's deepest station and ends.
+    """Stress intensity factors at an elliptic front's deepest station and ends.
 
-    The ends are those at the surface of the body.
+    Each history has values over time. The ends are those at the surface of the body.
     """
 
     deepest_history: CrackTipHistory
@@ -372,7 +372,7 @@ def estimate_closed_front_and_mesh_errors(
 def _collect_intensities_by_front(
     study: Study, motion: ObservedMotion
 ) -> dict[str, tuple[np.ndarray, dict[str, np.ndarray], float]]:
-    """Collect the numbers of stress intensity along each crack front, by its name (collective).
+    """Collect stress intensities along each crack front, by name (collective).
 
     Returns
     -------
@@ -417,7 +417,10 @@ def station_indices_by_front(station_names: Sequence[str]) -> dict[str, list[int
 
 
 def leading_crack_tip_index(tip_histories: list[CrackTipHistory]) -> int:
-    """Return the index of the tip with the largest range of positive K_I (delta_K_effective)."""
+    """Return the index of the tip with the largest delta_K_effective.
+
+    This is the range of positive K_I, max(max K_I, 0) - max(min K_I, 0).
+    """
     return int(
         np.argmax(
             [
@@ -499,11 +502,11 @@ class _TipsAndIntensityRowsMaker:
 
 
 def find_rainflow_cycles(values: np.ndarray) -> np.ndarray:
-    """Return maximum and minimum of each rainflow cycle in periodic values: (k, 2).
+    """Return each rainflow cycle's maximum and minimum: (k, 2).
 
-    Counting starts at the largest value of ``values`` (n,). A range is a cycle if the next range is
-    at least as large (ASTM E1049, 5.4.5; Downing and Socie, International Journal of Fatigue 4,
-    1982, 31). Constant values give no cycle, (0, 2).
+    The values are periodic. Counting starts at the largest value of ``values`` (n,). A range is a
+    cycle if the next range is at least as large (ASTM E1049, 5.4.5; Downing and Socie,
+    International Journal of Fatigue 4, 1982, 31). Constant values give no cycle, (0, 2).
     """
     start_index = int(values.argmax())
     periodic_values = np.append(values[start_index:], values[: start_index + 1])
@@ -575,7 +578,10 @@ def _make_ellipse_rows_and_reader(study: Study) -> ExtraRows:
 
 
 def _make_clamp_rows_and_reader(study: Study) -> ExtraRows:
-    """Make the clamp's rows r^T M, and the reader of its largest force and moment (collective)."""
+    """Make the clamp's rows r^T M, and their reader (collective).
+
+    The numbers are the largest force and moment.
+    """
     inertia_rows = study.structure.compute_once(clamp_inertia_rows)
     return ExtraRows(
         inertia_rows, lambda record: read_observables(Place.CLAMP, compute_clamp_reactions(record))

@@ -387,10 +387,10 @@ def _slopes_of_squared_omegas(modes: Modes) -> np.ndarray:
 
 
 def _count_elements_along_face(scene: Scene, structure: Structure) -> int | None:
-    """Return the number of elements along the crack with the fewest; None without pairs.
+    """Return the number of elements along the crack with the fewest.
 
-    It is the number of pairs over the order of the elements, rounded up because tips are no pairs.
-    Patches count as elements.
+    It is the number of contact pairs over the order of the elements, rounded up because tips are no
+    pairs. Patches count as elements. None without pairs.
     """
     if not structure.n_pairs:
         return None
@@ -417,7 +417,7 @@ def mesh_extents(whole_structure: Structure) -> tuple[float, ...]:
 
 
 def distances_from_clamp(whole_structure: Structure, dofs: Sequence[int]) -> np.ndarray:
-    """Return distances from the nodes of some dofs to the clamp: (n_dofs,) [m] (collective).
+    """Return distances from dofs' nodes to the clamp: (n_dofs,) [m] (collective).
 
     They are at most the mesh's longest side, and infinite without nodes (given matrices).
     """
@@ -468,7 +468,7 @@ def damping_ratios(whole_structure: Structure, natural_omegas: np.ndarray) -> np
 def _modal_receptance_increase(
     natural_omegas: np.ndarray, modal_damping_ratios: np.ndarray, omega: float
 ) -> np.ndarray:
-    """Return d_j(w) - 1 / w_j^2 for each mode j: complex (n,) [s^2].
+    """Return d_j(w) - 1 / w_j^2 of modes j: complex (n,) [s^2].
 
     d_j(w) = 1 / (w_j^2 - w^2 + 2 i xi_j w_j w) is the receptance of the mode with frequency w_j and
     damping ratio xi_j at the load frequency w = ``omega``. For rigid-body modes it is d_j(w), since
@@ -526,7 +526,7 @@ def lowest_and_highest_load_omega(scene: Scene, command: str) -> tuple[float, fl
 
 
 def highest_harmonic_omega(scene: Scene, command: str = "") -> float:
-    """Return H w, the highest frequency of the harmonics in a command [rad/s].
+    """Return H w, the frequency of a command's highest harmonic [rad/s].
 
     ``command`` is "solve", "curve" or "sweep"; by default the highest frequency of all three is
     returned.
@@ -554,7 +554,7 @@ FACTOR_AND_UNIT_BY_CURVE_PARAMETER = {
 
 
 def propose_curve_or_none(scene: Scene, key_figures: KeyFigures) -> Curve | None:
-    """Propose a table ``[curve]`` through the resonance at the load, or return None.
+    """Propose a table ``[curve]`` through the resonance, or return None.
 
     None is returned if the scene's curve meets the resonance or is not over frequency or rotor
     speed, or if the mode is not damped.
@@ -684,7 +684,7 @@ remarks are based on the figures."""
 
 @dataclass(frozen=True)
 class Remark:
-    """Remark on an unusual value in a scene, printed as ``key = value: text``."""
+    """Remark on an unusual value: ``key = value: text``."""
 
     key: str
     value: object
@@ -775,7 +775,7 @@ def _iterate_remarks(
 
 
 def _entries_of_first_given_key(scene: Scene, keys: str) -> list[tuple[str, object]]:
-    """Return the first key in ``keys`` with a nonzero value, and the value.
+    """Return the first key with a nonzero value, and the value.
 
     If all values are zero, it is the first given key. A key of the table "crack" yields an entry
     for each crack that has it. The list is empty if no key is given.
@@ -810,7 +810,7 @@ def _entries_of_first_given_key(scene: Scene, keys: str) -> list[tuple[str, obje
 
 
 def _side_if_longest(side_length: float, scene: Scene) -> float | None:
-    """Return a plate's side [m] if it is the longest side, else None."""
+    """Return a plate's side [m] if none is longer, else None."""
     geometry_table = scene.geometry
     return (
         side_length
@@ -820,18 +820,21 @@ def _side_if_longest(side_length: float, scene: Scene) -> float | None:
 
 
 def _length_over_side(length: float, side: float | None) -> float | None:
-    """Return a crack's length or depth over a side of the body; None without a side."""
+    """Return a crack's length or depth over a side.
+
+    None if the scene gives no such side.
+    """
     return None if side is None else length / side
 
 
 def _shorter_side(scene: Scene) -> float:
-    """Return the shorter side of a plate in its plane [m]; inf without sides."""
+    """Return the shorter side of a plate [m]; inf without sides."""
     sides = scene.geometry.width, scene.geometry.height
     return min((side for side in sides if side is not None), default=math.inf)
 
 
 def _thickness_over_shorter_side(thickness: float, scene: Scene) -> float | None:
-    """Return a thickness over the shorter side in the plane, for a remark.
+    """Return a thickness over the shorter side in the plane.
 
     None for a plate of 1 m, the usual thickness of plane problems, and for disks.
     """
@@ -899,9 +902,10 @@ def _blade_tip_speed(speed_value: float, scene: Scene, structure: Structure) -> 
 def _clamp_height_ratio_and_height(
     _: float, scene: Scene, structure: Structure
 ) -> tuple[float, float] | None:
-    """Return a clamp's height y over the mesh's longest extent, and y [m] (collective).
+    """Return a clamp's height, relative and in m (collective).
 
-    None unless the mesh is from a file. y is the clamped node's coordinate farthest from 0.
+    The height y is divided by the mesh's longest extent. None unless the mesh is from a file. y is
+    the clamped node's coordinate farthest from 0.
     """
     nodes = structure.nodes
     if scene.mesh is None or scene.mesh.layout != "file" or nodes is None:
@@ -958,9 +962,10 @@ def _clamp_bending_ratio_and_stress(
 
 
 def _largest_coriolis_change(_: float, scene: Scene, structure: Structure) -> float | None:
-    """Return the largest relative change of a solid's frequencies by the Coriolis force.
+    """Return the largest frequency change by the Coriolis force.
 
-    The lowest 4 modes are examined. None for plates, disks and without rotation.
+    The change is relative, for a solid. The lowest 4 modes are examined. None for plates, disks and
+    without rotation.
     """
     if scene.rotation is None or structure.rotation is None or scene.dimension == 2 or scene.disk:
         return None
@@ -1023,18 +1028,24 @@ def _make_frequency_unit_check(other_unit_factor: float) -> Callable[..., tuple[
 
 
 def _is_near(omega: float, natural_omegas: np.ndarray) -> bool:
-    """Return True if a frequency is within 10 % of one of the natural frequencies."""
+    """Return True if any natural frequency is within 10 %."""
     return bool(np.any(np.abs(natural_omegas - omega) < 0.1 * natural_omegas))
 
 
 def _missed_first_omega_and_text(
     _: float, scene: Scene, key_figures: KeyFigures
 ) -> tuple[float, str] | None:
-    """Return the first natural frequency [rad/s] if a curve meets no resonance, else None.
+    """Return the first natural frequency if a curve meets no resonance.
+
+    Returns
+    -------
+    (float, str) or None
+        Frequency [rad/s], and a text with the curve's end and a proposed range. None if the curve
+        meets a resonance, or is not over frequency or rotor speed.
 
     Resonances are sought between the open and bonded frequencies of the first modes, with the
-    harmonics 1/2, 1, 2 and 3. The second output is a text with the curve's end and a proposed
-    range.
+    harmonics
+    1/2, 1, 2 and 3.
     """
     curve_table = scene.curve
     if curve_table is None or curve_table.parameter not in FACTOR_AND_UNIT_BY_CURVE_PARAMETER:
@@ -1088,7 +1099,7 @@ def _peak_rotation_and_displacement(
 
 
 def _n_face_elements_if_chosen(_: object, scene: Scene, key_figures: KeyFigures) -> int | None:
-    """Return the number of elements along each crack face, if the scene chooses it.
+    """Return the number of elements along each crack face, or None.
 
     None for a grid without patches, whose columns and rows set the number. None, too, for contact
     at the mouth alone.
@@ -1103,7 +1114,7 @@ def _n_face_elements_if_chosen(_: object, scene: Scene, key_figures: KeyFigures)
 def _linear_gap_motion_and_verb(
     _: object, scene: Scene, key_figures: KeyFigures
 ) -> tuple[float, str] | None:
-    """Return the largest motion of the gaps [m] if no pair opens or closes.
+    """Return the gaps' largest motion [m] if no pair breathes.
 
     The second output is the verb for the remark "the crack never ...": "opens" or "closes". None if
     a pair opens and closes, without contact, and for given matrices.

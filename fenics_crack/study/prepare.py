@@ -268,18 +268,21 @@ def reduce_study(study: Study, *, with_reference: bool = True) -> Study:
 
 
 class ModalReduction(NamedTuple):
-    """Method of a modal reduction ("massless" or "free_interface"), and number of kept modes."""
+    """Method of a modal reduction, and number of kept modes.
+
+    Methods are "massless" and "free_interface".
+    """
 
     method: str
     n_modes: int
 
 
 def modal_reduction_or_none(scene: Scene, structure: Structure) -> ModalReduction | None:
-    """Return method and number of modes of a scene's reduction; None without reduction.
+    """Return method and number of modes of a scene's reduction.
 
-    Not reduced are structures with ``reduction.method = 'off'``, and on one rank structures with at
-    most 100 dofs and no table ``[reduction]``. If all modes are damped and no number of modes is
-    given, 50 are kept.
+    None if the structure is not reduced. Not reduced are structures with ``reduction.method =
+    'off'``, and on one rank structures with at most 100 dofs and no table ``[reduction]``. If all
+    modes are damped and no number of modes is given, 50 are kept.
 
     Crack faces lose their mass ("massless") by default. They keep it if the scene names another
     method, if all modes are kept, or for at most 100 dofs and no table.
@@ -440,7 +443,10 @@ def _estimate_mode_memory(structure: Structure, n_modes: int) -> float:
 
 
 def _estimate_matrix_memory(structure: Structure) -> float:
-    """Return the memory of a matrix with as many nonzeros as the stiffness [byte] (collective)."""
+    """Return the memory of a matrix like the stiffness [byte] (collective).
+
+    The number of nonzeros is the same.
+    """
     bytes_per_entry = np.dtype(PETSc.ScalarType).itemsize + np.dtype(PETSc.IntType).itemsize
     n_entries: float = structure.stiffness.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
     return bytes_per_entry * n_entries
@@ -453,9 +459,9 @@ def _estimate_factor_memory(structure: Structure) -> float:
 
 
 def release_freed_memory() -> None:
-    """Return memory freed by the program to the system; otherwise it counts as held.
+    """Return memory freed by the program to the system.
 
-    Without ``malloc_trim`` in the C library nothing happens.
+    Otherwise it counts as held. Without ``malloc_trim`` in the C library nothing happens.
     """
     with suppress(AttributeError):  # a C library without it
         ctypes.CDLL(None).malloc_trim(0)
@@ -467,7 +473,9 @@ def _measure_held_memory(structure: Structure) -> float:
 
 
 def scene_contact_law(scene: Scene, structure: Structure) -> ContactLaw | None:
-    """Return the contact law of a scene's pairs; None without pairs or ``[contact]``.
+    """Return the contact law of a scene's pairs.
+
+    None without pairs or without a table ``[contact]``.
 
     Raises
     ------

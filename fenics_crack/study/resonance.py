@@ -116,7 +116,7 @@ UNSOUGHT_RESONANCE = LoadResonance(unknown="not sought")
 def order_crossing_speed(
     engine_order: float, reference_speed: float, omega: float, slope: float
 ) -> float:
-    """Return the rotor speed W at which an engine order meets a natural frequency.
+    """Return the speed W at which an order meets a natural frequency.
 
     W solves (n W)^2 = w_0^2 + S (W^2 - W_0^2).
 

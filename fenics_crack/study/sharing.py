@@ -23,7 +23,7 @@ from fenics_crack.scene.scene import Scene
 
 
 class SharedStructure(NamedTuple):
-    """A structure kept for further scenes, with the scene's values that determine it.
+    """A structure kept for further scenes, with its dependencies.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ LAST_STRUCTURES: list[SharedStructure] = []
 
 
 def make_empty_coarser_structure_list(structure: Structure) -> list[SharedStructure]:
-    """Return an empty list, in which the structure on a coarser mesh is kept.
+    """Return an empty list for the structure on a coarser mesh.
 
     :meth:`Structure.compute_once` calls this function and keeps the list with the finer structure.
     """
@@ -137,12 +137,12 @@ def _can_reuse(
     comm: MPI.Comm,
     needs_equal_dependencies: bool,
 ) -> bool:
-    """Return True if a kept structure can serve a scene with the given dependencies.
+    """Return True if a kept structure can serve a scene.
 
-    Mesh and ranks must be the same; without a DOLFINx mesh also the loads. With
-    ``needs_equal_dependencies`` (rotation, disk or given matrices), clearances and damping must be
-    the same, too. A structure with matrices from a file serves only while a command has a structure
-    file.
+    The scene is given by its ``dependencies``. Mesh and ranks must be the same; without a DOLFINx
+    mesh also the loads. With ``needs_equal_dependencies`` (rotation, disk or given matrices),
+    clearances and damping must be the same, too. A structure with matrices from a file serves only
+    while a command has a structure file.
     """
     has_mesh = getattr(shared_structure.structure.nodes, "mesh_dofs", None) is not None
     has_same_ranks = MPI.Comm.Compare(shared_structure.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)

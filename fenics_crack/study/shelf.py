@@ -40,7 +40,7 @@ MAX_DATASET_BYTES = 500 * 10**6
 
 
 def digest_of_dependencies(dependencies: tuple[Any, ...]) -> str:
-    """Return a SHA-256 digest that is equal for scenes with the same structure.
+    """Return a SHA-256 digest, equal for scenes with the same structure.
 
     ``dependencies`` come from :func:`dependencies_of_structure`. Load amplitudes, clearances and
     damping do not count; the files of program and libraries do.
@@ -104,7 +104,10 @@ class StructureFile:
         return shared_structure
 
     def note_shared_structure(self, shared_structure: SharedStructure, scene: Scene) -> None:
-        """Note a structure to be written, if it has the same mesh as the first one noted."""
+        """Note a structure to be written at the end.
+
+        It needs the same mesh as the first structure noted; otherwise nothing happens.
+        """
         if (
             not self._noted_structures_and_scenes
             or self._noted_structures_and_scenes[0][0].dependencies[0]

@@ -108,7 +108,7 @@ def prepare_unreduced_if_scene(scene_or_study: Scene | Study, comm: MPI.Comm) ->
 
 
 def required_contact_law(study: Study) -> ContactLaw:
-    """Return the contact law of a study; InputError for a study without a crack."""
+    """Return a study's contact law; InputError without a crack."""
     if study.contact is None:
         if study.scene.structure is not None:
             requirement = "given for this command: the path of a Matrix Market file"

@@ -144,7 +144,7 @@ class SweepGeometry:
         return self.study.structure
 
     def structure_of_case(self, scene: Scene) -> Structure:
-        """Return the shared structure with the load and clearance of a case's scene."""
+        """Return the shared structure with a case's load and clearance."""
         load_weight_matrix: float | np.ndarray = 1.0
         if self.has_unit_loads:
             load_weight_matrix = np.zeros((len(FORCE_KEYS), len(FORCE_KEYS)))
@@ -232,9 +232,10 @@ def build_sweep_geometry(
 def iterate_geometries_with_more_modes(
     scene: Scene, case_options: SharedCaseOptions
 ) -> Iterator[SweepGeometry]:
-    """Build structures with each number of modes that may have solved a sweep case.
+    """Build structures with all numbers of modes that a sweep may use.
 
-    The last structure is reduced as the scene says, for a sweep without reduction errors.
+    One of them has solved the case. The last structure is reduced as the scene says, for a sweep
+    without reduction errors.
     """
     first_geometry = build_sweep_geometry(scene, MPI.COMM_SELF, case_options)
     geometry: SweepGeometry | None = first_geometry
@@ -304,7 +305,9 @@ def solve_chunk(
     case_options: SharedCaseOptions,
     may_continue: Callable[[], bool],
 ) -> list[CaseValues]:
-    """Solve the cases in a chunk in turn, at given frequencies or at resonances.
+    """Solve the cases in a chunk one after the other.
+
+    They are solved at given frequencies or at resonances, as the options say.
 
     Parameters
     ----------
@@ -380,10 +383,10 @@ def solve_chunk(
 
 
 class CaseSolver:
-    """Solver for sweep cases with a shared structure; each case starts from the last.
+    """Solver for sweep cases with a shared structure.
 
-    The last solution is the initial guess. Cases that differ only in frequency share structure, law
-    and equations.
+    Each case starts from the last. The last solution is the initial guess. Cases that differ only
+    in frequency share structure, law and equations.
     """
 
     def __init__(self, geometry: SweepGeometry) -> None:
@@ -392,7 +395,7 @@ class CaseSolver:
         self._last_solution: PeriodicSolution | None = None
 
     def solve_as_requested(self, case: Scene, case_options: SharedCaseOptions) -> PeriodicSolution:
-        """Solve a case at its frequency, or at resonance if the options say so.
+        """Solve a case at its frequency or, if requested, at resonance.
 
         Raises as :meth:`solve`.
         """
@@ -431,11 +434,11 @@ class CaseSolver:
             self._law = scene_contact_law(case, self._structure)
 
     def solve_at_resonance(self, case: Scene) -> PeriodicSolution:
-        """Solve a case at the resonance nearest to its frequency; raises as :meth:`solve`.
+        """Solve a case at the resonance nearest to its frequency.
 
-        This is the phase resonance of the mode with the nearest bilinear frequency. The peak of the
-        response curve is used instead if several modes respond together. Friction and smooth laws
-        have no phase resonance and use the peak, too.
+        The phase resonance of the mode with the nearest bilinear frequency is sought. If several
+        modes respond together, the peak of the response curve is used instead. Friction and smooth
+        laws have no phase resonance and use the peak, too. Raises as :meth:`solve`.
         """
         balance_table = case.harmonic_balance
         self._set_structure_and_law(case)
@@ -523,9 +526,10 @@ class CaseSolver:
 def _load_and_nearest_frequency_by_column(
     omega: float, natural_frequencies: BilinearFrequencies
 ) -> CaseValues:
-    """Return the load frequency and the nearest mode's natural frequencies, by column name.
+    """Return load frequency and nearest natural frequencies, by column name.
 
-    ``omega`` is the load frequency [rad/s].
+    The natural frequencies belong to the mode with the nearest bilinear frequency. ``omega`` is the
+    load frequency [rad/s].
     """
     return add_frequency_entries({"omega": omega}) | natural_frequencies.nearest(omega)
 
@@ -583,7 +587,7 @@ def _observe_value_by_column(
 def _find_load_direction_row_by_name(
     solution: PeriodicSolution, case: Scene
 ) -> dict[str, np.ndarray]:
-    """Return the row R for the displacement R u in the load's direction.
+    """Return the row R for the load direction's displacement R u.
 
     The key is "". The force's largest Fourier part gives the direction, or the mean if all others
     are zero. With a force F at x, the load vector f satisfies f . u = F . u(x); so R = f / |F|. The

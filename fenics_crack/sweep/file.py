@@ -70,7 +70,7 @@ stability."""
 
 
 def column_name_at_load(quantity: str) -> str:
-    """Return the column name for a quantity of the displacement at the load.
+    """Return the column name for a quantity at the load.
 
     "amplitude" becomes "response"; other names stay.
     """
@@ -358,7 +358,10 @@ class SweepFile:
             )
 
     def _is_file_still_at_path(self) -> bool:
-        """Return True if the path still leads to the open file, not to a new or removed file."""
+        """Return True if the path still leads to the open file.
+
+        It does not if the file was removed or replaced.
+        """
         try:
             return os.path.samestat(os.fstat(self._file_descriptor), os.stat(self._path))
         except OSError:
@@ -389,7 +392,10 @@ def _pad_waves(waves: list[np.ndarray], n_columns: int) -> np.ndarray:
 
 
 def _encode_value(value: Any, max_bytes: int) -> Any:
-    """Return a value for the file: a text as at most ``max_bytes`` of UTF-8, others unchanged."""
+    """Return a value in the form stored in the file.
+
+    A text becomes at most ``max_bytes`` bytes of UTF-8, cut between characters. Other values stay.
+    """
     if not isinstance(value, str):
         return value
     return value.encode()[:max_bytes].decode("utf-8", "ignore").encode()
@@ -501,7 +507,7 @@ def _copy_written_parts(memory_descriptor: int, target_descriptor: int) -> None:
 
 
 def _describe_column(column_name: str) -> str:
-    """Return a description of a column for the file's attribute "about"; empty if unknown."""
+    """Return a column's description for the file; empty if unknown."""
     if column_name in UNIT_BY_WAVE:
         return (
             "axes of the sweep; "
@@ -601,7 +607,10 @@ def _check_omitted_options_match(
 
 
 def _unit_and_type_by_dataset(scene: Scene) -> dict[str, tuple[str, str]]:
-    """Return unit and NumPy type of ``state``, all columns and checksums, by dataset name."""
+    """Return unit and NumPy type of all datasets in a sweep's file.
+
+    These are ``state``, all columns and the checksums, by name.
+    """
     unit_and_type_by_checksum = dict.fromkeys(
         (WAVES_CHECKSUM_COLUMN_NAME, CASE_CHECKSUM_COLUMN_NAME), ("", "u4")
     )
@@ -714,7 +723,7 @@ def _replace_unconfirmed_states(
 
 
 def _read_intact_states(sweep_header: store.StoredFile, scene: Scene) -> np.ndarray:
-    """Return the state of each case (:class:`CaseState`), in the shape of the axes.
+    """Return each case's state (:class:`CaseState`), in the shape of the axes.
 
     Cases with damaged columns or Fourier coefficients are PENDING.
     """
@@ -728,10 +737,10 @@ def _read_intact_states(sweep_header: store.StoredFile, scene: Scene) -> np.ndar
 
 
 def read_column_by_name(sweep_header: store.StoredFile, scene: Scene) -> dict[str, np.ndarray]:
-    """Read ``state`` and all columns by name, in the shape of the axes.
+    """Read all columns by name, in the shape of the axes.
 
-    Pending cases and missing columns have nan; whole numbers have 0, texts are empty. Damaged cases
-    raise InputError.
+    The column ``state`` is included. Pending cases and missing columns have nan; whole numbers have
+    0, texts are empty. Damaged cases raise InputError.
     """
     flat_column_by_name, is_damaged = _read_columns_and_find_damage(sweep_header, scene)
     axes_shape, column_by_name = scene.given("sweep").shape, {}

@@ -37,7 +37,10 @@ from fenics_crack.sweep.plan import Chunk, Plan
 
 
 class MessageTag(IntEnum):
-    """Tags of messages from rank 0 to another rank: JOB brings a job, END stops the rank."""
+    """Tags of messages from rank 0 to another rank.
+
+    JOB brings a job, END stops the rank.
+    """
 
     JOB = 0
     END = 1
@@ -64,7 +67,7 @@ class Job(NamedTuple):
 
 
 class Worker:
-    """Solver for the jobs of one rank; it builds the shared structures itself.
+    """Solver for one rank's jobs; it builds the shared structures, too.
 
     Parameters
     ----------
@@ -139,7 +142,7 @@ class Worker:
     def _solve_chunk(
         self, chunk: Chunk, may_continue: Callable[[], bool]
     ) -> tuple[np.ndarray, ChunkOutcome]:
-        """Solve a chunk; return the numbers of the cases tried (n,) and the outcome."""
+        """Solve a chunk; return the numbers (n,) of cases tried, and outcome."""
         geometry_or_error = self._geometry_or_error
         if isinstance(geometry_or_error, SweepGeometry):
             try:
@@ -171,7 +174,7 @@ def _make_error_with_traceback() -> RuntimeError:
 
 
 def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
-    """Solve the jobs that rank 0 sends, until a message with the tag END.
+    """Solve the jobs that rank 0 sends, until an END message.
 
     ``comm`` has all ranks of the sweep. Outcomes go back to rank 0.
     """
@@ -215,7 +218,7 @@ def _receive_message(comm: MPI.Comm, message_status: MPI.Status) -> Any:
 
 
 class Manager:
-    """Distributor of a sweep's jobs and writer of its file, on rank 0.
+    """Distributor of a sweep's jobs on rank 0; writes the file.
 
     Parameters
     ----------
@@ -276,7 +279,10 @@ class Manager:
 
     @property
     def sweep_header(self) -> StoredFile:
-        """Header of the finished file; an error that ended the sweep is raised here."""
+        """Header of the finished file.
+
+        An error that ended the sweep is raised here.
+        """
         if self._first_error is not None:
             raise self._first_error
         return self._sweep_file.sweep_header
@@ -347,7 +353,10 @@ class Manager:
             self._n_jobs_at_other_ranks += 1
 
     def _receive_outcome(self, comm: MPI.Comm) -> None:
-        """Receive a message of another rank: write a chunk's outcome, or send the next job."""
+        """Receive a message from another rank, and act on it.
+
+        A chunk's outcome is written to the file; after a finished job the rank gets the next one.
+        """
         message_status = MPI.Status()
         case_numbers_and_outcome = _receive_message(comm, message_status)
         if case_numbers_and_outcome is not None:
@@ -393,7 +402,10 @@ class Manager:
         return Job(geometry_number, tuple(chunk_case_numbers[:n_job_chunks]))
 
     def _record_outcome(self, case_numbers: np.ndarray, outcome: ChunkOutcome) -> None:
-        """Write a chunk's cases to the file, or keep the error that ends the sweep."""
+        """Write a chunk's cases to the file.
+
+        If the outcome is an error, or writing fails, the error is kept and ends the sweep.
+        """
         if isinstance(outcome, Exception):
             self._keep_error_and_discard_jobs(outcome)
             return

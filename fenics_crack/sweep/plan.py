@@ -110,11 +110,11 @@ class Plan:
     def _split_case_numbers_into_chunks(
         self, geometry_independent_keys: set[str]
     ) -> list[list[np.ndarray]]:
-        """Split case numbers by geometry (shared structure), then into chunks of at most 16.
+        """Split case numbers by geometry, then into chunks of at most 16.
 
-        Chunks follow the frequency axis if a frequency is swept. Otherwise they follow the last
-        axis without effect on the geometry; if each axis changes the geometry, a chunk is a single
-        case.
+        A geometry is a structure shared by several cases. Chunks follow the frequency axis if a
+        frequency is swept. Otherwise they follow the last axis without effect on the geometry; if
+        each axis changes the geometry, a chunk is a single case.
         """
         swept_keys = list(self._swept_values_by_key)
         independent_axis_indices = [
@@ -160,7 +160,10 @@ class Plan:
 
     @property
     def n_gap_rows_upper_bound(self) -> int:
-        """Upper bound for the gap rows (contact pairs, twice with friction) in all cases."""
+        """Upper bound for the number of gap rows in all cases.
+
+        There is a row for each contact pair; with friction there are two.
+        """
         return self._n_gap_rows_per_pair * max(
             n_pairs for n_pairs, _ in self.pair_bounds_and_crack_lengths
         )
@@ -218,12 +221,15 @@ class Plan:
         return self.scene_or_reason_at(np.unravel_index(case_number, self.shape))
 
     def make_chunk(self, case_numbers: np.ndarray) -> Chunk:
-        """Return the chunk with the given case numbers (n,): their scenes or reasons of refusal."""
+        """Return the chunk with the given case numbers (n,).
+
+        It has the scene of each case, or the reason why its values make no valid scene.
+        """
         return Chunk(case_numbers, tuple(map(self._scene_or_reason_by_number, case_numbers)))
 
 
 def _find_pair_upper_bound(scene: Scene) -> int:
-    """Return an upper bound for the number of contact pairs in a scene.
+    """Return an upper bound for a scene's number of contact pairs.
 
     A solid is meshed and a mesh file is read; other plates need no mesh. A mesh that cannot be made
     gives 0, since its cases will fail.

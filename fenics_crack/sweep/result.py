@@ -207,7 +207,7 @@ VERDICTS_NOT_STABLE = "unstable", "irregular", "undecided"
 
 @dataclass(frozen=True, repr=False)
 class SweepResult(Tabular):
-    """Result of a sweep: a table of all cases, read from a file.
+    """Result of a sweep: a table of cases, read from a file.
 
     The Fourier coefficients of gaps and forces are read on request (:meth:`gap`, :meth:`solution`).
 
@@ -262,7 +262,10 @@ class SweepResult(Tabular):
 
     @classmethod
     def from_stored_file(cls, sweep_header: StoredFile) -> SweepResult:
-        """Read a sweep's table, with the header of its file; raises as :meth:`load`."""
+        """Read a sweep's table, with the file's header.
+
+        Raises as :meth:`load`.
+        """
         scene = scene_of_sweep(sweep_header)
         return cls(sweep_header.path, scene, read_column_by_name(sweep_header, scene))
 
@@ -291,18 +294,19 @@ class SweepResult(Tabular):
 
     @property
     def errors(self) -> np.ndarray:
-        """Estimated relative errors of each case: (4, ...), then the shape of the axes.
+        """Estimated relative errors, by part and case.
 
-        The four are truncation, reduction, sampling and residual, as in :class:`ErrorReport`. A
-        case without a solution or an estimate has 0.
+        The shape is (4, ...), then that of the axes. The four are truncation, reduction, sampling
+        and residual, as in :class:`ErrorReport`. A case without a solution or an estimate has 0.
         """
         return np.nan_to_num([self[f"{error_part_name}_error"] for error_part_name in ERROR_PARTS])
 
     @property
     def inexact(self) -> np.ndarray:
-        """True for solved cases with a total estimated error above 5 % (``LARGE_ERROR``).
+        """True for solved cases with a total error above 5 %.
 
-        A bool array in the shape of the axes.
+        This bool array has the shape of the axes. The limit ``LARGE_ERROR`` holds for the sum of
+        :attr:`errors` in a case.
         """
         return self.converged & (self.errors.sum(axis=0) > LARGE_ERROR)
 
@@ -310,7 +314,7 @@ class SweepResult(Tabular):
     def not_stable(self) -> np.ndarray:
         """True for cases with an unstable, irregular or undecided verdict.
 
-        A bool array in the shape of the axes.
+        This bool array has the shape of the axes.
         """
         return np.isin(self["verdict"], VERDICTS_NOT_STABLE)
 
@@ -338,11 +342,11 @@ class SweepResult(Tabular):
 
     @property
     def contradicted(self) -> list[tuple[tuple[int, ...], str]]:
-        """Index of each case whose verdict changes with more modes, and a text.
+        """Index of each case whose verdict changes with more modes.
 
-        The text says the verdict on stability with more modes. For crack faces without mass, a
-        Newton step with twice the modes finds about two in three such cases. To check a single
-        case, use :func:`fenics_crack.solve`.
+        A text with the verdict on stability by more modes follows each index (position on each
+        axis). For crack faces without mass, a Newton step with twice the modes finds about two in
+        three such cases. To check a single case, use :func:`fenics_crack.solve`.
         """
         indices_and_statuses = self._find_indices_and_statuses(
             self.converged & (self["verdict"] != "undecided")
@@ -366,7 +370,9 @@ class SweepResult(Tabular):
         ]
 
     def gap(self, index: tuple[int, ...] | int) -> np.ndarray:
-        """Return a converged case's Fourier coefficients of the normal gaps: (2H+1, n_pairs) [m].
+        """Return Fourier coefficients of a converged case's gaps: (2H+1, n_pairs) [m].
+
+        These are the normal gaps.
 
         Parameters
         ----------
@@ -464,7 +470,7 @@ class SweepResult(Tabular):
 
     @property
     def quantities(self) -> dict[str, tuple[str, str]]:
-        """Label and unit of the columns to draw and print, by column name.
+        """Label and unit of the drawn and printed columns, by name.
 
         The scene's ``[output] quantities`` chooses them, by default a few.
         """
@@ -493,7 +499,10 @@ class SweepResult(Tabular):
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """Return lists of values by column, the swept keys first, with a row for each case."""
+        """Return the table as lists by column.
+
+        The swept keys come first. Each case has a row.
+        """
         axis_columns = zip(*itertools.product(*(axis.values for axis in self.axes)), strict=True)
         values_by_column = {
             axis.key: list(axis_column)
@@ -667,9 +676,9 @@ def iterate_texts_by_reason(
 
 
 def describe_swept_values(axes: Sequence[Axis], index: Sequence[int]) -> str:
-    """Return a case's swept values as text: "omega = 1900.0, length = 0.02".
+    """Return a case's swept values as text.
 
-    ``index`` is the case's position on each axis.
+    An example is "omega = 1900.0, length = 0.02". ``index`` is the case's position on each axis.
     """
     return ", ".join(
         f"{axis.key.rpartition('.')[2]} = {axis.values[value_index]}"
