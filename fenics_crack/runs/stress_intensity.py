@@ -49,11 +49,11 @@ class StressIntensity(Tabular):
         left, looking ahead, moves ahead. At a front without clearance K_I is never negative, and
         exactly zero while all contact patches next to the station are closed.
     three : (n, n_tips) [Pa m^1/2] or None
-        K_III, positive if the upper face moves along the front, in the direction e_3 = e_1 x e_2
-        with e_1 ahead and e_2 from the lower to the upper face. None for a plate.
+        K_III, positive if the upper face moves along the front, in the direction e_3 = e_1 x e_2.
+        e_1 points ahead, and e_2 from the lower to the upper face. None for a plate.
     closed : (n_tips,) [Pa m^1/2]
-        Error of K_I in a solid: largest |K_I| computed while the front is closed, where it is zero
-        by contact, and largest negative K_I computed while the front is partly closed.
+        Error of K_I in a solid, where contact makes K_I zero or not negative. It is the largest
+        |K_I| computed while the front is closed, or negative K_I while it is partly closed.
     """
 
     time: np.ndarray

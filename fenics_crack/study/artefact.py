@@ -369,8 +369,8 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
     Raises
     ------
     InputError
-        The scene rotates, is a bladed disk or a solid; its structure is not reduced to crack faces
-        without mass; its damping is a matrix; or the file cannot be written.
+        The scene rotates, is a bladed disk or a solid. Or its structure is not reduced to crack
+        faces without mass, its damping is a matrix, or the file cannot be written.
 
     Examples
     --------

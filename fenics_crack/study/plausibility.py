@@ -470,9 +470,11 @@ def _modal_receptance_increase(
 ) -> np.ndarray:
     """Return d_j(w) - 1 / w_j^2 of modes j: complex (n,) [s^2].
 
-    d_j(w) = 1 / (w_j^2 - w^2 + 2 i xi_j w_j w) is the receptance of the mode with frequency w_j and
-    damping ratio xi_j at the load frequency w = ``omega``. For rigid-body modes it is d_j(w), since
-    static responses do not contain them.
+        d_j(w) = 1 / (w_j^2 - w^2 + 2 i xi_j w_j w)
+
+    is the receptance of a mode with frequency w_j and damping ratio xi_j, at the load frequency w
+    (``omega``). For rigid-body modes d_j(w) is returned, since static responses do not contain
+    them.
     """
     squared_omegas = natural_omegas**2
     denominators = squared_omegas - omega**2 + 2j * modal_damping_ratios * natural_omegas * omega
@@ -1037,15 +1039,14 @@ def _missed_first_omega_and_text(
 ) -> tuple[float, str] | None:
     """Return the first natural frequency if a curve meets no resonance.
 
+    Resonances are sought between the open and bonded frequencies of the first modes, with the
+    harmonics 1/2, 1, 2 and 3.
+
     Returns
     -------
     (float, str) or None
         Frequency [rad/s], and a text with the curve's end and a proposed range. None if the curve
-        meets a resonance, or is not over frequency or rotor speed.
-
-    Resonances are sought between the open and bonded frequencies of the first modes, with the
-    harmonics
-    1/2, 1, 2 and 3.
+        meets a resonance or ends above the modes computed, or is not over frequency or rotor speed.
     """
     curve_table = scene.curve
     if curve_table is None or curve_table.parameter not in FACTOR_AND_UNIT_BY_CURVE_PARAMETER:

@@ -174,8 +174,8 @@ def _find_watched_displacements(
     Raises
     ------
     InputError
-        A point is off the mesh by more than 5 % of its size, or next to a clamped node or a crack
-        face, or the structure has no nodes.
+        A point is off the mesh by more than 5 % of the mesh's size, or next to a clamped node or a
+        crack face. Or the structure has no nodes.
     """
     if not scene.output_points:
         dof = structure.watched_dof

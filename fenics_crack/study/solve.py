@@ -172,8 +172,8 @@ def candidate_mode_counts(study: Study, max_modes: int = MAX_MODES_FOR_MONODROMY
     """Return the numbers of modes to try for a tolerance, ascending (collective).
 
     Each number doubles the last, up to ``max_modes``. The list is empty if the scene gives the
-    number of modes, has no tolerance or no crack, or if the structure is reduced already or not to
-    be reduced.
+    number of modes, or has no tolerance or no crack. It is also empty if the structure is reduced
+    already or not to be reduced.
     """
     scene, structure = study.scene, study.structure
     if structure.whole is not structure:
