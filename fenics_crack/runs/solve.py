@@ -59,10 +59,11 @@ def modes(scene: Scene, count: int | None = None, comm: MPI.Comm = MPI.COMM_WORL
 def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution]:
     """Solve a scene for its steady vibration, as ``fenics-crack solve`` does (collective).
 
-    Harmonic balance finds the solution at the load frequency (:func:`solve_harmonic_balance`). Its
-    stability (:func:`floquet`) is added for piecewise linear contact and for up to 100 dofs; for
-    rigid contact if crack faces have no mass. With a tolerance, the number of modes is chosen
-    unless the scene gives it.
+    Harmonic balance finds the solution at the load frequency (:func:`solve_harmonic_balance`). With
+    a tolerance, the number of modes is chosen unless the scene gives it. Stability
+    (:func:`floquet`) is added if the solution converges and the structure can be decomposed into
+    all of its modes. Smooth contact laws then need at most 100 dofs, and rigid contact needs crack
+    faces without mass.
 
     Parameters
     ----------
