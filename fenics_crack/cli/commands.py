@@ -48,9 +48,20 @@ def run_and_report_function(
 ) -> Exit:
     """Run a package function as a command, write the result, print the report.
 
-    The function gets the scene (or the study from a file of ``reduce``), and arguments, folder,
-    ranks and progress by the names of parameters. Ctrl-C is ignored while files are written. An
-    interrupted result replaces no earlier file: the new name then ends in "_interrupted".
+    The function gets the scene, or the study from a file of ``reduce``. By the names of its
+    parameters it also gets arguments, folder, MPI ranks and progress. Ctrl-C is ignored while files
+    are written. If Ctrl-C ended the computation, an earlier result stays: the new files are named
+    "..._interrupted".
+
+    Returns
+    -------
+    Exit
+        Exit code of the report.
+
+    Raises
+    ------
+    StoppedError
+        Ctrl-C ended the estimate of errors; the result is saved without a report.
     """
     folder = inputs.folder
     if arguments.command == "curve" and inputs.scene.curve is None:
@@ -98,7 +109,7 @@ def run_and_report_function(
 
 
 def _save_result(result: Any, path: Path, console: Console) -> None:
-    """Save a result; only a run knows the ranks without the console."""
+    """Save a result to a .h5 file; results without their own MPI ranks get the console's."""
     result.save(path, **({} if isinstance(result, Run) else {"comm": console.comm}))
 
 
@@ -113,17 +124,19 @@ def write_and_print_report(
 
     Parameters
     ----------
+    report : Report
+        Tables and sentences about the result.
     stem_path : Path
-        Path of all files without ending.
+        Path of all files without ending: .h5, .csv, .json, pictures.
     result
-        Result to be saved; None if the file exists already.
+        Result to save as .h5; None if the file exists already.
     picture_format : str or None
-        Ending of pictures; None: no pictures.
+        Ending of pictures; None: draw none, and print the command that does.
 
     Returns
     -------
     Exit
-        Exit code.
+        Exit code of the report.
     """
     replacement_note = ""
     for structure_file in STRUCTURE_FILES:
@@ -165,7 +178,10 @@ def write_and_print_report(
 
 
 def print_report_sentences(report: Report, console: Console) -> Exit:
-    """Print notes, remarks, warnings and conclusion of a report; return the exit code."""
+    """Print a report's notes, remarks, warnings and closing sentence.
+
+    Returns the exit code: whether the result converged and meets the tolerance.
+    """
     console.print_notes(*report.notes)
     console.print_remarks(*report.remarks)
     console.print_warnings(*report.warnings)
@@ -174,7 +190,7 @@ def print_report_sentences(report: Report, console: Console) -> Exit:
 
 
 def run_and_report_sweep(_: Namespace, inputs: CommandInputs, console: Console) -> Exit:
-    """Run the unsolved cases of a sweep, and report all cases."""
+    """Run the command ``sweep``: solve the cases not solved yet, and report all cases."""
     from fenics_crack.sweep.result import run_sweep
 
     scene, stem_path = inputs.scene, inputs.folder / "sweep"
@@ -186,12 +202,19 @@ def run_and_report_sweep(_: Namespace, inputs: CommandInputs, console: Console) 
 
 
 def remove_kept_structure(_: Namespace, inputs: CommandInputs, console: Console) -> None:
-    """Remove the structure that earlier commands have kept in the folder."""
+    """Run the command ``clean``: remove the stored structure from the results folder.
+
+    Earlier commands have written this file, :data:`STRUCTURE_FILE_NAME`, to mesh and reduce only
+    once.
+    """
     on_root(console.comm, lambda: remove_file(inputs.folder / STRUCTURE_FILE_NAME, "--output"))
 
 
 def write_prepared_study(arguments: Namespace, inputs: CommandInputs, console: Console) -> None:
-    """Write a scene's prepared study to a file, which replaces the mesh."""
+    """Run the command ``reduce``: mesh and reduce a scene, and write the study to a file.
+
+    ``solve`` and ``curve`` take the file in place of the scene, and need no mesh.
+    """
     from fenics_crack.study.artefact import save_prepared
     from fenics_crack.study.prepare import prepare
 
@@ -207,7 +230,11 @@ def write_prepared_study(arguments: Namespace, inputs: CommandInputs, console: C
 def compute_and_report_bladed_disk(
     arguments: Namespace, inputs: CommandInputs, console: Console
 ) -> Exit:
-    """Compute frequencies over the nodal diameter, and amplification by mistuning patterns."""
+    """Run the command ``disk``: natural frequencies over the nodal diameter, and mistuning.
+
+    With ``--patterns`` N, also compute the amplification factors of N random mistuning patterns.
+    Returns the exit code of the last report.
+    """
     from fenics_crack.disk.bladed_disk import amplification, nodal_diameters
 
     scene, comm, folder = inputs.scene, console.comm, inputs.folder
@@ -238,15 +265,18 @@ def _convert_arrivals_to_measurements(
     *,
     is_uncracked: bool = False,
 ) -> Measurements:
-    """Convert arrivals to measurements for an identification.
+    """Convert blade tip arrivals to measurements for an identification (collective).
 
-    At constant speed they are displacements; in a run-up, natural frequencies of the resonances
-    passed. ``is_uncracked`` marks arrivals of the blade before it had a crack: only a run-up.
+    Arrivals at constant speed become displacements. A run-up gives the natural frequencies of the
+    resonances passed. ``is_uncracked`` marks arrivals of the blade before it had a crack, recorded
+    in a run-up only. ``arrival_source`` has arrivals by blade number, or is the path of a computed
+    result.
 
     Raises
     ------
     InputError
-        The arrivals have no resonance, or do not fit the scene.
+        The arrivals pass no resonance of the blade, or do not fit the scene: the speed differs by
+        more than 1 %, for example.
     """
     from fenics_crack.arrivals.arrival_times import MAX_STEADY_SPEED_VARIATION
     from fenics_crack.monitoring import scene_timing
@@ -309,7 +339,11 @@ def _convert_arrivals_to_measurements(
 
 
 def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Console) -> Exit:
-    """Identify a crack from measurements, and propose where to measure next."""
+    """Run the command ``identify``: find a crack from measurements.
+
+    Writes the posterior with its picture, the fit, and a proposal where to measure next. Returns
+    the exit code: not converged if the identification has doubts.
+    """
     from fenics_crack.draw.plot_study import draw_posterior  # Matplotlib
     from fenics_crack.monitoring.identification import identify as search_module  # SciPy
     from fenics_crack.monitoring.identification.report import IdentificationOutput
