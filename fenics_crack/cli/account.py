@@ -22,10 +22,10 @@ from fenics_crack.study.plausibility import MAX_SMALL_ROTATION, distances_from_c
 MAX_TRUSTED_TRANSVERSE_SLIDING = 0.3
 """Maximum sliding across the friction lines, over sliding along them, without a warning."""
 PRINT_ALWAYS, PRINT_BY_DEFAULT, PRINT_NEVER = range(3)
-"""Levels at which a quantity is printed.
+"""Levels at which a quantity is printed in the result's table.
 
-PRINT_ALWAYS; PRINT_BY_DEFAULT, unless the scene requests other quantities; PRINT_NEVER, for
-quantities in files alone: parts of an error, and sentences printed below the table.
+PRINT_BY_DEFAULT: unless the scene requests quantities. PRINT_NEVER: in files alone, for parts of an
+error, and for sentences printed below the table.
 """
 DESCRIPTION_UNIT_AND_LEVEL_BY_NAME = {
     "periods": ("periods", "-", PRINT_BY_DEFAULT),
@@ -60,7 +60,7 @@ DESCRIPTION_UNIT_AND_LEVEL_BY_NAME = {
 Quantities of the motion itself are in :data:`OBSERVABLES_BY_NAME`.
 """
 TOLERANCE_OPTION_TEXT = "--set harmonic_balance.tolerance=1e-2"
-"""Command-line option, proposed in warnings, with which the solver chooses the harmonics."""
+"""Command-line option proposed in warnings: the solver then chooses the number of harmonics."""
 MODE_DEPENDENCE_TEXT = "depends on truncated modes"
 MEANING_BY_BIFURCATION = {
     "fold": "the curve turns back here; in a test the amplitude jumps",
@@ -71,7 +71,7 @@ MEANING_BY_BIFURCATION = {
 }
 """Sentence by kind of bifurcation: the effect in a test."""
 UNITS_ROUNDED_TO_ZERO = ("m", "N", "Pa m^0.5")
-"""Units in which absolute values up to 1e-15 are rounding errors, and written as 0."""
+"""Units of values written as 0 up to 1e-15, as these are rounding errors."""
 
 
 # --- sentences ------------------------------------------------------------------------------------
@@ -134,17 +134,19 @@ def yield_large_error_warning(
 ) -> Iterator[str]:
     """Yield a warning if the estimated error of the gap exceeds a limit.
 
-    The warning names the largest part of the error, and a remedy that the scene does not use yet.
+    The warning names the largest part of the error, and a remedy not yet used in the scene. No
+    errors in the report, if not requested, give no warning.
 
     Parameters
     ----------
     scene : Scene
+        Scene of the solution.
     report : ErrorReport
-        Estimated errors; none are printed if they were not requested.
+        Estimated errors, relative to the root mean square of the gaps' motion B^T u.
     n_harmonics : int
         Number of harmonics of the solution.
     location_text : str
-        Place on a curve, such as " at 50.1 Hz"; empty for a single solution.
+        Place on a curve, " at 50.1 Hz"; empty for a single solution.
     error_limit : float
         Limit of the relative error, by default 5 %.
     """
@@ -259,7 +261,8 @@ def list_friction_line_notes_and_warnings(run: Run[Any]) -> tuple[list[str], lis
 def yield_nonunique_contact_force_warning(solution: PeriodicSolution) -> Iterator[str]:
     """Yield a warning if friction nearly makes contact forces ambiguous at an instant.
 
-    The limit is half the critical coefficient of friction, above which forces may not be unique.
+    The limit is half the critical coefficient of friction. Above the critical coefficient, forces
+    may not be unique. Without friction, or without an exact flow, no warning is given.
     """
     exact_flow = solution.assessment.flow
     if exact_flow is None or exact_flow.friction_law is None:
@@ -279,8 +282,8 @@ def yield_mode_dependence_warning(
 ) -> Iterator[str]:
     """Yield a warning if the verdict on stability changes with more modes.
 
-    The nearest orbit with twice the modes or more is compared with the ``verdict``. Without such an
-    orbit no warning is given.
+    The nearest orbit with twice the modes or more is compared with the ``verdict``. No warning is
+    given if this orbit agrees, or is not known.
     """
     assessment_with_more_modes = solution.assessment.more_modes
     if assessment_with_more_modes is not None and (
@@ -296,14 +299,14 @@ def yield_mode_dependence_warning(
 
 
 def select_printed_quantities(table: Table, scene: Scene, place_flag: ObservableFlag) -> Table:
-    """Select the part of a result's table to print: quantities that the scene requests.
+    """Select the part of a result's table to print: quantities requested by the scene.
 
     Without a request, quantities with ``place_flag`` are selected. Frequencies and speeds keep the
     scene's unit only.
 
-    A table with a column "name" has a quantity in each row. Rows that are no quantity of the motion
-    follow :data:`DESCRIPTION_UNIT_AND_LEVEL_BY_NAME`; rows with nan are left out. Any other table
-    has a quantity in each column; further columns stay.
+    A table with a column "name" has a quantity in each row. Rows on the computation, not the
+    motion, follow :data:`DESCRIPTION_UNIT_AND_LEVEL_BY_NAME`; rows with nan are left out. Without
+    this column, the table has a quantity in each column; further columns stay.
     """
     requested_names, default_names = scene.quantities, observable_names(required_flags=place_flag)
     table = _round_to_zero(table)
@@ -334,8 +337,8 @@ def select_printed_quantities(table: Table, scene: Scene, place_flag: Observable
 def _round_to_zero(table: Table) -> Table:
     """Replace rounding errors in a table by 0.
 
-    These are absolute values up to 1e-15 in :data:`UNITS_ROUNDED_TO_ZERO`. Units come from the
-    column "unit", or from headings, "gap [m]".
+    Rounding errors are absolute values up to 1e-15 in :data:`UNITS_ROUNDED_TO_ZERO`. Units come
+    from the column "unit", or from headings, "gap [m]".
     """
     column_units = [heading.partition("[")[2].rstrip("]") for heading in table.columns]
     unit_column_index = table.columns.index("unit") if "unit" in table.columns else None
@@ -361,7 +364,7 @@ def _round_to_zero(table: Table) -> Table:
 
 
 def make_printed_table(report: Report) -> Table:
-    """Return the table that a report prints.
+    """Return the table printed for a report.
 
     If the report has a scene, frequencies and speeds keep the scene's unit only.
     """
@@ -372,7 +375,7 @@ def make_printed_table(report: Report) -> Table:
 
 
 def _is_in_unused_unit(name: str, unit: str, scene: Scene) -> bool:
-    """Return True for a frequency or speed in a unit that the scene does not use.
+    """Return True for a frequency or speed in a unit not used in the scene.
 
     A scene in Hz does not use rad/s, and vice versa; a scene in rpm does not use "speed" [rad/s].
     """
@@ -386,7 +389,7 @@ def _is_in_unused_unit(name: str, unit: str, scene: Scene) -> bool:
 
 
 def _select_columns(table: Table, is_selected: Callable[[str, str], bool]) -> Table:
-    """Return a table with the columns for which ``is_selected(name, unit)`` is true.
+    """Return a table with the columns selected by ``is_selected(name, unit)``.
 
     The heading "gap [m]" has the name "gap" and the unit "m".
     """
@@ -423,9 +426,9 @@ def tabulate_known_quantities_as_text(table: Table) -> Table:
 def _format_description_and_value(
     description: str, quantity_value: Any, unit: str
 ) -> tuple[str, Any]:
-    """Return a quantity's description, and its value with unit as text.
+    """Return a quantity's description, and the value with unit as text.
 
-    Numbers with a relative description become percentages, True and False "yes" and "no".
+    Numbers with a description "relative ..." become percentages, True and False "yes" and "no".
     """
     is_finite_number = isinstance(quantity_value, float) and np.isfinite(quantity_value)
     if is_finite_number and unit in UNITS_ROUNDED_TO_ZERO:

@@ -35,13 +35,13 @@ if TYPE_CHECKING:
 PETSC_OPTION_PREFIXES = tuple(
     f"-crack_{name}_" for name in ("hb", "krylov", "modes", "largest", "factor")
 )
-"""Prefixes of PETSc options that solvers read.
+"""Prefixes of PETSc options read by solvers.
 
 In this order: SNES of harmonic balance, GMRES, SLEPc for lowest modes, SLEPc for the largest
 frequency, factorisations.
 """
 OUT_OF_MEMORY_TEXTS = ("PetscMalloc", "failed to map segment")
-"""Error texts with which PETSc and the library loader report too little memory."""
+"""Texts in errors of PETSc and the library loader if memory is short."""
 ARGUMENT_NAMES_BY_TABLE = {
     "curve": ("parameter", "start"),
     "disk": ("families",),
@@ -70,7 +70,7 @@ SCENE_KEY_BY_ARGUMENT = {
 }
 """Scene key or command-line option to print, by the argument name in an error of the library."""
 MAX_ENGINE_ORDER = 1000
-"""Maximum engine order that the option ``--orders`` accepts."""
+"""Maximum engine order in the option ``--orders``."""
 HELP_EPILOG_TEXT = """\
 Start with:
 
@@ -160,7 +160,7 @@ def _parse_arguments(command_words: Sequence[str] | None) -> argparse.Namespace:
     """Parse the program's arguments, without PETSc's options behind them.
 
     ``command_words`` None stands for the words of the command line. Raises SystemExit after --help,
-    and for words that the parser refuses.
+    and for words refused by the parser.
     """
     try:
         arguments = build_parser().parse_args(
@@ -199,7 +199,7 @@ def _petsc_arguments() -> list[str]:
 
 
 def _discard_rank_output() -> None:
-    """Discard what this MPI rank prints; tracebacks still reach ``sys.__stderr__``."""
+    """Discard all text printed by this MPI rank; tracebacks still reach ``sys.__stderr__``."""
     sys.stdout = sys.stderr = open(os.devnull, "w")
 
 
@@ -242,13 +242,13 @@ def _print_input_errors(input_errors: Sequence[InputError]) -> None:
 
 
 def _redirect_stdout_to_null() -> None:
-    """Redirect standard output to the null device, so that Python writes nothing at exit."""
+    """Redirect standard output to the null device: Python then writes nothing at exit."""
     with contextlib.suppress(OSError):  # it may be no file
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _describe_resource_shortage(error: Exception) -> str:
-    """Describe the lack of memory or disk space that caused an error; "" for other errors.
+    """Describe the lack of memory or disk space behind an error; "" for any other error.
 
     Memory counts as short, too, above 90 % of the process's address space limit.
     """
@@ -268,8 +268,8 @@ def _describe_resource_shortage(error: Exception) -> str:
 def _run_command(arguments: argparse.Namespace) -> Exit:
     """Read a command's inputs, load MPI and PETSc, and call the command.
 
-    Inputs are read before MPI and PETSc are loaded, so that wrong input is refused at once. Under
-    mpirun, rank 0 reads for all ranks.
+    Inputs are read before MPI and PETSc are loaded, to refuse wrong input at once. Under mpirun,
+    rank 0 reads for all ranks.
     """
     if arguments.command == "doctor":  # checks itself which libraries are there
         return _call_command(arguments, None, None) or Exit.DONE
@@ -332,10 +332,10 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
 def _call_command(
     arguments: argparse.Namespace, inputs: CommandInputs | None, console: Console | None
 ) -> Exit | None:
-    """Call a command after its results folder and the stored structure are made ready.
+    """Make the results folder and the stored structure ready, and call a command.
 
-    ``inputs`` is None without a scene. Without ``--fresh``, the command may read the structure that
-    an earlier command has stored in the folder. Returns None for exit code 0.
+    ``inputs`` is None without a scene. Without ``--fresh``, the command may read the meshed and
+    reduced structure stored in the folder by an earlier command. Returns None for exit code 0.
     """
     function_path, *_ = HELP_AND_CALL_BY_COMMAND[arguments.command][1].split()
     command_function: Callable[..., Exit | None] = resolve_name(f"fenics_crack.{function_path}")
@@ -493,7 +493,7 @@ HELP_AND_CALL_BY_COMMAND = {
         "cli.doctor:run_and_print_checks",
     ),
 }
-"""Help text, and "folder.file:function" with its arguments, by command name.
+"""Help text, and "folder.file:function" followed by command-line arguments, by command name.
 
 A function of ``cli`` takes arguments, inputs and console. Any other function takes a scene, and
 arguments by the names of parameters.
@@ -621,17 +621,17 @@ PATH_COMPLETION_BY_SHELL = {
     "bash": "_shtab_compgen_files", "zsh": "_files",
     "fish": "(__fish_complete_path (commandline -ct))",
 }  # fmt: skip
-"""Shell function for shtab that completes paths, by shell."""
+"""Shell function for shtab to complete paths, by shell."""
 KEY_FUNCTION_CODE_BY_SHELL = {
     "bash": '_fenics_crack_keys() {{ compgen -W "{}" -- "$1"; }}',
     "zsh": "_fenics_crack_keys() {{ compadd {}; }}",
     "fish": "function _fenics_crack_keys; string split ' ' '{}'; end",
 }
-"""Code of the shell function that completes ``--set``, by shell; {} stands for all scene keys."""
+"""Code of the shell function to complete ``--set``, by shell; {} stands for all scene keys."""
 
 
 class SuggestingParser(argparse.ArgumentParser):
-    """Parse arguments, and suggest similar commands or options for unknown ones."""
+    """Parse arguments; for an unknown command or option, suggest similar names."""
 
     def error(self, message: str) -> NoReturn:
         """Print argparse's message with suggestions to standard error, and exit with code 2."""
@@ -668,7 +668,7 @@ class SuggestingParser(argparse.ArgumentParser):
 
 
 class CompletionAction(argparse.Action):
-    """Print the code with which a shell completes the program's words, and exit."""
+    """Print a shell's code to complete the program's words, and exit."""
 
     def __call__(self, parser: argparse.ArgumentParser, *call_arguments: Any) -> NoReturn:
         """Print the completion code for a shell; argparse calls this.
@@ -691,7 +691,7 @@ class CompletionAction(argparse.Action):
 
 
 def list_options(*command_names: str) -> list[str]:
-    """Return the options of several commands, with those that all commands have, each once."""
+    """Return the options of several commands and the options common to all, each once."""
     argument_names = " ".join(
         HELP_AND_CALL_BY_COMMAND[command_name][1] for command_name in command_names
     ).split()

@@ -48,10 +48,11 @@ def run_and_report_function(
 ) -> Exit:
     """Run a package function as a command, write the result, print the report.
 
-    The function gets the scene, or the study from a file of ``reduce``. By the names of its
-    parameters it also gets arguments, folder, MPI ranks and progress. Ctrl-C is ignored while files
-    are written. If Ctrl-C ended the computation, an earlier result stays: the new files are named
-    "..._interrupted".
+    Parameters
+    ----------
+    package_function : callable
+        Function of a scene, or of the study from a file of ``reduce``. Further parameters get
+        arguments, folder, MPI ranks and progress by name.
 
     Returns
     -------
@@ -62,6 +63,11 @@ def run_and_report_function(
     ------
     StoppedError
         Ctrl-C ended the estimate of errors; the result is saved without a report.
+
+    Notes
+    -----
+    Ctrl-C is ignored while files are written. If Ctrl-C ended the computation, an earlier result
+    stays: the new files are named "..._interrupted".
     """
     folder = inputs.folder
     if arguments.command == "curve" and inputs.scene.curve is None:
@@ -109,7 +115,7 @@ def run_and_report_function(
 
 
 def _save_result(result: Any, path: Path, console: Console) -> None:
-    """Save a result to a .h5 file; results without their own MPI ranks get the console's."""
+    """Save a result to a .h5 file; all results but runs need the console's MPI ranks."""
     result.save(path, **({} if isinstance(result, Run) else {"comm": console.comm}))
 
 
@@ -131,7 +137,7 @@ def write_and_print_report(
     result
         Result to save as .h5; None if the file exists already.
     picture_format : str or None
-        Ending of pictures; None: draw none, and print the command that does.
+        Ending of pictures; None: draw none, and print the command for pictures.
 
     Returns
     -------
@@ -268,9 +274,14 @@ def _convert_arrivals_to_measurements(
     """Convert blade tip arrivals to measurements for an identification (collective).
 
     Arrivals at constant speed become displacements. A run-up gives the natural frequencies of the
-    resonances passed. ``is_uncracked`` marks arrivals of the blade before it had a crack, recorded
-    in a run-up only. ``arrival_source`` has arrivals by blade number, or is the path of a computed
-    result.
+    resonances passed.
+
+    Parameters
+    ----------
+    arrival_source : dict of ArrivalTimes, or Path
+        Arrivals by blade number, or a computed result (.h5).
+    is_uncracked : bool
+        True for arrivals of the blade before the crack; these must be a run-up.
 
     Raises
     ------
@@ -341,8 +352,8 @@ def _convert_arrivals_to_measurements(
 def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Console) -> Exit:
     """Run the command ``identify``: find a crack from measurements.
 
-    Writes the posterior with its picture, the fit, and a proposal where to measure next. Returns
-    the exit code: not converged if the identification has doubts.
+    Writes the posterior and a picture, the fit, and proposed places to measure next. Returns the
+    exit code: not converged if the identification has doubts.
     """
     from fenics_crack.draw.plot_study import draw_posterior  # Matplotlib
     from fenics_crack.monitoring.identification import identify as search_module  # SciPy

@@ -21,7 +21,7 @@ class PictureFiles:
     captions_by_path : dict of Path to str
         Sentence below each picture; empty for files for ParaView.
     notes : list of str
-        Pictures that are left out, with the reasons.
+        Pictures left out, with the reasons.
     """
 
     folder: Path

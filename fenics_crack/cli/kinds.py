@@ -27,14 +27,15 @@ class ResultKind(NamedTuple):
     heading : str
         Heading in a report.
     report_function_path : str
-        Function that builds a :class:`Report` from a result.
+        Function to build a :class:`Report` from a result.
     reader_function_path : str
-        Function that builds a result from a :class:`StoredFile`.
+        Function to build a result from a :class:`StoredFile`.
     drawing_function_path : str
-        Function that draws a result. Without a ``caption``, it takes ``picture_files``, a
-        :class:`PictureFiles`; with a caption, the ``path`` of a single picture.
+        Function to draw a result: all pictures into ``picture_files``, a :class:`PictureFiles`;
+        with
+        a ``caption``, a single picture to ``path``.
     caption : str
-        Sentence below the only picture; empty if there may be several.
+        Sentence below the only picture; empty for any number of pictures.
     """
 
     file_stem: str
@@ -110,7 +111,7 @@ def load_function(function_path: str) -> Callable[..., Any]:
 
 
 def build_report(result: Any) -> Report:
-    """Build the report of a result with the function for its kind (collective)."""
+    """Build the report of a result, with the function for this kind (collective)."""
     report: Report = load_function(RESULT_KIND_BY_NAME[result.KIND].report_function_path)(result)
     return report
 

@@ -70,9 +70,9 @@ class _PartSurface:
 
 
 def _measure_surface(part_path: Path, length_unit: str | None) -> _PartSurface:
-    """Read a CAD part, and measure its faces.
+    """Read the triangles of a CAD part, and measure all faces.
 
-    ``length_unit``, such as "mm", holds for files without a unit; None: the file has the unit.
+    ``length_unit`` "mm" holds for files without a unit; None: the file has the unit.
     """
     arrays_by_name = read_part_triangles_and_owners(str(part_path), length_unit)
     triangles, face_numbers = arrays_by_name["triangles"], arrays_by_name["owners"]

@@ -187,7 +187,8 @@ def draw_history(run: Run[TimeHistory], picture_files: PictureFiles) -> None:
 def _draw_stress_intensity(run: Run[Any], picture_files: PictureFiles, file_stem: str) -> None:
     """Draw stress intensities at crack tips over the period.
 
-    Nothing is drawn if they cannot be computed: matrices, or a tip too near to an edge.
+    Nothing is drawn if :func:`stress_intensity` refuses the run: matrices, a disk, friction, or too
+    long elements at a tip.
     """
     with suppress(InputError):  # a tip next to an edge, or no plate
         stress_intensities = stress_intensity(run)
@@ -272,8 +273,8 @@ def draw_curve_pictures(run: Run[ResponseCurve], picture_files: PictureFiles) ->
 def _compute_linear_responses(run: Run[ResponseCurve]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Compute responses without contact: crack open, crack bonded, and no crack.
 
-    The plate without its crack is included if the program meshes it. Responses without vibration
-    are left out. A curve over another parameter than the load frequency gives an empty dict.
+    "No crack" is included for plates meshed by the program. Responses without vibration are left
+    out. A curve over another parameter than the load frequency gives an empty dict.
 
     Returns
     -------
@@ -519,7 +520,7 @@ def draw_swept_quantity(
 
 
 def _scale_axis(axis: Axis, axis_values: np.ndarray) -> tuple[np.ndarray, str]:
-    """Scale an axis's values to a readable unit, such as mm; return values and label."""
+    """Scale an axis's values to a readable unit, mm for m; return values and label."""
     unit, unit_factor = unit_of_key(axis.key), 1.0
     if unit and unit not in UNITS_WITHOUT_PREFIX:
         unit_factor, unit = choose_factor_and_prefixed_unit(float(np.abs(axis_values).max()), unit)
@@ -586,7 +587,7 @@ def draw_tip_timing(tip_timing: Timing, picture_files: PictureFiles) -> None:
 def copy_posterior_picture(
     identification: IdentificationOutput, picture_files: PictureFiles
 ) -> None:
-    """Copy the picture of the posterior that the command ``identify`` has drawn.
+    """Copy the picture of the posterior drawn by the command ``identify``.
 
     Raises
     ------

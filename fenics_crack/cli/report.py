@@ -55,10 +55,10 @@ DATE_FORMAT = "%d %B %Y, %H:%M %Z"
 
 
 def plot_results(arguments: Namespace, _: None, console: Console) -> None:
-    """Run the command ``plot``: draw results, several curves in one picture, or a mesh.
+    """Run the command ``plot``: draw results, a picture of several curves, or a mesh.
 
-    Several files, or a ``--label``, give one picture of curves; a folder gives the pictures of all
-    its results. Rank 0 draws.
+    Several files, or a ``--label``, give a single picture of curves; a folder gives the pictures of
+    all results inside. Rank 0 draws.
     """
     first_result_path, curve_labels = arguments.results[0], arguments.label
     is_scene_file = first_result_path.suffix.lower() == ".toml"
@@ -127,8 +127,8 @@ def write_report_page(arguments: Namespace, _: None, console: Console) -> None:
 def _read_result_files_and_note(result_paths: Sequence[Path]) -> tuple[list[StoredFile], str]:
     """Read result files, and all .h5 files of result folders.
 
-    Sweeps made by other computations, as their parts, are left out. They stay if nothing else is
-    left. Structures kept for later commands are treated alike.
+    Two kinds of files are left out unless nothing else is left: sweeps made as a part of another
+    computation, and structures stored for later commands.
 
     Returns
     -------
@@ -176,10 +176,10 @@ def _draw_curves(
     picture_folder: Path,
     picture_format: str,
 ) -> Path:
-    """Draw several response curves into one picture, and return the picture's path.
+    """Draw several response curves into a common picture, and return the picture's path.
 
-    Without ``given_labels``, curves are labelled by the differences between their scenes. If two
-    labels are equal, file names are added.
+    Without ``given_labels``, differences between the scenes label the curves. If two labels are
+    equal, file names are added.
 
     Raises
     ------
@@ -319,7 +319,7 @@ def _write_page(
 def _build_result_fields(
     stored_file: StoredFile, result: Any, picture_folder: Path
 ) -> dict[str, Any]:
-    """Draw a result into a folder, and return its part of the page.
+    """Draw a result into a folder, and return the page's part about this result.
 
     Keys are variables of the template report.html: heading, sentences, pictures as data URLs,
     tables. "box" is the colour of the result: "bad" if not converged, "doubtful" with warnings or
@@ -411,7 +411,7 @@ def _format_value(key: str, value: object) -> str:
 
 
 def _tabulate_versions(stored_files: Sequence[StoredFile]) -> Table:
-    """Tabulate the versions of program and libraries that made each file and the page."""
+    """Tabulate the versions of program and libraries behind each file and the page."""
     version_rows = []
     for stored_file in stored_files:
         file_versions_text = (

@@ -89,8 +89,8 @@ def report_of_modes(run: Run[Modes]) -> Report:
 def _make_report(run: Run[Any], table: Table, **report_fields: Any) -> Report:
     """Build a run's report, with notes common to all kinds of runs (collective).
 
-    These notes describe friction along lines, watched nodes away from their points, and quantities
-    whose error lacks a cause. In a table of quantities, the closing sentence becomes the last row.
+    Notes describe friction along lines, watched nodes away from the output points, and quantities
+    with an incomplete error. In a table of quantities, the closing sentence becomes the last row.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def _make_report(run: Run[Any], table: Table, **report_fields: Any) -> Report:
 def _list_node_distance_notes(run: Run[Any]) -> list[str]:
     """Note how far watched nodes are from the output points of the scene.
 
-    Returns at most one note, none if all points are nodes.
+    Returns a single note, none if all points are nodes.
     """
     distance_by_point = {
         watched_displacement.name.partition(".")[0]: watched_displacement.distance
@@ -241,8 +241,8 @@ def _blade_tables_by_heading(run: Run[Any], heading: str) -> dict[str, Table]:
 def _front_tables_by_heading(run: Run[Any]) -> dict[str, Table]:
     """Tabulate stress intensities along the crack fronts of a solid (collective).
 
-    The dict has one table by heading. It is empty in two dimensions, or if the scene requests no
-    stress intensities at tips.
+    The result is a table by heading; empty in two dimensions, or if the scene requests no stress
+    intensities at tips.
     """
     requested_places = [
         OBSERVABLES_BY_NAME[name].place for name in list_requested_extra_quantities(run.scene)
@@ -266,7 +266,7 @@ def _front_tables_by_heading(run: Run[Any]) -> dict[str, Table]:
 
 
 def _collect_doubts_by_name(run: Run[PeriodicSolution]) -> dict[str, object]:
-    """Collect quantities and texts that cast doubt on a solution.
+    """Collect reasons to doubt a solution, by quantity name.
 
     Names are "unknown_error", the reason; "remarks" on the scene; "from_rest" and "rest_amplitude"
     of the motion from rest. Empty texts, zeros and nan are left out. If the error is unknown,
@@ -291,8 +291,8 @@ def _collect_doubts_by_name(run: Run[PeriodicSolution]) -> dict[str, object]:
 def _quantity_text_tables_by_heading(run: Run[Any], table: Table) -> dict[str, Table]:
     """Tabulate quantities as text for the report page.
 
-    The heading "Requested by the scene" has these quantities, left out without any; "In numbers"
-    has all.
+    "Requested by the scene" has the quantities in ``output.quantities``, left out without any; "In
+    numbers" has all.
     """
     requested_names = run.scene.quantities or ()
     requested_rows = [
@@ -309,10 +309,10 @@ def _quantity_text_tables_by_heading(run: Run[Any], table: Table) -> dict[str, T
 
 
 def _describe_departing_motions(solution: PeriodicSolution, watched_dof: int) -> str:
-    """Describe the motions to which an unstable or irregular solution departs (collective).
+    """Describe the motions reached from an unstable or irregular solution (collective).
 
-    The text has the half peak-to-peak displacement of ``watched_dof``, for periodic motions and for
-    those that still vary. The text is empty if no motion was found.
+    The text has the half peak-to-peak displacement at ``watched_dof``, for periodic motions and for
+    motions still varying. The text is empty if no motion was found.
     """
     motions: list[tuple[bool, int, np.ndarray]] = []
     with suppress(ConvergenceError, InputError):
@@ -357,7 +357,7 @@ def _describe_range(amplitudes: np.ndarray) -> str:
 def report_of_history(run: Run[TimeHistory]) -> Report:
     """Build the report of a motion in time, and warn if not settled (collective).
 
-    The motion has settled if its change over the last period is at most ``integration.settle``.
+    A settled motion changes over the last period by at most ``integration.settle``.
     """
     history, scene = run.result, run.scene
     table = _tabulate_quantities(
@@ -391,8 +391,8 @@ def report_of_history(run: Run[TimeHistory]) -> Report:
 def _describe_longer_period(history: TimeHistory) -> str:
     """Describe why a motion has not settled: a longer period, or too few periods.
 
-    The motion has a period of n load periods if its change over n periods is below a tenth of the
-    change over one.
+    The period is n load periods if the motion's change over n periods is below a tenth of the
+    change over a single period.
     """
     for n_periods in range(2, len(history.by_period(history.time))):
         if (relative_change := history.change(n_periods)) < 0.1 * history.settled:
@@ -552,7 +552,7 @@ class Waveforms(NamedTuple):
 def sample_waveforms(run: Run[Any]) -> Waveforms:
     """Sample displacements, gaps and contact forces over time.
 
-    A periodic solution is sampled at 401 instants of a period; a motion in time keeps its recorded
+    A periodic solution is sampled at 401 instants of a period, a motion in time at the recorded
     instants.
     """
     motion, structure = run.result, run.structure.whole
@@ -668,8 +668,8 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
 def _describe_unstable_peak(run: Run[ResponseCurve]) -> str:
     """State that the curve's largest response is unstable or irregular (collective).
 
-    The text adds the motion seen in a test instead. It is empty if the largest response is stable
-    or undecided, if stability was not assessed, or if the curve ended early at this point.
+    The text adds the motion seen in a test instead. The text is empty for any other verdict,
+    without stability, or if the curve ended early at this point.
     """
     curve = run.result
     peak_index = int(np.argmax(curve.amplitude(run.watched_dof)))
@@ -684,7 +684,7 @@ def _describe_unstable_peak(run: Run[ResponseCurve]) -> str:
 def _is_before_early_end(curve: ResponseCurve, point_index: int) -> bool:
     """Return False for the last point of a curve that ended early.
 
-    There the largest response may still rise.
+    At this point the response may still rise.
     """
     return bool(curve.complete) or point_index < len(curve) - 1
 
@@ -780,7 +780,7 @@ def _find_undecided_ranges(curve: ResponseCurve) -> list[tuple[int, int]]:
 
 
 ColumnsByHeading = dict[str, np.ndarray]
-"""Columns (n_points,) by heading with unit, such as "tip.ux.amplitude [m]"."""
+"""Columns (n_points,) by heading with unit, "tip.ux.amplitude [m]"."""
 
 
 def tabulate_curve_points(
@@ -810,9 +810,9 @@ def tabulate_special_points(
 ) -> Table:
     """Tabulate a curve's ends, largest response, bifurcations and changes of stability.
 
-    The largest response is that of the first watched dof. A curve over the load frequency has
-    columns in rad/s and in Hz; a run-up also has the speed, in rad/s and rpm.
-    ``columns_by_heading`` are the indicators at all points, if known already.
+    The first watched dof has the largest response. A curve over the load frequency has columns in
+    rad/s and in Hz; a run-up also has the speed, in rad/s and rpm. ``columns_by_heading`` are the
+    indicators at all points, if known already.
     """
     curve = run.result
     columns_by_heading = _parameter_columns_by_heading(curve) | (

@@ -113,8 +113,8 @@ def _yield_large_error_warnings(sweep_result: SweepResult) -> Iterator[str]:
     """Yield warnings about cases with a large estimated error.
 
     An error is large above 5 % (:data:`LARGE_ERROR`), or above a lower
-    ``harmonic_balance.tolerance``. Cases with the same largest part of the error (harmonics, modes,
-    sampling or residual) share a warning about the worst of these cases.
+    ``harmonic_balance.tolerance``. Cases are grouped by the largest part of the error: harmonics,
+    modes, sampling or residual. Each group has a warning about the worst case.
     """
     error_limit = min(LARGE_ERROR, sweep_result.scene.harmonic_balance.tolerance or LARGE_ERROR)
     part_errors = sweep_result.errors
@@ -153,7 +153,8 @@ def list_skipped_peak_remarks(sweep_result: SweepResult) -> list[str]:
 
     At a peak in frequency or speed, the phase falls by a quarter turn between the half-power
     points. A larger fall from a case to the next is a skipped peak. The phase rises instead if
-    speeds pass a load of constant frequency. Returns at most one remark.
+    speeds pass a load of constant frequency. Several skipped peaks share a remark; without any, the
+    list is empty.
     """
     axis_indices = [
         axis_index
@@ -200,18 +201,17 @@ def list_skipped_peak_remarks(sweep_result: SweepResult) -> list[str]:
 
 
 def shorten_sweep_table(sweep_result: SweepResult) -> tuple[Table, str]:
-    """Tabulate all cases of a small sweep, or the largest responses of a large one.
+    """Tabulate all cases of a small sweep, or the largest responses of a large sweep.
 
     A sweep is small up to :data:`N_SELECTED_ROWS`, 8, cases. Otherwise take the largest response
-    over the load frequency, or over the longest axis, for each combination on all other axes; keep
-    the 8 largest.
+    over the load frequency, or over the longest axis, for each combination on all further axes;
+    keep the 8 largest.
 
     Returns
     -------
     table : Table
-        Swept keys, quantities, state ("converged", "failed", ...) and verdict on stability. The
-        last
-        two columns stand only where they inform.
+        Swept keys, quantities, state (pending, converged or failed) if any case has not converged,
+        and verdict on stability if known.
     selection_text : str
         Selection of cases in words; empty if all cases are kept.
     """

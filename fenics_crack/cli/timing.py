@@ -42,7 +42,7 @@ RECORD_TIMING_KEYS = (
     "tip_radius", "probes", "orders", "stiffening", "frequencies", "fitted_harmonics",
     "subharmonic", "angle_deviation",
 )  # fmt: skip
-"""Keys of [tip_timing] that ``--set`` accepts for a record without a scene."""
+"""Keys of [tip_timing] allowed in ``--set`` for a record without a scene."""
 PROBES_REQUIREMENT_TEXT = (
     "given for a record at constant speed, as --set tip_timing.probes=[0,17,40] in degrees: "
     "probe angles estimated from the arrivals hide an engine order of constant amplitude"
@@ -97,9 +97,9 @@ def _write_and_draw_arrivals(
     run: Run[Any] | None,
     console: Console,
 ) -> None:
-    """Write a blade's arrivals as CSV, draw them beside it, and print their range.
+    """Write a blade's arrivals as CSV, draw them beside, and print the range of speeds.
 
-    ``run`` is the run of computed arrivals; None for measured ones.
+    ``run`` is the run of computed arrivals; None for measured arrivals.
     """
 
     def write_files() -> None:
@@ -150,7 +150,7 @@ def _fit_vibration_by_blade(
 
 
 def _write_timing_report(tip_timing: Timing, folder: Path, console: Console) -> Exit:
-    """Save a tip timing result, write and print its report; return the exit code."""
+    """Save a tip timing result, write and print the report; return the exit code."""
     return write_and_print_report(
         build_report(tip_timing), folder / "timing", console, tip_timing, console.picture_format
     )
@@ -167,8 +167,9 @@ def _yield_timing_warnings(
 ) -> Iterator[str]:
     """Yield warnings about measured arrivals, or about the run of computed arrivals.
 
-    ``run`` None: the arrivals are measured. Their speed is doubtful below half and above twice the
-    scene's. A run is doubtful if its scene differs, or for a large error or an unstable orbit.
+    ``run`` None: the arrivals are measured. A measured speed is doubtful below half and above twice
+    the scene's speed. A run is doubtful with another scene, an early end, a large error or an
+    unstable orbit.
     """
     if run is None:
         yield from scene_timing.list_arrival_remarks(arrivals)
