@@ -20,12 +20,12 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import MAX_SMALL_ROTATION, distances_from_clamp
 
 MAX_TRUSTED_TRANSVERSE_SLIDING = 0.3
-"""Maximum sliding across the friction lines, over sliding along them, without a warning."""
+"""Maximum sliding across friction lines, over sliding along the lines, without a warning."""
 PRINT_ALWAYS, PRINT_BY_DEFAULT, PRINT_NEVER = range(3)
 """Levels at which a quantity is printed in the result's table.
 
-PRINT_BY_DEFAULT: unless the scene requests quantities. PRINT_NEVER: in files alone, for parts of an
-error, and for sentences printed below the table.
+PRINT_BY_DEFAULT: unless ``output.quantities`` requests quantities. PRINT_NEVER: in files alone, for
+parts of an error, and for sentences printed below the table.
 """
 DESCRIPTION_UNIT_AND_LEVEL_BY_NAME = {
     "periods": ("periods", "-", PRINT_BY_DEFAULT),
@@ -55,9 +55,9 @@ DESCRIPTION_UNIT_AND_LEVEL_BY_NAME = {
     "remarks": ("remarks", "-", PRINT_NEVER),
     "conclusion": ("conclusion", "-", PRINT_NEVER),
 }
-"""Description, unit and printing level by name, for quantities of the computation.
+"""Description, unit and printing level by name, for quantities on the computation.
 
-Quantities of the motion itself are in :data:`OBSERVABLES_BY_NAME`.
+:data:`OBSERVABLES_BY_NAME` has the motion's quantities.
 """
 TOLERANCE_OPTION_TEXT = "--set harmonic_balance.tolerance=1e-2"
 """Command-line option proposed in warnings: the solver then chooses the number of harmonics."""
@@ -71,7 +71,7 @@ MEANING_BY_BIFURCATION = {
 }
 """Sentence by kind of bifurcation: the effect in a test."""
 UNITS_ROUNDED_TO_ZERO = ("m", "N", "Pa m^0.5")
-"""Units of values written as 0 up to 1e-15, as these are rounding errors."""
+"""Units with values written as 0 up to 1e-15, as these are rounding errors."""
 
 
 # --- sentences ------------------------------------------------------------------------------------
@@ -112,7 +112,7 @@ def list_large_motion_warnings(run: Run[Any], largest_displacements: Sequence[fl
 
 
 def find_largest_displacements(run: Run[Any]) -> list[float]:
-    """Return the largest displacement of each watched dof: (n_watched,) [m] (collective).
+    """Return each watched dof's largest displacement: (n_watched,) [m] (collective).
 
     This is |mean| + half the peak-to-peak displacement; for a curve, the maximum over all points.
     """
@@ -134,21 +134,21 @@ def yield_large_error_warning(
 ) -> Iterator[str]:
     """Yield a warning if the estimated error of the gap exceeds a limit.
 
-    The warning names the largest part of the error, and a remedy not yet used in the scene. No
-    errors in the report, if not requested, give no warning.
+    The warning names the largest part of the error, and a remedy not yet used in the scene. If
+    errors were not requested, no warning is given.
 
     Parameters
     ----------
     scene : Scene
         Scene of the solution.
     report : ErrorReport
-        Estimated errors, relative to the root mean square of the gaps' motion B^T u.
+        Estimated errors, relative to the gaps' root mean square motion B^T u.
     n_harmonics : int
-        Number of harmonics of the solution.
+        Number of harmonics in the solution.
     location_text : str
         Place on a curve, " at 50.1 Hz"; empty for a single solution.
     error_limit : float
-        Limit of the relative error, by default 5 %.
+        Maximum relative error, by default 5 %.
     """
     if not report.total > error_limit:  # or not requested
         return
@@ -193,8 +193,9 @@ def yield_instability_warning(
 ) -> Iterator[str]:
     """Yield a warning if a solution is unstable, irregular or undecided.
 
-    ``stability`` None gives no warning. ``motion_text`` describes the motion seen in a test in
-    place of an unstable solution; empty if unknown.
+    Irregular means that no periodic orbit was found and disturbances grow. ``stability`` None gives
+    no warning. ``motion_text`` describes the motion seen in a test in place of an unstable
+    solution; empty if unknown.
     """
     if stability is None or stability.verdict == "stable":
         return
@@ -235,10 +236,10 @@ def yield_instability_warning(
 
 
 def list_friction_line_notes_and_warnings(run: Run[Any]) -> tuple[list[str], list[str]]:
-    """Describe friction along lines in a solid, and warn if sliding turns.
+    """Describe friction along lines in a solid, and warn if the sliding direction turns.
 
-    At each contact pair friction acts along one direction. A warning is given if sliding across
-    exceeds :data:`MAX_TRUSTED_TRANSVERSE_SLIDING`, 0.3, of sliding along the lines.
+    At each contact pair friction acts along a fixed direction. The warning is given if sliding
+    across exceeds :data:`MAX_TRUSTED_TRANSVERSE_SLIDING`, 0.3, of sliding along the lines.
 
     Returns
     -------
@@ -301,12 +302,12 @@ def yield_mode_dependence_warning(
 def select_printed_quantities(table: Table, scene: Scene, place_flag: ObservableFlag) -> Table:
     """Select the part of a result's table to print: quantities requested by the scene.
 
-    Without a request, quantities with ``place_flag`` are selected. Frequencies and speeds keep the
-    scene's unit only.
+    Without ``output.quantities``, select the quantities with ``place_flag``. Frequencies and speeds
+    keep the scene's unit only.
 
-    A table with a column "name" has a quantity in each row. Rows on the computation, not the
-    motion, follow :data:`DESCRIPTION_UNIT_AND_LEVEL_BY_NAME`; rows with nan are left out. Without
-    this column, the table has a quantity in each column; further columns stay.
+    If the first column is "name", each row is a quantity. Rows on the computation, such as
+    harmonics, follow :data:`DESCRIPTION_UNIT_AND_LEVEL_BY_NAME`; rows with nan are left out, and so
+    is the column "name". Otherwise each column is a quantity; all columns besides quantities stay.
     """
     requested_names, default_names = scene.quantities, observable_names(required_flags=place_flag)
     table = _round_to_zero(table)

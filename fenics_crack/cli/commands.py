@@ -115,7 +115,10 @@ def run_and_report_function(
 
 
 def _save_result(result: Any, path: Path, console: Console) -> None:
-    """Save a result to a .h5 file; all results but runs need the console's MPI ranks."""
+    """Save a result to a .h5 file.
+
+    A run has its own MPI ranks; any other result is saved with the console's.
+    """
     result.save(path, **({} if isinstance(result, Run) else {"comm": console.comm}))
 
 
@@ -142,7 +145,7 @@ def write_and_print_report(
     Returns
     -------
     Exit
-        Exit code of the report.
+        Exit code, as from :func:`print_report_sentences`.
     """
     replacement_note = ""
     for structure_file in STRUCTURE_FILES:
@@ -186,7 +189,8 @@ def write_and_print_report(
 def print_report_sentences(report: Report, console: Console) -> Exit:
     """Print a report's notes, remarks, warnings and closing sentence.
 
-    Returns the exit code: whether the result converged and meets the tolerance.
+    Returns the exit code: 0, or 3 if not converged, or 4 if the error is unknown or above the
+    tolerance.
     """
     console.print_notes(*report.notes)
     console.print_remarks(*report.remarks)
@@ -238,8 +242,8 @@ def compute_and_report_bladed_disk(
 ) -> Exit:
     """Run the command ``disk``: natural frequencies over the nodal diameter, and mistuning.
 
-    With ``--patterns`` N, also compute the amplification factors of N random mistuning patterns.
-    Returns the exit code of the last report.
+    With ``--patterns`` N, also compute the amplification factors for N random mistuning patterns.
+    Returns the last report's exit code.
     """
     from fenics_crack.disk.bladed_disk import amplification, nodal_diameters
 

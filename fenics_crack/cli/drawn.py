@@ -13,7 +13,7 @@ class PictureFiles:
     Attributes
     ----------
     folder : Path
-        Folder of all files.
+        Folder for all files.
     file_format : str
         Ending of the pictures: "png", "pdf" or "svg".
     has_vtk_files : bool

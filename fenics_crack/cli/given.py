@@ -620,7 +620,7 @@ def build_scene_text(scene_name: str, measurements_name: str, options: Collectio
 
 
 def find_example_line(key: str, requirement_text: str) -> str:
-    """Return a template's line for a scene key, "young = 2e11"; "" if no template has the key.
+    """Return a template's line for a scene key, "young = 2.1e11"; "" if no template has the key.
 
     ``requirement_text`` is the error's description of allowed values. If this text names other keys
     of the table, a line with any of them is accepted, too.

@@ -32,8 +32,7 @@ class ResultKind(NamedTuple):
         Function to build a result from a :class:`StoredFile`.
     drawing_function_path : str
         Function to draw a result: all pictures into ``picture_files``, a :class:`PictureFiles`;
-        with
-        a ``caption``, a single picture to ``path``.
+        with a ``caption``, a single picture to ``path``.
     caption : str
         Sentence below the only picture; empty for any number of pictures.
     """

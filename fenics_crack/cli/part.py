@@ -27,7 +27,7 @@ class _PartSurface:
     Attributes
     ----------
     triangles : (n, 3, 3) [m]
-        Coordinates of the three corners of each triangle.
+        Three corners of each triangle, with coordinates.
     face_numbers : (n,)
         Face number of each triangle.
     triangle_areas : (n,) [m^2]
@@ -35,9 +35,9 @@ class _PartSurface:
         Outward unit vectors.
     triangle_centers : (n, 3) [m]
     face_numbers_largest_first : list of int
-        Numbers of the faces, the largest face first.
+        Face numbers, the largest face first.
     face_points : (n_faces, 3) [m]
-        Triangle center nearest to the center of each face, in the order of
+        Triangle center nearest to each face's center, in the order of
         ``face_numbers_largest_first``.
     """
 
@@ -50,14 +50,15 @@ class _PartSurface:
     face_points: np.ndarray
 
     def face_area(self, face_number: int) -> float:
-        """Return the area of a face [m^2]."""
+        """Return a face's area [m^2]."""
         return float(self.triangle_areas[self.face_numbers == face_number].sum())
 
     def find_end_face_index(self, axis: int, *, at_top: bool) -> int:
         """Find the largest face at an end of the part along an axis.
 
-        The ends are the highest and the lowest face point along coordinate ``axis``, 0 to 2, within
-        0.1 % of the part's length. Returns the face's index in ``face_numbers_largest_first``.
+        ``at_top`` selects faces with the highest point along coordinate ``axis``, 0 to 2, otherwise
+        the lowest, within 0.1 % of the part's length. Returns the face's index in
+        ``face_numbers_largest_first``.
         """
         point_heights = self.face_points[:, axis]
         height_tolerance = 1e-3 * float(np.ptp(self.triangles[..., axis]))
@@ -107,10 +108,10 @@ def _measure_surface(part_path: Path, length_unit: str | None) -> _PartSurface:
 
 
 def _propose_crack(part_surface: _PartSurface, axis: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Propose a crack on the largest face parallel to the part's longest axis.
+    """Propose a crack on the largest face along the part's longest axis.
 
-    The crack is at :data:`CRACK_HEIGHT_FRACTION`, 0.2, of the length above the clamped end.
-    ``axis`` is the longest axis, 0 to 2.
+    All normals of this face differ by more than 45 degrees from coordinate ``axis``, 0 to 2. The
+    crack is at :data:`CRACK_HEIGHT_FRACTION`, 0.2, of the length above the clamped end.
 
     Returns
     -------

@@ -404,7 +404,7 @@ def _build_scene_fields(result: Any, picture_folder: Path) -> dict[str, Any]:
 
 
 def _format_value(key: str, value: object) -> str:
-    """Return a scene key's value in words with unit; a vector has all components."""
+    """Return a scene key's value in words with unit; a vector keeps all components."""
     if isinstance(value, list):
         return f"{value} {unit_of_key(key)}".rstrip()
     return value_in_words(key, value)

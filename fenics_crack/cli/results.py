@@ -129,7 +129,7 @@ def _make_report(run: Run[Any], table: Table, **report_fields: Any) -> Report:
 def _list_node_distance_notes(run: Run[Any]) -> list[str]:
     """Note how far watched nodes are from the output points of the scene.
 
-    Returns a single note, none if all points are nodes.
+    Returns a list with a single note; empty if all points are nodes.
     """
     distance_by_point = {
         watched_displacement.name.partition(".")[0]: watched_displacement.distance
@@ -270,7 +270,7 @@ def _collect_doubts_by_name(run: Run[PeriodicSolution]) -> dict[str, object]:
 
     Names are "unknown_error", the reason; "remarks" on the scene; "from_rest" and "rest_amplitude"
     of the motion from rest. Empty texts, zeros and nan are left out. If the error is unknown,
-    :data:`ERROR_NAMES_NAN_IF_UNKNOWN` are nan.
+    "total_error" and "displacement_error" are nan.
     """
     stability = run.result.stability
     doubts_by_name: dict[str, object] = {"unknown_error": explain_unknown_solution_error(run)}
@@ -700,7 +700,7 @@ def _format_parameters(run: Run[ResponseCurve], *parameter_values: float) -> str
 def _yield_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
     """Yield warnings about large errors, undecided stability and an early end.
 
-    Errors are checked at the largest response and at eight points along the curve. A curve
+    The largest response and eight points along the curve are checked for errors above 5 %. A curve
     interrupted by Ctrl-C gives a warning about this alone.
     """
     curve, scene = run.result, run.scene
@@ -810,9 +810,9 @@ def tabulate_special_points(
 ) -> Table:
     """Tabulate a curve's ends, largest response, bifurcations and changes of stability.
 
-    The first watched dof has the largest response. A curve over the load frequency has columns in
-    rad/s and in Hz; a run-up also has the speed, in rad/s and rpm. ``columns_by_heading`` are the
-    indicators at all points, if known already.
+    The response is the amplitude of the first watched dof. A curve over the load frequency has
+    columns in rad/s and in Hz; a run-up also has the speed, in rad/s and rpm.
+    ``columns_by_heading`` are the indicators at all points, if known already.
     """
     curve = run.result
     columns_by_heading = _parameter_columns_by_heading(curve) | (
@@ -929,8 +929,9 @@ def _indicator_columns_by_heading(
 ) -> ColumnsByHeading:
     """Return columns (n_points,) with indicators of motion and contact, by heading with unit.
 
-    Natural frequencies near the load's frequency follow. ``curve`` is the run's curve, or a part
-    with fewer points.
+    Indicators are amplitudes, harmonic ratios, opening and further quantities. Natural frequencies
+    of the mode nearest to the load follow. ``curve`` is the run's curve, or a part with fewer
+    points.
     """
     columns_by_heading = {
         heading_with_unit(observation.column_name, observation.unit): observation.value

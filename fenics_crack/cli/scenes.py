@@ -237,7 +237,7 @@ def _mesh_error_texts_by_label(mesh_errors: Verification) -> dict[str, str]:
 def _resonance_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
     """Return the resonance at the load by printed label, or the reason if unknown.
 
-    Under an engine order the resonance is a rotor speed. Empty without crack faces.
+    Under an engine order the resonance is a rotor speed. Without crack faces, the dict is empty.
     """
     load_resonance, engine_order = key_figures.load_resonance, scene.excitation.order
     if key_figures.n_face_elements is None:
@@ -271,7 +271,7 @@ def _resonance_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[st
 def _rotation_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
     """Return the rotor speed, and the crack opening by rotation, by label.
 
-    Empty without rotation.
+    Without rotation, the dict is empty.
     """
     if scene.speed == 0.0:
         return {}
@@ -355,7 +355,7 @@ def _describe_reduction(study: Study) -> str:
 
 
 def _describe_invalid_cases(scene: Scene) -> str:
-    """Return how many cases of a sweep are invalid, and the reason for the first.
+    """Return how many cases of a sweep are refused, and the reason for the first.
 
     Only the first 10,000 cases are checked, without a mesh.
     """

@@ -54,7 +54,8 @@ def fit_and_report_timing(
 ) -> Exit:
     """Run the command ``timing``: fit the blade vibration to arrival times.
 
-    ``inputs`` None: the first argument is a record (.csv), not a scene. Returns the exit code.
+    ``inputs`` None: the first argument is a record (.csv), not a scene. Returns the exit code, as
+    from :func:`print_report_sentences`.
     """
     if inputs is None:
         return _fit_and_report_record(arguments, console)

@@ -50,16 +50,18 @@ from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, scene_contact_law
 
 MODE_COUNTS_FOR_FRICTION = 20, 10
-"""Numbers of modes for the effect of friction: for the effect, and to estimate the effect's error.
+"""Numbers of modes to compute the effect of friction.
 
-With 40 modes an orbit takes three times as long, and ten times if the search is hard.
+The second number gives a second result, to estimate the error of the effect. With 40 modes an orbit
+takes three times as long, and ten times if the search is hard.
 """
 TURNING_SAFETY_FACTOR = 2.0
 """Safety factor on the error r |f_0 - f| due to sliding across friction lines.
 
-f is a quantity of the answer, f_0 of the motion without friction; r is the ratio of sliding across
-the lines to sliding along them. Measured in seven cases, against time steps with Coulomb's cone:
-true errors were 0.03 to 1.2 times the stated error.
+A friction line is the direction along which a pair's friction acts. f is a quantity of the answer,
+f_0 of the motion without friction; r is the ratio of sliding across the lines to sliding along
+them. Measured in seven cases, against time steps with Coulomb's cone: true errors were 0.03 to 1.2
+times the stated error.
 """
 SLIDING_STRESS_INTENSITY_NAMES = ("K_II_max", "K_III_max")
 """Quantities without an estimated friction error: friction at the tip itself changes K_II, K_III.
@@ -101,7 +103,8 @@ class JudgedAnswer:
     ) -> dict[str, float]:
         """Return the values of a motion's quantities by name (collective).
 
-        ``study`` must have the motion's structure; the default is the answer's study.
+        ``study`` must have the motion's structure; the default is the answer's study. A quantity
+        that vanishes to rounding has no value.
         """
         study, mode_number = study or self.study, self.balance_numbers.mode_number
         if isinstance(motion, PeriodicOrbit):
@@ -112,7 +115,7 @@ class JudgedAnswer:
     def orbit_values_by_name(self) -> dict[str, float] | None:
         """Values of the answer's accepted exact orbit by quantity name (collective).
 
-        None if the answer has no accepted exact orbit.
+        None if the answer has no accepted orbit (:func:`find_accepted_orbit_or_none`).
         """
         orbit = find_accepted_orbit_or_none(self.answer)
         return None if orbit is None else self.compute_values_by_name(orbit)
@@ -143,10 +146,15 @@ class JudgedAnswer:
     def estimate_error_by_friction(self) -> PartOrReason:
         """Estimate the error due to neglected friction (collective).
 
-        Without friction, compare exact orbits without friction and with the coefficient
-        ``contact.friction_error``. With friction along lines in a solid, sliding across the lines
-        gives the error. A text is the reason for no part. It is empty if the cause does not apply:
-        no closed pair, a further friction law, or ``contact.friction`` in the scene.
+        Compare exact orbits without friction, and with the coefficient ``contact.friction_error``.
+        If a solid has friction along lines already, sliding across the lines gives the error.
+
+        Returns
+        -------
+        PartOrReason
+            Part, or the reason for no part. The reason is empty if no pair touches, or if the scene
+            sets
+            ``contact.friction`` without friction lines.
         """
         study, scene, answer = self.study, self.study.scene, self.answer
         contact_law, structure = study.contact, study.structure

@@ -177,7 +177,8 @@ def _add_natural_frequencies(
 def find_accepted_orbit_or_none(solution: PeriodicSolution) -> PeriodicOrbit | None:
     """Return the exact orbit accepted as a solution's exact form (collective).
 
-    None if no orbit near the solution is found or accepted, or if the search would take too long.
+    The orbit's gaps may differ from the solution's by at most 10 % of the motion, or by 50 % if
+    crack faces have no mass. None if no such orbit is found, or if the search would take too long.
     """
     assessment = solution.assessment
     return (
@@ -249,9 +250,9 @@ class TruncatedOrbit(ObservedMotion):
         return self.orbit.omega
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
-        """Yield the records of row products, with ``harmonics`` Fourier coefficients.
+        """Yield the records of m signals, with ``harmonics`` Fourier coefficients.
 
-        ``rows`` are the orbit's linear functionals of the displacement, such as watched dofs.
+        ``rows`` (m, n_dofs) times the displacement are the signals, such as watched dofs.
         """
         coefficient_rows = self.orbit.product_coefficients(rows, self.harmonics)
         return (

@@ -421,9 +421,9 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
 
         Prefer exact orbits next to the answer. If the answer has few harmonics and no orbit with
         more modes is found, the second motion is corrected by a step of Newton's method. Without
-        orbits, return two solutions with as many harmonics. If orbits are affordable and crack
-        faces have no mass, the solutions have at least :data:`MIN_HARMONICS_FOR_MODAL_CHANGE`
-        harmonics per load period.
+        orbits, return two solutions with as many harmonics. Few means below
+        :data:`MIN_HARMONICS_FOR_MODAL_CHANGE`, 40, per load period. Solutions have at least this
+        number if orbits are affordable and crack faces have no mass.
         """
         balance_solution, assessment = self.balance_solution, self.answer.assessment
         min_harmonics = MIN_HARMONICS_FOR_MODAL_CHANGE * balance_solution.subharmonic
@@ -457,7 +457,8 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         """Estimate the error due to truncated harmonics (collective).
 
         The accepted exact orbit gives the error; without an orbit, a run with twice the harmonics.
-        Without contact, return the reason.
+        If the estimated truncation error is above 5 %, a run with four times the harmonics may give
+        a larger error. Without contact, return the reason.
         """
         return self.harmonics_error_part_or_reason
 

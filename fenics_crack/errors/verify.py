@@ -357,8 +357,8 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
     def estimate_error_by_mesh(self) -> PartOrReason:
         """Estimate the error due to the mesh from two finer meshes (collective).
 
-        A graded mesh is refined by 1.5 and 2 if the finer mesh is similar, any further mesh by 2
-        and 3. Matrices and meshes from a file are not refined: return the reason.
+        Elements become 1.5 and 2 times shorter if :func:`has_similar_finer_mesh`, otherwise 2 and 3
+        times. Matrices and meshes from a file are not refined: return the reason.
         """
         scene = self.whole_study.scene
         if scene.structure is not None:
