@@ -409,7 +409,7 @@ def _select_columns(table: Table, is_selected: Callable[[str, str], bool]) -> Ta
 def tabulate_known_quantities_as_text(table: Table) -> Table:
     """Tabulate quantities with values as text, "7.916 µm"; leave out nan.
 
-    The source table has the columns name, description, value and unit. Relative quantities become
+    ``table`` has the columns name, description, value and unit. Relative quantities become
     percentages: "5.7 %". Further columns, errors and causes, are copied.
     """
     known_rows = [

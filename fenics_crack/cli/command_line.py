@@ -95,7 +95,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
     """Run a command of the program and return the exit code, equal on all ranks.
 
     ``command_words`` replace the words of the command line, without the program's name. Errors are
-    printed, not raised.
+    printed, not raised; only --help and words refused by the parser raise SystemExit.
     """
     gc.set_threshold(10_000)  # more than 100,000 objects stay, to be searched again and again
     atexit.register(gc.freeze)  # the system takes back what is left, garbage or not

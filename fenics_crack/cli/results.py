@@ -475,7 +475,7 @@ def _find_error_and_cause(run: Run[Any], quantity_name: str) -> tuple[float, str
     Returns
     -------
     error_percent : float [%]
-        nan if unknown.
+        At least 0.001; nan if the error is unknown, or as large as the value.
     cause_text : str
         Main cause, and causes not included; empty if the error is unknown and no cause is missing.
     """

@@ -86,8 +86,8 @@ class JudgedAnswer:
         Values of the answer's quantities by name.
     balance_solution : PeriodicSolution
         Solution by harmonic balance with the answer's number of harmonics, the base of comparisons.
-        :mod:`verify` uses the answer itself; :mod:`stated`, too, if harmonic balance fails and the
-        answer is an exact orbit.
+        :mod:`verify` uses the answer itself; :mod:`stated`, too, if the answer has the Fourier
+        coefficients of an exact orbit.
     balance_numbers : Numbers
         Quantities of the balance solution.
     """

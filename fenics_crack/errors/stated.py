@@ -359,10 +359,11 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def estimate_error_by_modes(self) -> PartOrReason:
         """Estimate the error due to truncated modes from a motion with more modes (collective).
 
-        The change divided by the share of the truncation error removed by these modes gives the
-        error. If both motions are truncated to harmonics, the error is at least the part of
-        harmonics: with few harmonics, modes above all harmonics are static in both motions. If all
-        modes are kept, return the reason.
+        Let s be the share of the truncation error removed by these modes. The error is the
+        quantity's change over s, and at least the size of the motion's change
+        (:func:`measure_changes_by_name`) over s. If both motions are truncated to few harmonics,
+        modes above all harmonics seem static: the error is then at least the part of harmonics. If
+        all modes are kept, return the reason.
         """
         structure = self.study.structure
         structure_with_more_modes = more_modes_structure_of(self.balance_solution)
@@ -557,10 +558,11 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def _estimate_error_by_coarser_mesh(self) -> PartOrReason:
         """Estimate the error due to the mesh from a coarser mesh, modes unchanged (collective).
 
-        The part is the maximum over orders p from 1 to the elements' best order. A shape error, at
-        equal distance from the resonance, and the error due to the resonance shift are added with
-        signs; a peak has no shift error. The root of the sum of squares adds three parts: shifted
-        clearance, closed crack fronts, and the increase under a point force. Without a coarser
+        Two errors are added with signs: the shape error, at equal distance from the resonance, and
+        the error by the resonance shift, 0 for a peak. The maximum counts over orders p from 1 to
+        the elements' best order. As a root of the sum of squares follow: a tenth of the smaller
+        error, the shifted clearance, closed crack fronts, and the increase under a point force. For
+        stress intensities, the largest change along a front is a lower limit. Without a coarser
         mesh, return the reason.
         """
         study, balance_solution = self.study, self.balance_solution

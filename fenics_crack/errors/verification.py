@@ -450,8 +450,8 @@ class Verification(SavedResult):
     def warnings(self) -> tuple[str, ...]:
         """Sentences with doubts about the errors.
 
-        Subjects: unknown causes, failed runs, unstable orbits, doubtful orders, forces at a point,
-        a contact stiffness per pair.
+        Subjects: unknown causes, missing parts, failed runs, unstable orbits, doubtful orders, a
+        force at a point, a contact stiffness per pair.
         """
         sentences = [
             f"the totals do not include the error due to the {cause}: {reason_text}"

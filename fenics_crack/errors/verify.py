@@ -279,10 +279,10 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
     def _solve_finer_scene(self, scene: Scene, shared_study: Study | None) -> SolvedStudy:
         """Solve a finer scene (collective).
 
-        With ``shared_study``, solve on this study's structure, reduced as the finer scene says. If
-        this is the answer's own study, the search starts from the answer. Without ``shared_study``,
-        make a new mesh; the load frequency keeps the ratio to the mode's bilinear frequency. Raise
-        ConvergenceError if the run does not converge.
+        With ``shared_study``, solve on this study's structure; a structure not reduced yet is
+        reduced as the finer scene says. If this is the answer's own study, the search starts from
+        the answer. Without ``shared_study``, make a new mesh; the load frequency keeps the ratio to
+        the mode's bilinear frequency. Raise ConvergenceError if the run does not converge.
         """
         study, mode_number = self.study, self.balance_numbers.mode_number
         start_solution = self.answer if shared_study is study else None
