@@ -174,11 +174,11 @@ class MultiplierStepControl(StepControl):
     A step is rejected if
 
     - a leading ln |mu| changes by more than half its distance to 0, and more than 0.01,
-    - linear extrapolation of the sorted ln |mu| misses by more than that,
+    - linear extrapolation of the sorted ln |mu| has an error above the same limit,
     - a collision has a severity above 0.5 (:func:`step_collision_severities`),
     - two counts of multipliers outside the unit circle change, or a count changes by more than 1.
 
-    The first two hold down to 0.01 of ``longest_step``, the third down to 0.02.
+    The first two hold for steps above 0.01 ``longest_step``, the third above 0.02 ``longest_step``.
     """
 
     def __init__(self, longest_step: float) -> None:

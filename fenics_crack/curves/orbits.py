@@ -96,7 +96,9 @@ class OrbitEquations(CurveSystem):
         return exact_flow_or_error(problem.structure, problem.contact)
 
     def flow(self, value: float) -> ContactFlow:
-        """Return the exact flow at a parameter value; the flows of start and last value are kept.
+        """Return the exact flow at a parameter value.
+
+        The flows at the start and at the last value are kept.
         """
         if self.parameter_name == "omega" or value == self.start:
             return self._start_flow

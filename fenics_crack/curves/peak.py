@@ -34,7 +34,7 @@ from fenics_crack.basics.tables import (
 )
 
 RISING_AT_END_TEXT = "still rising at the end of the range"
-"""Printed in place of a damping ratio if the largest response is at a curve's end."""
+"""Words printed with a largest response at an end of the curve."""
 
 
 @dataclass(frozen=True)
