@@ -486,10 +486,11 @@ def _allowed_harmonics_error(tolerance: float, reduction_error: float) -> float:
 def _with_tolerance_status(
     solver: Solver, solution: PeriodicSolution, tolerance: float, modes_key: str
 ) -> PeriodicSolution:
-    """Return a solution whose status says if the tolerance is met, and else a remedy.
+    """Return a solution whose status says if the tolerance is met.
 
-    ``modes_key`` is the scene's key for the number of modes, "" for the argument's name. Raises
-    ConvergenceError if the tolerance is missed and ``solver.throw`` is True.
+    Otherwise the status names a remedy. ``modes_key`` is the scene's key for the number of modes,
+    "" for the argument's name. Raises ConvergenceError if the tolerance is missed and
+    ``solver.throw`` is True. A solution that did not converge is returned unchanged.
     """
     report, structure = solution.report, solution.structure
     if not solution.converged:

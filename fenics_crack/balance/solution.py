@@ -252,7 +252,9 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
 
     @property
     def _displacement_rows_mean_if_still(self) -> np.ndarray:
-        """Displacement coefficients, with zero harmonics if nothing vibrates: (2H+1, n_local) [m].
+        """Displacement coefficients: (2H+1, n_local) [m].
+
+        If nothing vibrates but by rounding, all except the mean are zero.
         """
         coefficient_rows = self.displacement_coefficients
         return (
