@@ -608,7 +608,9 @@ class FactoredCompliance:
         return self.solve_all_harmonics(self.load - self.structure.apply_b(contact_force))
 
     def solve_all_harmonics(self, dof_force_rows: np.ndarray) -> np.ndarray:
-        """Return displacement coefficients under force coefficients, both (2H+1, n_local) [m], [N].
+        """Return the displacement under forces on the dofs, both (2H+1, n_local).
+
+        Rows are Fourier coefficients [m], [N].
         """
         complex_displacements = [
             dynamic_stiffness.solve(complex_force.real[None] if k == 0 else complex_force[None])[0]

@@ -66,7 +66,9 @@ class ContactForces(ABC):
 
     @abstractmethod
     def force_change(self, gap_change: np.ndarray) -> np.ndarray:
-        """Return the linearised force change [N] by a slow gap's change [m], both (2H+1, n_pairs).
+        """Return the linearised force change by a slow gap's change.
+
+        Both are Fourier coefficients (2H+1, n_pairs) [N], [m].
         """
 
     @abstractmethod
@@ -173,7 +175,9 @@ class ContactIntegrals(ABC):
         """Return the forces' coefficients and derivatives at a slow gap (2H+1, n_pairs) [m]."""
 
     def force(self, gap_coefficients: np.ndarray) -> np.ndarray:
-        """Return the forces' coefficients [N] for slow gap coefficients [m], both (2H+1, n_pairs).
+        """Return the force coefficients for slow gap coefficients.
+
+        Both are (2H+1, n_pairs) [N], [m].
         """
         return self.linearise(gap_coefficients).force
 
@@ -700,7 +704,10 @@ class _SampledForces(CoupledForces):
         )
 
     def _force_coefficient_change(self, gap_change_samples: np.ndarray) -> np.ndarray:
-        """Return the forces' change (2H+1, n_pairs) [N] by slow gap changes (samples, n_pairs) [m].
+        """Return the forces' change (2H+1, n_pairs) [N] by a change of slow gaps.
+
+        ``gap_change_samples`` (n_instants, n_pairs) [m] are the gap changes at the instants of the
+        period.
         """
         return fourier_coefficients(
             np.einsum("npq,nq->np", self._stiffness_matrix_samples, gap_change_samples),

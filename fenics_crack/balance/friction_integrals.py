@@ -52,7 +52,8 @@ def integrals_with_coupled_pairs(
         Residual flexibility R_inf in series with contact. n_rows is the number of pairs; with
         friction twice as many, normal gaps before tangential ones.
     samples : int, optional
-        Instants per period; default: exact integrals, and with friction 32 H, at least 128.
+        Instants per period. Default: exact integrals for a piecewise linear law without friction;
+        with friction 32 H, at least 128; otherwise :func:`default_n_samples`.
     """
     integrals_class = CoupledIntegrals if friction_of(law) is None else FrictionIntegrals
     return integrals_class(law, harmonics, residual_compliance=residual_compliance, samples=samples)
