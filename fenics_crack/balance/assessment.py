@@ -183,7 +183,10 @@ class Assessment:
 
     @property
     def predicted_error(self) -> float:
-        """Return the predicted relative error of the gaps over the period; inf if unknown."""
+        """Predicted relative error of the gaps over the period, by one Newton step.
+
+        inf if it is unknown: the motion cannot be followed, or there is no exact flow.
+        """
         return np.inf if self.orbit_prediction is None else self.orbit_prediction.relative_gap_error
 
     @property
@@ -226,7 +229,10 @@ class Assessment:
         return orbit, orbit is not None and relative_gap_distance(self.wave, orbit) <= max_distance
 
     def _search_nearest_orbit(self) -> PeriodicOrbit | None:
-        """Search for an orbit by Newton's method from the solution; None without success."""
+        """Search for an exact orbit by Newton's method from the solution.
+
+        None: the load is too slow, the motion cannot be followed, or Newton's method fails.
+        """
         if self.orbit_prediction is None or self.is_load_too_slow:
             return None
         assert self.flow is not None

@@ -256,7 +256,10 @@ class BlockSystem(Snes):
         )
 
     def scaled_unknowns_of(self, displacement: np.ndarray) -> np.ndarray:
-        """Return this rank's unknowns for a displacement (2H+1, n_local) [m] (collective)."""
+        """Return this rank's scaled unknowns for a displacement (2H+1, n_local) [m] (collective).
+
+        On the last rank, the amplitudes of damped modes follow.
+        """
         relative_displacement, comm = displacement / self.length_unit, self.structure.comm
         modal_part = self.structure.sum_over_ranks(
             relative_displacement[1:] @ self._scaled_shapes_and_their_rates[0]

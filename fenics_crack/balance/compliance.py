@@ -305,7 +305,11 @@ class ModalCompliance:
         return self._pair_compliance(modal_receptance)
 
     def _pair_compliance(self, modal_receptance: np.ndarray) -> np.ndarray:
-        """Return the pairs' compliances (n, n_pairs, n_pairs) [m/N] from modal receptances."""
+        """Return the gaps' compliance from modal receptances: (n, n_pairs, n_pairs) complex [m/N].
+
+        ``modal_receptance`` has n frequencies first; for uncoupled modes (n, n_modes), else (n,
+        n_modes, n_modes).
+        """
         dynamic_pair_compliance = self._all_modes.compliance_of_pairs(modal_receptance)
         return (
             dynamic_pair_compliance
@@ -519,7 +523,10 @@ class ModalCompliance:
         return -self._all_modes.modal_response(self._receptance, impedance_force_by_omega)
 
     def _gap_response(self, modal_force: np.ndarray) -> np.ndarray:
-        """Return gaps (2H+1, n_pairs) [m] under complex modal forces (H+1, n_modes)."""
+        """Return gaps (2H+1, n_pairs) [m] under complex modal forces (H+1, n_modes).
+
+        Coordinates without mass, and the clearance, are left out.
+        """
         return from_complex(
             self._all_modes.modal_response(self._receptance, modal_force)
             @ self._all_modes.gaps_by_mode

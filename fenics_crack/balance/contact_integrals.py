@@ -168,7 +168,10 @@ class ContactIntegrals(ABC):
 
     @abstractmethod
     def forces_at_gap_samples(self, gap_samples: np.ndarray) -> np.ndarray:
-        """Return the contact forces for slow gaps at n instants, both (n, n_pairs) [m], [N]."""
+        """Return the contact forces for slow gaps at n instants.
+
+        Both are (n, n_pairs) [N], [m].
+        """
 
     @abstractmethod
     def linearise(self, gap_coefficients: np.ndarray) -> ContactForces:

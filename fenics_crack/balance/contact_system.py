@@ -613,7 +613,10 @@ class Wave:
         )
 
     def gaps_and_forces(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return gaps [m] and contact forces [N] at times [s]: (len(time), n_rows) each."""
+        """Return gaps [m] and contact forces [N] at times [s]: (len(time), n_rows) each.
+
+        Normal rows are first; with friction, tangential ones follow.
+        """
         _, gap, force = self.basis_gaps_and_forces_at_phases(self.base_omega * np.atleast_1d(time))
         return gap, force
 
@@ -821,9 +824,9 @@ class CompiledEquations(Equations):
 
 
 class CompiledPoint(Linearisation):
-    """Residual and Jacobian of :class:`CompiledEquations` at a point.
+    """Harmonic-balance equations in the C kernel, linearised at a point.
 
-    The kernel evaluates the point again if it has evaluated another one since.
+    The kernel holds one point at a time, and evaluates this one again if another came between.
     """
 
     def __init__(self, system: CompiledEquations, unknown: np.ndarray, parameter: float) -> None:

@@ -228,10 +228,10 @@ def solve_harmonic_balance(
 ) -> PeriodicSolution:
     """Return the steady periodic vibration with contact between crack faces (collective).
 
-    The displacement u(t) solves the equation of motion M u'' + C u' + K u + B lambda(g) = f(t),
-    with gaps g = B^T u - g0, clearances g0 and contact forces lambda. Projected on the mean and the
-    first H harmonics, it is A u + B b(g) = c, with the coefficients b of the contact force and c of
-    the load.
+    The displacement u(t) solves the equation of motion M u'' + C u' + K u + B lambda(g) = f(t). The
+    gaps are g = B^T u - g0, with clearances g0, and lambda are the contact forces. The equation is
+    projected on the mean and the first H harmonics: A u + B b(g) = c. A is the dynamic stiffness;
+    b are coefficients of the contact force, c of the load.
 
     Parameters
     ----------
@@ -257,8 +257,8 @@ def solve_harmonic_balance(
         is refused with a tolerance, with friction, and for a rigid law of crack faces with mass.
     residual_tolerance : float
         Maximum ``|F(x)| / |x|`` of the algebraic equations. With very stiff contact, rounding
-        leaves more: eps k R, with contact stiffness k and compliance R. From k R = 1e5 on, that is
-        accepted and reported.
+        leaves more: eps k R, with machine epsilon eps, contact stiffness k and compliance R. From
+        k R = 1e5 on, that is accepted and reported.
     throw : bool
         Raise if nothing converged (else ``converged`` is False), or the tolerance is missed.
 

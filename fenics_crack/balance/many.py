@@ -160,7 +160,7 @@ def solve_many(
     clearance: float | np.ndarray = 0.0,
     harmonics: int = 20,
 ) -> ManyOrbits:
-    """Return exact orbits of a structure in many cases, with verdicts and errors.
+    """Return exact orbits of a structure in many cases, with stability and errors.
 
     Parameters
     ----------
@@ -169,6 +169,7 @@ def solve_many(
     omega : float or (n,) [rad/s]
         Load frequencies.
     contact : ContactLaw
+        Penalty law or constraint, for all pairs.
     load, damping : float or (n,)
         Factors of the structure's load and damping.
     clearance : float or (n,) [m]

@@ -43,7 +43,7 @@ from fenics_crack.numerics.fourier import fourier_basis_for
 from fenics_crack.numerics.newton import change_relative_to_motion
 
 ERROR_IF_UNKNOWN = 1.0
-"""Relative error that stands for an unknown error."""
+"""Relative error that stands for an unknown error; no error is stated above it."""
 
 GapAndDisplacementErrors = tuple[float, float]
 """Relative errors of the gap and of the displacement at the load, each at most 1."""
@@ -115,7 +115,7 @@ class MoreModes:
     flow: ContactFlow
     """Exact flow of the structure with more modes."""
     wave: Wave
-    """Harmonic-balance solution."""
+    """Motion of the harmonic-balance solution, with fewer modes."""
     nearest_orbit: PeriodicOrbit
     """Exact orbit nearest to the solution, with the modes of the solution's structure."""
     i_minus_m_solver: IMinusMSolver | None = None
@@ -280,7 +280,11 @@ class MoreModes:
 
 
 def are_crack_faces_still(samples: Samples) -> bool:
-    """Return True if crack faces, pressed together by the load, move by rounding only."""
+    """Return True if the load presses the crack faces together so that gaps stay closed.
+
+    Gaps without clearance are then at most 1e-12 of the gaps that the vibrating modes alone would
+    make.
+    """
     modal_gaps = samples.states[:, : samples.flow.n_modes] @ samples.flow.modal_model.gaps_by_mode
     gap_plus_clearance = samples.gaps + samples.flow.clearance
     return bool(np.linalg.norm(gap_plus_clearance) <= NEGLIGIBLE * np.linalg.norm(modal_gaps))

@@ -256,7 +256,7 @@ class Problem:
 
     @property
     def has_friction(self) -> bool:
-        """True if tangential forces are balanced, too."""
+        """True if the law has friction: tangential forces are then balanced, too."""
         return friction_of(self.contact) is not None
 
     @cached_property
@@ -360,13 +360,13 @@ class Problem:
         return self.wave_of(displacement, point.gap, point.force)
 
     def wave_of(self, displacement: np.ndarray, gap: np.ndarray, force: np.ndarray) -> Wave:
-        """Return the motion with given coefficients.
+        """Return the motion with given Fourier coefficients.
 
         Parameters
         ----------
         displacement : (2H+1, n_local) [m]
         gap, force : (2H+1, n_rows) [m], [N]
-            With friction, normal rows and then tangential ones.
+            With friction, normal columns and then tangential ones.
         """
         n_pairs = self.structure.n_pairs
         tangential_gap_and_force = (
@@ -481,7 +481,7 @@ class Search:
     If the equations are in the kernel, SNES makes only a last attempt after all others have failed.
     """
     attempt_texts: list[str] = field(default_factory=list)
-    """Attempts and their outcomes, in words."""
+    """Name, outcome and number of iterations of each attempt, in words."""
     _residual_rounding: float = ROUNDING
     _max_iterations: float = 0.0
     _simpler_point: ContactPoint | None = None

@@ -272,7 +272,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
 
     @cached_property
     def breathes(self) -> bool:
-        """True if a pair closes and opens again within the period."""
+        """True if at least one contact pair is both open and closed within the period."""
         time = self.instants()
         # The force of a smoothed law is never 0.
         signal_function = self.contact_force if is_unilateral(self.contact) else self.gap

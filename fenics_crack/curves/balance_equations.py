@@ -117,11 +117,11 @@ class BalanceEquations(CurveSystem):
         return problem.omega
 
     def problem_at(self, value: float) -> Problem:
-        """Return the problem at a parameter value."""
+        """Return the problem at a value of the curve's parameter."""
         return self.vary(self.problem, value)
 
     def _make_system(self, value: float) -> ContactSystem:
-        """Make the harmonic-balance equations at a parameter value."""
+        """Make the harmonic-balance equations at a value of the curve's parameter."""
         if self.has_varying_integrals:
             return self.problem_at(value).system(self.compliance_model_at(value))
         return ContactSystem(self.compliance_model_at(value), self._contact_integrals)

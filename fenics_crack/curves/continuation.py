@@ -225,11 +225,11 @@ class GrowingCurve:
         return self.unjudged_curve
 
     def progress_fraction(self) -> float:
-        """Return the completed fraction of the way from start to end, 0 to 1."""
+        """Return the completed fraction of the path from start to end, 0 to 1."""
         return min(1.0, max(0.0, self._last_path_point.parameter))
 
     def describe_progress(self) -> str:
-        """Describe the progress: completed percentage, range and number of points."""
+        """Return a progress text: completed percentage, parameter range and number of points."""
         end_values = self.system.start, self.system.end
         return (
             f"{self.progress_fraction():.0%} of the way between {self.describe_values(*end_values)}"
@@ -262,7 +262,10 @@ class GrowingCurve:
             self._append_segment(segment)
 
     def _yield_segments(self) -> Iterator[PathSegment]:
-        """Yield the rest of the path, from the last point to the end of the curve."""
+        """Yield the path from the last point to the end of the curve, piece by piece.
+
+        Sets ``status``, ``complete`` and ``has_returned``.
+        """
         if self.complete:
             return
         system = self.system
@@ -299,7 +302,7 @@ class GrowingCurve:
         )
 
     def _append_segment(self, segment: PathSegment) -> CurvePoint:
-        """Append a segment's points and special points; return its last point."""
+        """Append the points and special points of a path segment; return its last point."""
         kinds_and_special_points = [
             (event.kind, self._convert_path_point(path_point))
             for event, path_point in segment.located_events

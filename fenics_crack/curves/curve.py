@@ -146,7 +146,10 @@ class Bifurcation(Described):
 
     @cached_property
     def solution(self) -> PeriodicSolution:
-        """Solution at the bifurcation, with displacement and error report."""
+        """Solution at the bifurcation, with displacement and error report.
+
+        On a harmonic-balance curve the error is predicted, without a search for an exact orbit.
+        """
         return self.point.solution(0, search=False)
 
     @cached_property
@@ -270,7 +273,7 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @property
     def exact(self) -> bool:
-        """True if the points are exact orbits."""
+        """True if the points are exact orbits, False if they are harmonic-balance solutions."""
         return self.tolerance is not None
 
     @property
@@ -364,7 +367,10 @@ class ResponseCurve(ObservedMotion, Tabular):
         return exact_flow_or_none(self.structure, self.contact) if is_over_frequency else None
 
     def orbit(self, index: int) -> PeriodicOrbit:
-        """Return the exact orbit at a point; InputError for a harmonic-balance curve."""
+        """Return the exact orbit at a point of the curve.
+
+        Raises InputError for a harmonic-balance curve.
+        """
         if not isinstance(self.system, OrbitEquations):
             raise InputError("curve", self.method, "one of exact orbits")
         flow, omega = self.system.flow(float(self.values[index])), float(self.omega[index])

@@ -84,7 +84,7 @@ class OrbitEquations(CurveSystem):
         self.shape = (self._start_flow.state_size,)
 
     def problem_at(self, value: float) -> Problem:
-        """Return the problem at a parameter value."""
+        """Return the problem at a value of the curve's parameter."""
         return self.balance_class.vary(self.problem, value)
 
     def omega(self, value: float, unknown: np.ndarray | None = None) -> float:
@@ -210,7 +210,11 @@ class OrbitEquations(CurveSystem):
         return self.unknown(end_state, self.value(parameter))
 
     def relative_half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
-        """Return an orbit's change over half its period, relative to its size."""
+        """Return an orbit's change over half its period, relative to its size.
+
+        It is near 0 if the motion has half the period. ``unknown`` is the scaled state,
+        ``parameter`` the path parameter, 0 to 1.
+        """
         unknown_change = self.advance_unknown(unknown, parameter, 0.5) - unknown
         return float(np.linalg.norm(unknown_change) / (np.linalg.norm(unknown) or 1.0))
 

@@ -155,7 +155,10 @@ class PhasePoint(Linearisation):
         return residual_derivative
 
     def _phase_cotangent_change(self, work_change: complex) -> float:
-        """Return the change in Re P / Im P by a change in the complex work P."""
+        """Return the change in the phase cotangent Re P / Im P by a change in P.
+
+        P is the load's complex work [N m]; ``work_change`` is its change.
+        """
         complex_work = self.complex_work
         return (
             work_change.real - complex_work.real / complex_work.imag * work_change.imag

@@ -332,9 +332,9 @@ def resonance_at(
     """Find the phase resonance next to a load frequency, under the load as it is.
 
     At the resonance the displacement at the load has no part in phase with the load, as in a modal
-    test. The largest response is next to it, unless several modes answer together; the result says
-    so. The response is followed upwards from a frequency with displacement and load in phase,
-    otherwise downwards.
+    test. The largest response is next to it, unless several modes answer together
+    (:attr:`Resonance.several`). The response curve is followed upwards in frequency if displacement
+    and load are in phase at the start, otherwise downwards.
 
     ``resonance_at(structure, law, omega)`` is short for a problem with 5 harmonics, or as many as
     the load has.
@@ -347,11 +347,12 @@ def resonance_at(
     near : float, optional
         Load frequency [rad/s] at which the search begins; default: the problem's.
     parameter : "omega" or "speed"
-        Quantity that follows the resonance: the load frequency, or the speed of a rotor from
-        :func:`fenics_crack.run_up_structure`, with the modes at each speed.
+        Quantity in which the resonance is given: the load frequency; or the speed of a rotor from
+        :func:`fenics_crack.run_up_structure`, whose modes change with the speed. The load frequency
+        then keeps its ratio to the speed.
     tolerance : float, optional
-        Double the harmonics until the estimated error of the amplitude is below this, or until
-        several modes answer together: the curve shows more then.
+        Double the harmonics until the estimated relative error of the amplitude is below this, or
+        until several modes answer together: the response curve shows more then.
 
     Returns
     -------
@@ -416,16 +417,16 @@ def follow_resonance(
     throw: bool = True,
     **steps: Unpack[StepOptions],
 ) -> ResponseCurve:
-    """Follow a phase resonance over the load.
+    """Follow a phase resonance over a factor for the vibrating load.
 
     Parameters
     ----------
     problem, near
         As in :func:`resonance_at`.
     start, end : float
-        Factors for the load without its mean, above 0.
+        First and last factor for the load without its mean, above 0.
     tolerance : float, optional
-        Take as many harmonics as this error requires at the end.
+        Relative error of the amplitude at the last factor, for which the harmonics are chosen.
     progress, throw, **steps
         As in :func:`continue_frequency`: longest_step, most_points, turning_back.
 

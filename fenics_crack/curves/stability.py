@@ -315,7 +315,7 @@ def shoot(
 def floquet(
     structure: Structure, solution: PeriodicSolution, contact: ContactLaw | None = None
 ) -> Stability:
-    """Return the Floquet multipliers of a solution, and the verdict on its stability.
+    """Return the Floquet multipliers of a solution, and its stability.
 
     The multipliers mu are the eigenvalues of the monodromy matrix dz(T)/dz(0). z is displacement
     and velocity, T the response's period. In each period a small disturbance is multiplied by mu.
@@ -333,8 +333,9 @@ def floquet(
     Returns
     -------
     Stability
-        Multipliers in descending order of modulus, and the verdict. If no orbit decides, the
-        reason, with distance and stability of the nearest orbit if one was found.
+        Multipliers in descending order of modulus, and the verdict: "stable", "unstable",
+        "irregular" or "undecided". If no exact orbit decides, the reason, with distance and
+        stability of the nearest orbit if one was found.
 
     Raises
     ------
@@ -362,10 +363,10 @@ def floquet(
 
 
 def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attractor, ...]:
-    """Find the motions that replace an unstable solution in the long run.
+    """Find the motions to which an unstable solution's motion goes in the long run.
 
-    Each motion begins next to the orbit, at a distance of 1 % of the motion, and the exact flow
-    follows it. Small disturbances grow in the direction v, an eigenvector M v = mu v of the
+    A motion begins next to the unstable orbit, at a distance of 1 % of the motion, and the exact
+    flow follows it. Small disturbances grow in the direction v, an eigenvector M v = mu v of the
     monodromy matrix M. If mu > 1, the motions along v and -v part. They may go to two orbits: above
     and below the unstable orbit of a leaning resonance, for example. For an irregular solution the
     result is the exact motion that begins with the solution.
