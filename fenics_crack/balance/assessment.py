@@ -70,8 +70,9 @@ MAX_HARMONIC_DOUBLINGS = 2
 class Assessment:
     """Comparison of a harmonic-balance solution with exact motions.
 
-    It has the predicted error and the nearest exact orbit. Each part is computed on first request,
-    from the solution alone.
+    Exact motions are integrated without time steps, from contact event to contact event (the exact
+    flow). The comparison has a predicted error and the nearest exact orbit. Each part is computed
+    on first request, from the solution alone.
 
     Parameters
     ----------
@@ -108,9 +109,9 @@ class Assessment:
         self._failure_reasons: list[str] = []
 
     def holds_for(self, wave: Wave) -> bool:
-        """Return True if this assessment was made for the motion ``wave``.
+        """Return True if this assessment was made for a motion.
 
-        Their arrays, structure and law must be the same objects.
+        Arrays, structure and law must be the same objects, and numbers equal.
         """
         attribute_pairs = [
             (getattr(self.wave, wave_field.name), getattr(wave, wave_field.name))
@@ -156,7 +157,8 @@ class Assessment:
     def states_at_period_parts(self) -> np.ndarray:
         """States of the solution at 32 equal parts of its period: (32, flow.state_size).
 
-        A state has modal displacements, then velocities; with friction also the sliders' positions.
+        A state has modal displacements, then velocities; with friction also the sliders' positions:
+        tangential gap less the tangential spring's deformation.
         """
         assert self.flow is not None
         wave, flow = self.wave, self.flow
@@ -289,9 +291,9 @@ class Assessment:
 
     @cached_property
     def relative_orbit_distance(self) -> float:
-        """Distance between the gaps of solution and orbit over the period.
+        """Relative distance between the gaps of solution and orbit over the period.
 
-        It is relative to the moving part of B^T u, the gap without clearance; nan without an orbit.
+        The reference is the vibrating part of the gaps without clearance; nan without an orbit.
         """
         return (
             np.nan
@@ -345,7 +347,7 @@ class Assessment:
 
     @cached_property
     def more_modes(self) -> MoreModes | None:
-        """Nearest orbit's motion with more modes of the structure.
+        """Nearest orbit's motion if the structure has more modes.
 
         None: no orbit is found, no flow with more modes is known, or it would take long. The orbit
         need not be accepted.
@@ -400,7 +402,10 @@ class Assessment:
 
 
 def stated_error(predicted_error: float) -> float:
-    """Return the error reported without an orbit: 3 p / (1 + 2 p) for a prediction p."""
+    """Return the error reported without an orbit, 3 p / (1 + 2 p).
+
+    p is the predicted relative error. The result is about 3 p for a small p, and never below p.
+    """
     return 3.0 * predicted_error / (1.0 + 2.0 * min(predicted_error, 1.0))
 
 
@@ -434,8 +439,8 @@ def _relative_change_at_load(wave: Wave, change: np.ndarray, motion: np.ndarray)
 def relative_gap_distance(wave: Wave, orbit: PeriodicOrbit) -> float:
     """Return the relative distance between a solution's gaps and an orbit's over the period.
 
-    The reference is the moving part of B^T u, the orbit's gaps without clearance. It is 0 if the
-    orbit's gaps move by rounding only.
+    The reference is the vibrating part of the orbit's gaps without clearance. It is 0 if the load
+    presses the crack faces together and only rounding moves them.
     """
     orbit_samples = orbit.period_samples
     if are_crack_faces_still(orbit_samples):

@@ -416,7 +416,7 @@ class ModalCompliance:
         The response's frequency w and the damping factor d change along a path: ``omega`` and
         ``damping`` are each a value at the path's start and the change to its end.
         ``residual_compliance`` is the residual flexibility R_inf [m/N]. At harmonic k, with h_kj =
-        1 / (s_j - (k w)^2 + i k w d c_j),
+        1 / (s_j - (k w)^2 + i k w d c_j) for the mode j,
 
             R_k - R_inf = P^T h_k P + static_compliance,    g_lin gains P^T h_k l_k from the load,
 

@@ -110,7 +110,7 @@ class ContactForces(ABC):
 
 @dataclass(frozen=True)
 class ContactIntegrals(ABC):
-    """Integrals over a period from slow gaps to Fourier coefficients of contact forces.
+    """Integrals over a period for the Fourier coefficients of contact forces.
 
     Attributes
     ----------
@@ -168,19 +168,23 @@ class ContactIntegrals(ABC):
 
     @abstractmethod
     def forces_at_gap_samples(self, gap_samples: np.ndarray) -> np.ndarray:
-        """Return the contact forces for slow gaps at n instants.
+        """Return the contact forces for slow gaps at n instants, both (n, n_pairs).
 
-        Both are (n, n_pairs) [N], [m].
+        Slow gap [m]: gap plus residual flexibility times contact force [N].
         """
 
     @abstractmethod
     def linearise(self, gap_coefficients: np.ndarray) -> ContactForces:
-        """Return the forces' coefficients and derivatives at a slow gap (2H+1, n_pairs) [m]."""
+        """Return the forces' coefficients and derivatives at a slow gap.
+
+        ``gap_coefficients`` (2H+1, n_pairs) [m]: gap plus residual flexibility times contact force.
+        """
 
     def force(self, gap_coefficients: np.ndarray) -> np.ndarray:
         """Return the force coefficients for slow gap coefficients.
 
-        Both are (2H+1, n_pairs) [N], [m].
+        Both are (2H+1, n_pairs) [N], [m]. Slow gap: gap plus residual flexibility times contact
+        force.
         """
         return self.linearise(gap_coefficients).force
 
@@ -230,11 +234,11 @@ def default_n_samples(harmonics: int) -> int:
 
 @dataclass(frozen=True)
 class SampledIntegrals(ContactIntegrals):
-    """Integrals of uncoupled contact forces by the trapezoidal rule on equally spaced instants.
+    """Integrals of uncoupled contact forces by samples at equally spaced instants.
 
-    The fast Fourier transform computes them, for any law. A softness in series divides the contact
-    stiffness by 1 + softness. More than 4 H instants make products exact; 2H+1, as many as
-    coefficients, are collocation.
+    The trapezoidal rule, by the fast Fourier transform, for any law. A softness in series divides
+    the contact stiffness by 1 + softness. More than 4 H instants make products exact; 2H+1, as many
+    as coefficients, are collocation.
     """
 
     samples: int
@@ -425,13 +429,13 @@ def quarter_period_waves(harmonics: int) -> np.ndarray:
 
 
 def tangent_from_means(stiffness_means: np.ndarray) -> np.ndarray:
-    """Return the derivative of contact forces by gaps from period means of the stiffness.
+    """Return the derivative of contact forces by gaps from means of the contact stiffness.
 
     Parameters
     ----------
     stiffness_means : (4H+1, n, n)
-        Means over the period of the stiffness of n pairs: c_0, c_1, s_1, ..., with factors cos(m
-        theta) and sin(m theta) at the phase theta.
+        Means over the period of the stiffness matrix of n pairs: plain, then with the factors cos(m
+        theta) and sin(m theta) for m = 1 to 2H, with the phase theta.
 
     Returns
     -------

@@ -110,10 +110,10 @@ class ContactSystem:
 
         F(s) = s - g_lin + (R_k - R_inf) b(lambda(s)) = 0
 
-    The slow gap s = g + R_inf lambda, coefficients (2H+1, n_rows), is the gap g with its
-    quasi-static response to contact forces lambda taken out. g_lin is the gap without contact
-    forces, R_k the dynamic compliance at harmonic k, R_inf the residual flexibility, b the forces'
-    coefficients.
+    The slow gap s = g + R_inf lambda is the gap g without its quasi-static response to the contact
+    forces lambda. Its coefficients are (2H+1, n_rows), with a row for each pair; with friction,
+    tangential rows follow. g_lin is the gap without contact forces, R_k the dynamic compliance at
+    harmonic k, R_inf the residual flexibility, b the forces' coefficients.
 
     The path parameter p leads from soft contact to the law itself, at p = 1. The compliance in
     series with every pair is ``start_softness`` |1 - p|^3, in units of
@@ -209,7 +209,8 @@ class ContactSystem:
     def _gap_spring_compliances(self, law: ContactLaw) -> np.ndarray:
         """Return the compliance of each gap's contact spring: (n_rows,) [m/N].
 
-        It is 1 over the contact stiffness, and 0 for a rigid law.
+        It is 1 over the contact stiffness, and 0 for a rigid law. With friction, rows are normal,
+        then tangential gaps.
         """
         return spring_compliances(law, self.shape[1] // (1 if friction_of(law) is None else 2))
 
@@ -228,12 +229,13 @@ class ContactSystem:
         )
 
     def slow_gap(self, gap: np.ndarray, force: np.ndarray, n_periods: int = 1) -> np.ndarray:
-        """Return the slow gap, gap plus residual flexibility times contact force.
+        """Return the slow gap: gap plus residual flexibility times contact force.
 
         Parameters
         ----------
         gap, force : (2K+1, n_rows) [m], [N]
-            Coefficients of gap and contact force, with any number of harmonics K.
+            Coefficients of gap and contact force, with any number of harmonics K. n_rows is the
+            number of pairs, with friction twice as many.
         n_periods : int
             Periods of ``gap`` that fit into one period of the response.
 
@@ -249,10 +251,10 @@ class ContactSystem:
         return gap if self.residual_compliance is None else gap + force @ self.residual_compliance
 
     def gap(self, unknown: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """Return the gap from slow gap [m] and contact force [N], both (n, n_rows).
+        """Return the gap: slow gap less residual flexibility times contact force.
 
-        It is the slow gap less residual flexibility times force. Rows are Fourier coefficients, or
-        instants.
+        ``unknown`` [m] is the slow gap. All are (n, n_rows), for n Fourier coefficients or
+        instants; n_rows is the number of pairs, with friction twice as many.
         """
         return (
             unknown
@@ -261,9 +263,11 @@ class ContactSystem:
         )
 
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> ContactPoint:
-        """Return residual, contact forces and Jacobian at a slow gap (2H+1, n_rows) [m].
+        """Return the equations, linearised at a slow gap.
 
-        ``parameter`` 1 is the law itself; below 1, a compliance in series softens the contact.
+        ``unknown`` (2H+1, n_rows) [m] is the slow gap: gap plus residual flexibility times contact
+        force. ``parameter`` 1 is the law itself; below 1, a compliance in series softens the
+        contact.
         """
         distance_to_law = 1.0 - parameter
         softness_rate = -3.0 * self._start_softness * distance_to_law * abs(distance_to_law)
@@ -280,17 +284,18 @@ class ContactSystem:
     def linearise_with_derivative(
         self, unknown: np.ndarray, parameter_derivative_function: ParameterDerivativeFunction
     ) -> ContactPoint:
-        """Return residual, contact forces and Jacobian at a slow gap (2H+1, n_rows) [m].
+        """Return the equations, linearised at a slow gap.
 
-        The given function computes the residual's derivative by a path parameter.
+        ``unknown`` (2H+1, n_rows) [m] is the slow gap: gap plus residual flexibility times contact
+        force. The given function computes the residual's derivative by a path parameter.
         """
         return ContactPoint(self, unknown, self.integrals, parameter_derivative_function)
 
     def max_contact_stiffness(self, law: ContactLaw) -> float:
         """Return the largest slope of contact forces over slow gaps, for a law [N/m].
 
-        It is the inverse of the smallest eigenvalue of residual flexibility plus contact springs'
-        compliance.
+        It is the inverse of the smallest eigenvalue of R_inf + I/k, with the residual flexibility
+        R_inf and the contact stiffness k.
         """
         spring_compliance = self._gap_spring_compliances(law)
         min_series_compliance = float(spring_compliance.min())
@@ -311,8 +316,8 @@ class ContactSystem:
     def system_along_softness(self) -> ContactSystem:
         """Return these equations along a contact that hardens, from very soft to the law.
 
-        At the path parameter 0 the dynamic compliance is at most 0.05 of the pairs' own; 1 is the
-        law.
+        At the path parameter 0 the compliance in series with every pair is 20 times the dynamic
+        compliance; at 1 the contact is the law's.
         """
         max_row_sum = float(np.abs(self.dynamic_less_static_compliance).sum(axis=2).max())
         start_softness = max_row_sum / (
@@ -337,10 +342,10 @@ class SystemAlongFrictionFactor(ContactSystem):
     """
 
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> ContactPoint:
-        """Return residual, forces and Jacobian with a factor for the friction coefficient.
+        """Return the equations, linearised with a factor for the friction coefficient.
 
-        ``unknown`` is the slow gap (2H+1, n_rows) [m]; ``parameter`` is the factor, and below 0
-        taken as 0.
+        ``unknown`` (2H+1, n_rows) [m] is the slow gap: gap plus residual flexibility times contact
+        force. ``parameter`` is the factor; below 0 it counts as 0.
         """
         assert isinstance(self.integrals, FrictionIntegrals)
         integrals = replace(self.integrals, friction_scale=max(parameter, 0.0))
@@ -350,7 +355,8 @@ class SystemAlongFrictionFactor(ContactSystem):
 class ContactPoint(DenseLinearisation):
     """Harmonic-balance equations of a :class:`ContactSystem`, linearised at a slow gap.
 
-    ``unknown`` (2H+1, n_rows) [m] are the slow gap's coefficients.
+    ``unknown`` (2H+1, n_rows) [m] has the slow gap's coefficients: gap plus residual flexibility
+    times contact force. n_rows is the number of pairs, with friction twice as many.
     """
 
     def __init__(
@@ -371,9 +377,10 @@ class ContactPoint(DenseLinearisation):
 
     @cached_property
     def residual(self) -> np.ndarray:  # type: ignore[override]
-        """Residual of the equations: slow gap, less linear gap, plus compliance times force.
+        """Residual of the equations: (2H+1, n_rows) [m].
 
-        Shape: (2H+1, n_pairs) [m].
+        Slow gap, less gap without contact, plus dynamic compliance (less residual flexibility)
+        times force.
         """
         system = self.system
         return (
@@ -436,7 +443,10 @@ class ContactPoint(DenseLinearisation):
         return self._derivative_function(self)
 
     def gap_change(self, slow_gap_change: np.ndarray) -> np.ndarray:
-        """Return the gap's change by a slow gap's change, both (2H+1, n_pairs) [m]."""
+        """Return the gap's linearised change by a change of the slow gap.
+
+        Both are (2H+1, n_rows) [m]. Slow gap: gap plus residual flexibility times contact force.
+        """
         return self.system.gap(
             slow_gap_change, self.linearised_forces.force_change(slow_gap_change)
         )
@@ -527,7 +537,7 @@ class Wave:
 
     @cached_property
     def _integrals(self) -> ContactIntegrals:
-        """Integrals of contact forces over a period, with residual flexibility or friction."""
+        """Integrals from slow gaps to contact forces, with residual flexibility or friction."""
         assert self.contact is not None
         residual_compliance_or_none = self.residual_compliance
         n_gaps = self.structure_with_row_pairs.n_pairs
@@ -561,6 +571,7 @@ class Wave:
         basis : (n, 2H+1)
             1, cos, sin, ..., the factors of coefficients.
         gap, force : (n, n_rows) [m], [N]
+            Normal columns; with friction, tangential ones follow.
         """
         return self._gaps_and_forces_with_basis_at(
             fourier_basis_for(self.gap_coefficients, phase), phase
@@ -623,8 +634,8 @@ class Wave:
     def gap(self, time: np.ndarray) -> np.ndarray:
         """Return the normal gaps at times [s]: (len(time), n_pairs) [m].
 
-        With a residual flexibility, the gap has kinks in time: only the slow gap is a truncated
-        series.
+        With a residual flexibility, the gap has kinks in time: its quasi-static part follows the
+        contact force, and only the rest is a truncated series.
         """
         if self.residual_compliance is None:
             return evaluate_series(self.gap_coefficients, self.base_omega, time)
@@ -706,12 +717,13 @@ def _join_columns(normal_columns: np.ndarray, tangential_columns: np.ndarray | N
 class CompiledEquations(Equations):
     """Harmonic-balance equations F(s, p) = 0 in the C kernel, for the slow gap s.
 
-    p is a path parameter, 0 to 1, along which compliance, linear gap or contact stiffness change.
+    Slow gap: gap plus residual flexibility times contact force. p is a path parameter, 0 to 1,
+    along which compliance, gap without contact or contact stiffness change.
 
     Parameters
     ----------
     residual_compliance : (n_pairs, n_pairs) [m/N] or None
-        Residual flexibility R_inf in series with contact; None: zero.
+        Residual flexibility in series with contact; None: zero.
     pair_spring_compliances : (n_pairs,) [m/N]
         Compliance 1/k of each pair's contact spring.
     linear_gap : (2H+1, n_pairs) [m]
@@ -726,7 +738,7 @@ class CompiledEquations(Equations):
     forms_jacobian : bool
         False: linear systems are solved with products of the Jacobian alone, and its sign is nan.
     linear_gap_rate : (2H+1, n_pairs) [m], optional
-        Change of the linear gap per unit of p.
+        Change of the gap without contact per unit of p.
     log_stiffness_rate : float
         Change of ln k per unit of p.
     start_series_compliance : float [m/N]
@@ -782,9 +794,11 @@ class CompiledEquations(Equations):
         self.function_table = kernel.equations_of_contact(self._point_handle)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
-        """Return the equations, linearised at a slow gap (2H+1, n_pairs) [m].
+        """Return the equations, linearised at a slow gap.
 
-        ``parameter`` is the path parameter, 0 to 1. The kernel evaluates the point on first use.
+        ``unknown`` (2H+1, n_pairs) [m] is the slow gap: gap plus residual flexibility times contact
+        force. ``parameter`` is the path parameter, 0 to 1. The kernel evaluates the point on first
+        use.
         """
         return CompiledPoint(self, require_shape(unknown, *self.shape), parameter)
 
@@ -862,8 +876,9 @@ class CompiledPoint(Linearisation):
 
 
 def residual_friction_scale_derivative(point: ContactPoint) -> np.ndarray:
-    """Return the residual's derivative by a factor for the friction coefficient: (2H+1, n_rows)
-    [m].
+    """Return the residual's derivative by a factor for the friction coefficient.
+
+    The result is (2H+1, n_rows) [m], with normal, then tangential gaps as rows.
     """
     assert isinstance(point.linearised_forces, FrictionForces)
     return multiply_compliance_and_force(

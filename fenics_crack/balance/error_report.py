@@ -240,8 +240,8 @@ UNESTIMATED_REPORT = ErrorReport(math.nan, math.nan, math.nan, math.nan, math.na
 def report_by_more_modes(solution: Wave, more_modes_solution: Wave) -> ErrorReport:
     """Return the error report of a linear solution, by a solution with more modes (collective).
 
-    ``more_modes_solution`` belongs to the reference of the solution's reduced structure. The change
-    between both gives the modal truncation error.
+    ``more_modes_solution`` belongs to the reference of the solution's reduced structure, a
+    reduction with more modes. The change between both gives the modal truncation error.
     """
     gap_plus_clearance = more_modes_solution.gap_coefficients.copy()
     gap_plus_clearance[0] += solution.structure.clearance
@@ -404,8 +404,9 @@ def _reduction_errors(
 ) -> GapAndDisplacementErrors:
     """Return the modal truncation errors of gaps and of displacement at the load.
 
-    They are the changes by solving with the reduced structure's reference, which has more modes,
-    over its share of the truncated modes. Without a reference they are 0.
+    The equations are solved again with more modes (the reduced structure's reference). The changes
+    are divided by the share of truncated modes that the reference has. Without a reference they are
+    0.
     """
     more_modes_structure = more_modes_structure_of(wave)
     residual_compliance = point.system.residual_compliance

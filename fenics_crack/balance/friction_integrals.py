@@ -193,7 +193,8 @@ class FrictionIntegrals(ContactIntegrals):
 class FrictionForces(CoupledForces):
     """Fourier coefficients of contact and friction forces, with derivatives.
 
-    ``gap_coefficients`` (2H+1, 2 n_pairs) [m] are the slow gaps', normal ones first.
+    ``gap_coefficients`` (2H+1, 2 n_pairs) [m] are the slow gaps', normal ones first. Slow gap: gap
+    plus residual flexibility times contact force.
     """
 
     def __init__(self, integrals: FrictionIntegrals, gap_coefficients: np.ndarray) -> None:

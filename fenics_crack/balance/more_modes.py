@@ -99,8 +99,8 @@ def modal_truncation_errors(
 ) -> GapAndDisplacementErrors:
     """Return modal truncation errors from changes between a structure and its reference.
 
-    The changes of gap and displacement are divided by the reference's share of the truncated modes,
-    and limited to 1.
+    The reference is a reduction with more modes. The changes of gap and displacement are divided by
+    the share of truncated modes that it has, and limited to 1.
     """
     reference_share = structure.share if isinstance(structure, ReducedStructure) else 1.0
     return min(gap_and_displacement_changes[0] / reference_share, ERROR_IF_UNKNOWN), min(
@@ -119,7 +119,10 @@ class MoreModes:
     nearest_orbit: PeriodicOrbit
     """Exact orbit nearest to the solution, with the modes of the solution's structure."""
     i_minus_m_solver: IMinusMSolver | None = None
-    """Solver for I - M of a neighbouring orbit's monodromy matrix M, to start the search."""
+    """Solver for (I - M) x = r with a neighbouring orbit's monodromy matrix M.
+
+    The search for the orbit starts with it; None: without.
+    """
     allowed_prediction: float = math.inf
     """Maximum predicted relative change of the gaps for which the orbit is searched."""
 
@@ -127,8 +130,8 @@ class MoreModes:
     def states_at_period_parts(self) -> np.ndarray:
         """Nearest orbit's states, with more modes added: (32, flow.state_size).
 
-        They belong to equal parts of the period. New modes respond statically to the load and the
-        contact forces.
+        They belong to 32 equal parts of the period. New modes respond statically to the load and
+        the contact forces. With mass at the crack faces, the motion is projected on the new modes.
         """
         orbit_samples, flow = self.nearest_orbit.period_samples, self.flow
         n_orbit_modes = self.nearest_orbit.flow.n_modes
@@ -225,9 +228,9 @@ class MoreModes:
 
     @property
     def orbit_i_minus_m_solver(self) -> IMinusMSolver | None:
-        """Solver for I - M of the orbit's monodromy matrix M, for a neighbour's search.
+        """Solver for (I - M) x = r with the orbit's monodromy matrix M.
 
-        None without an orbit, or if I - M is singular.
+        A neighbour's search starts with it. None without an orbit, or if I - M is singular.
         """
         with suppress(np.linalg.LinAlgError):
             return self.orbit.i_minus_m_solver if self.orbit else None
@@ -280,10 +283,9 @@ class MoreModes:
 
 
 def are_crack_faces_still(samples: Samples) -> bool:
-    """Return True if the load presses the crack faces together so that gaps stay closed.
+    """Return True if the load presses the crack faces together and only rounding moves them.
 
-    Gaps without clearance are then at most 1e-12 of the gaps that the vibrating modes alone would
-    make.
+    Gaps without clearance are then at most 1e-12 of the gaps by the vibrating modes alone.
     """
     modal_gaps = samples.states[:, : samples.flow.n_modes] @ samples.flow.modal_model.gaps_by_mode
     gap_plus_clearance = samples.gaps + samples.flow.clearance

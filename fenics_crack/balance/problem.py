@@ -211,10 +211,9 @@ class Problem:
         return least_harmonics(self.structure, self.subharmonic)
 
     def response_harmonics(self, load_harmonics: int) -> int:
-        """Return how many response harmonics cover ``load_harmonics`` harmonics of the load
-        frequency.
+        """Return how many response harmonics cover a number of load harmonics.
 
-        The load's own harmonics are always covered.
+        They are ``subharmonic`` times as many, and at least cover the load itself.
         """
         return max(load_harmonics * self.subharmonic, self.least_harmonics)
 
@@ -240,7 +239,7 @@ class Problem:
 
     @property
     def static_cutoff(self) -> float | None:
-        """Frequency above which modes are quasi-static [rad/s], as solutions keep it.
+        """Frequency above which modes are quasi-static [rad/s], for a solution's ``static_above``.
 
         None without a residual flexibility: no mode is quasi-static.
         """
@@ -248,9 +247,9 @@ class Problem:
 
     @cached_property
     def structure_with_row_pairs(self) -> Structure:
-        """Structure with one pair for each gap row.
+        """Structure with a pair for each normal gap and, with friction, each tangential gap.
 
-        Rows are the pairs' normal gaps; with friction, tangential gaps follow.
+        Without friction it is the structure itself.
         """
         return add_friction_pairs(self.contact, self.structure)
 
@@ -330,16 +329,18 @@ class Problem:
 
     @property
     def has_projected_constraint(self) -> bool:
-        """True if a rigid law acts on uncoupled pairs, without friction.
+        """True if a rigid law is solved pair by pair: without residual flexibility and friction.
 
-        It is then balanced in frequency, with a weight (:func:`default_projection_weight`).
+        The contact force is then eps max(0, g + lambda / eps), with truncated series of gap g and
+        force lambda, and a weight eps (:func:`default_projection_weight`).
         """
         return is_rigid(self.contact) and self.residual_compliance is None and not self.has_friction
 
     def with_weight(self, compliance_model: ComplianceModel) -> Problem:
-        """Return the problem with the weight that a rigid law on uncoupled pairs needs.
+        """Return the problem with a default weight if its rigid law is solved pair by pair.
 
-        Other problems, and given weights, are returned unchanged.
+        The weight [N/m] stands for a contact stiffness (:func:`default_projection_weight`). Other
+        problems, and given weights, are returned unchanged.
         """
         contact_law = self.contact
         if not (
@@ -351,7 +352,10 @@ class Problem:
         )
 
     def system(self, compliance_model: ComplianceModel) -> ContactSystem:
-        """Return the harmonic-balance equations with gaps as unknowns."""
+        """Return the harmonic-balance equations with gaps as unknowns.
+
+        ``compliance_model`` is the gaps' dynamic compliance.
+        """
         return ContactSystem(compliance_model, self.with_weight(compliance_model).integrals())
 
     def wave(self, point: ContactPoint) -> Wave:
@@ -378,9 +382,9 @@ class Problem:
         )  # fmt: skip
 
     def integrals(self) -> ContactIntegrals:
-        """Return the integrals of the contact force over a period.
+        """Return the integrals from gaps to contact forces over a period.
 
-        A rigid law on uncoupled pairs uses its weight as the contact stiffness.
+        A rigid law that is solved pair by pair uses its weight as the contact stiffness.
         """
         contact_law, harmonics = self.contact, self.harmonics
         if self.residual_compliance is not None:
@@ -401,8 +405,7 @@ class Problem:
         )
 
     def compliance_model(self) -> ComplianceModel:
-        """Return the gaps' dynamic compliance at multiples of the response's frequency
-        (collective).
+        """Return the gaps' dynamic compliance at harmonics 0 to H (collective).
 
         The caller frees it with ``destroy``.
         """
@@ -456,7 +459,11 @@ def check_memory(structure: Structure, harmonics: int) -> None:
 
 @dataclass
 class Search:
-    """Search for a solution of harmonic-balance equations, with a record of its attempts."""
+    """Search for a solution of harmonic-balance equations, with a record of its attempts.
+
+    Newton's method starts from several guesses in turn, until it converges or the iterations are
+    spent.
+    """
 
     system: ContactSystem
     problem: Problem
@@ -495,12 +502,13 @@ class Search:
         return f"{attempts_text}; no solution in {self.iterations} iterations: try {self.remedy}"
 
     def solve(self, *neighbour_slow_gaps: np.ndarray) -> Linearisation:
-        """Return the equations linearised at the solution, or at the last point reached.
+        """Search, and return the equations linearised at the solution or the last point reached.
 
         Parameters
         ----------
         *neighbour_slow_gaps : (2H+1, n_rows) [m]
-            Slow gaps of neighbouring solutions, tried first.
+            Slow gaps of neighbouring solutions, tried first: gap plus residual flexibility times
+            contact force. n_rows is the number of pairs, with friction twice as many.
 
         Raises
         ------
@@ -544,9 +552,10 @@ class Search:
         return point
 
     def append_attempt_text(self, start_name: str, iterations_before: int) -> None:
-        """Record whether an attempt converged, with its name and number of iterations.
+        """Record in words whether an attempt converged, and in how many iterations.
 
-        ``iterations_before`` is the search's number of iterations before the attempt.
+        ``start_name`` names the attempt. ``iterations_before`` is the search's number of iterations
+        before it.
         """
         outcome_text = "converged" if self.has_converged else "failed"
         self.attempt_texts.append(
@@ -554,10 +563,10 @@ class Search:
         )
 
     def _take_newton_steps(self, snes: SystemSnes | None, guess: np.ndarray) -> Linearisation:
-        """Take full Newton steps from a guess, by SNES or the kernel, and return the end.
+        """Take full Newton steps from a guess, and return their end.
 
-        ``snes`` None: the kernel. ``guess`` (2H+1, n_rows) [m] is a slow gap. ``has_converged`` is
-        set. If the kernel's steps fail, the guess is returned.
+        ``guess`` (2H+1, n_rows) [m] has gap coefficients. ``snes`` None: the C kernel takes the
+        steps, and if they fail the guess is returned. ``has_converged`` is set.
         """
         if snes is not None:
             point, self.has_converged, n_iterations = snes.solve_and_linearise(
@@ -576,13 +585,14 @@ class Search:
         tolerance: float = 0.0,
         parameter: float = 1.0,
     ) -> Linearisation | None:
-        """Take full Newton steps of the kernel; return the solution, or None if they fail.
+        """Take full Newton steps in the C kernel; return the solution, or None if they fail.
 
         Parameters
         ----------
         system : ContactSystem
+            Equations.
         guess : (2H+1, n_rows) [m]
-            Slow gap at which the steps begin.
+            Gap coefficients at which the steps begin.
         tolerance : float
             Used if it is larger than the tolerance of the search.
         parameter : float
@@ -617,8 +627,8 @@ class Search:
     ) -> Iterator[StartStrategy]:
         """Yield the ways to find a guess, in the order of attempts.
 
-        ``neighbour_slow_gaps`` (2H+1, n_rows) [m] are solutions of neighbouring problems, tried
-        first.
+        ``neighbour_slow_gaps`` (2H+1, n_rows) [m] are gap coefficients of neighbouring solutions,
+        tried first.
         """
         system, problem = self.system, self.problem
         for neighbour_slow_gap in neighbour_slow_gaps:
@@ -675,8 +685,8 @@ class Search:
     ) -> Iterator[np.ndarray]:
         """Yield a guess, then the end of shortened Newton steps from it.
 
-        The second is left out if the iterations are spent, or the steps fail. Guesses are slow gaps
-        (2H+1, n_rows) [m].
+        The second is left out if the iterations are spent, or the steps fail. Both are gap
+        coefficients (2H+1, n_rows) [m].
         """
         yield guess
         if self._is_budget_spent:
@@ -693,11 +703,12 @@ class Search:
     def _yield_guesses_from_fewer_harmonics(
         self, harmonic_counts: list[int]
     ) -> Iterator[np.ndarray]:
-        """Yield slow gap guesses from solutions with fewer harmonics.
+        """Yield guesses from solutions with fewer harmonics.
 
         ``harmonic_counts`` ascend to the problem's number. The linear solution starts the first;
         each solution starts the next. A number without a solution is skipped. Above 40 harmonics of
-        the load frequency, an exact orbit is tried first.
+        the load frequency, an exact orbit is tried first. Guesses are gap coefficients (2H+1,
+        n_rows) [m].
         """
         orbit_first_above_harmonics = self._orbit_first_above_harmonics
         for n_harmonics in harmonic_counts:
@@ -735,7 +746,8 @@ class Search:
     ) -> ContactPoint | None:
         """Return the first solution by full Newton steps from guesses, or None.
 
-        The tolerance on |F| / |x| is coarse: 6e-6. Guesses are slow gaps (2H+1, n_rows) [m].
+        The maximum |F| / |x| of residual and unknowns is coarse, 6e-6. Guesses are gap coefficients
+        (2H+1, n_rows) [m].
         """
         points = (self._take_full_steps(system, guess, COARSE_TOLERANCE) for guess in guesses)
         return next(
@@ -743,10 +755,11 @@ class Search:
         )
 
     def _yield_guesses_without_friction(self) -> Iterator[np.ndarray]:
-        """Yield the slow gap under contact forces of the solution without friction.
+        """Yield a guess by the contact forces of the solution without friction.
 
-        Above 40 harmonics of the load frequency, an exact orbit next to it is tried first. Nothing
-        is yielded if there is no such solution.
+        Above 40 harmonics of the load frequency, an exact orbit next to this solution is tried
+        first. Nothing is yielded if the solution is not found. Guesses are gap coefficients (2H+1,
+        n_rows) [m].
         """
         problem_with_friction, system_with_friction = self.problem, self.system
         frictionless_problem = replace(
@@ -782,7 +795,7 @@ class Search:
         yield self._simpler_point.unknown
 
     def _yield_guesses_from_orbit(self) -> Iterator[np.ndarray]:
-        """Yield slow gap guesses by an exact orbit.
+        """Yield guesses by an exact orbit: gap coefficients (2H+1, n_rows) [m].
 
         The search for the orbit begins at a simpler solution, if there is one, and otherwise at
         rest. Nothing is yielded without an exact flow, or if the search would take long.
@@ -819,10 +832,11 @@ class Search:
     def _yield_guesses_by_continuation(
         self, system: ContactSystem, budget_fraction: float = 1.0
     ) -> Iterator[np.ndarray]:
-        """Yield the slow gap at the end of a path from very soft contact to the law.
+        """Yield the end of a path from very soft contact to the law.
 
         With friction the path leads from zero to the full coefficient instead. It may take
         ``budget_fraction`` of the iterations left. Nothing is yielded if the path does not arrive.
+        The guess has gap coefficients (2H+1, n_rows) [m].
         """
         start_point: Linearisation | None = self._simpler_point
         if self.problem.has_friction:
@@ -864,10 +878,10 @@ def halved_harmonic_counts(harmonics: int, min_harmonics: int) -> list[int]:
 
 
 def relative_residual_rounding(compliance_model: ComplianceModel, law: ContactLaw) -> float:
-    """Return the rounding error of the relative residual |F| / |x| for uncoupled pairs.
+    """Return the rounding error |F| / |x| of the residual F for uncoupled pairs.
 
-    It is machine epsilon times the largest contact stiffness times compliance. Raises InputError if
-    rounding leaves nothing of the contact force.
+    x are the unknowns. It is machine epsilon times the largest contact stiffness times compliance.
+    Raises InputError if rounding leaves nothing of the contact force.
     """
     max_contact_stiffness = float(np.max(law.stiffness))
     row_sums = np.abs(compliance_model.matrices).sum(axis=2)

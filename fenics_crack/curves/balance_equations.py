@@ -42,9 +42,10 @@ class BalanceEquations(CurveSystem):
 
         F(g, v) = g - g_lin(v) + R(v) b(g, v) = 0
 
-    The unknowns g (2H+1, n_pairs) [m] are the gaps' Fourier coefficients, or those of the slow gaps
-    with a residual flexibility. g_lin are the gaps without contact, R the compliance, b the contact
-    forces' coefficients, and v the parameter. The structure is small or reduced.
+    The unknowns g (2H+1, n_pairs) [m] are the gaps' Fourier coefficients. With a residual
+    flexibility they belong to slow gaps: gap plus residual flexibility times contact force. g_lin
+    are the gaps without contact, R the compliance, b the contact forces' coefficients, and v the
+    parameter. The structure is small or reduced.
 
     Attributes
     ----------
@@ -102,7 +103,10 @@ class BalanceEquations(CurveSystem):
 
     @cached_property
     def max_force_slope(self) -> float:
-        """Largest slope of contact forces over slow gaps, at the curve's ends [N/m]."""
+        """Largest slope of contact forces over gaps, under the stiffer law of both ends [N/m].
+
+        With a residual flexibility it is the slope over slow gaps, and smaller.
+        """
         laws = (self.problem_at(value).contact for value in (self.start, self.end))
         return max(self.system(self.start).max_contact_stiffness(law) for law in laws)
 
@@ -205,7 +209,8 @@ class BalanceEquations(CurveSystem):
     def relative_half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
         """Return a motion's change over half its period, relative to its size.
 
-        The change is twice the odd harmonics. ``unknown`` are the gaps' Fourier coefficients.
+        The change is twice the odd harmonics; it is 0 if the motion has half the period.
+        ``unknown`` has the gaps' Fourier coefficients.
         """
         is_odd = (np.arange(self.shape[0]) + 1) // 2 % 2 == 1
         return float(2.0 * np.linalg.norm(unknown[is_odd]) / (np.linalg.norm(unknown) or 1.0))

@@ -235,7 +235,7 @@ class PeriodDoubling(Event):
 class NeimarkSacker(Event):
     """Event at which a complex pair of Floquet multipliers crosses the unit circle.
 
-    |mu_k| - 1 of the k-th pair mu_k, counted from the largest, changes its sign.
+    |mu_k| - 1 changes its sign for the k-th pair mu_k, in descending order of |mu|.
     """
 
     kind = "neimark_sacker"

@@ -107,9 +107,9 @@ class Resonance(Described):
 
     @property
     def several(self) -> bool:
-        """True if the largest response is over 0.1 widths away: several modes answer together.
+        """True if the largest response is over 0.1 half-power widths away from the phase resonance.
 
-        The response curve then shows the largest response.
+        Several modes then answer together, and a response curve shows the largest response.
         """
         return not abs(self.apart) <= MAX_DISTANCE_TO_PEAK
 
@@ -121,7 +121,10 @@ class Resonance(Described):
 
 
 class _PhaseResonanceEvent(ZeroCrossing):
-    """Zero of the displacement in phase with the load, at which a path ends."""
+    """Event at which the displacement at the load has no part in phase with the load.
+
+    A path ends there.
+    """
 
     is_terminal, must_be_located, description = True, True, EndReason.REACHED.value
 

@@ -97,16 +97,16 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
 def _growth_factors_of_irregular_motions(
     curve: ResponseCurve, is_undecided: np.ndarray
 ) -> np.ndarray:
-    """Measure the growth of small disturbances at points without a verdict on stability.
+    """Measure the growth of small disturbances at points of undecided stability.
 
     At most 8 points, evenly spread, are integrated in time. ``is_undecided`` (n,) is True at points
-    without a verdict.
+    of undecided stability.
 
     Returns
     -------
     (n,)
         Factor by which a disturbance grows per period, at integrated points with irregular motion.
-        Between two such neighbours without a verdict in between: geometric interpolation. Else nan.
+        Between two of them, if all points between are undecided: geometric interpolation. Else nan.
     """
     growth_factors, undecided_indices = np.full(len(curve), np.nan), np.flatnonzero(is_undecided)
     spread_positions = np.linspace(
