@@ -226,8 +226,8 @@ class BlockSystem(Snes):
     def _contact_jacobian_rows(self, tangent: np.ndarray) -> sparse.csr_matrix:
         """Return this rank's rows of the Jacobian's contact part, B T ds/du.
 
-        B takes contact forces to the dofs, s is the slow gap, u the displacement, and T =
-        ``tangent`` the forces' derivative by s.
+        B takes contact forces to the dofs, u is the displacement, s the slow gap (gap plus residual
+        flexibility times contact force), and T = ``tangent`` the forces' derivative by s.
         """
         n_gap_coefficients = self._pair_force_matrix.shape[1]
         sparse_tangent = sparse.csr_matrix(

@@ -73,8 +73,8 @@ class ErrorReport(Described):
     Attributes
     ----------
     residual : float
-        Residual of the algebraic system, or of B^T u - g0 - g after expansion to the structure; the
-        larger. u are displacements, g gaps and g0 clearances.
+        Larger of two: the residual of the equations, and the mismatch B^T u - g0 - g of
+        displacements u, clearances g0 and gaps g after expansion to all dofs.
     truncation : float
         Error due to the harmonics above H.
     sampling : float
@@ -295,7 +295,7 @@ def relative_rms_of_gap_change(
     Parameters
     ----------
     gap_change : (m, n_pairs) [m]
-        Coefficients of the change.
+        Fourier coefficients of the change.
     point : ContactPoint
         Equations at the solution.
     clearance : (n_pairs,) [m]
@@ -303,7 +303,8 @@ def relative_rms_of_gap_change(
     Returns
     -------
     float
-        0 if the load presses the crack faces together, so that gaps move by rounding only.
+        Mean gaps count at most as much as the vibration. 0 if the load presses the crack faces
+        together, so that only rounding moves them.
     """
     gap_plus_clearance = point.gap.copy()
     linear_gap = point.system.compliance_model.linear_gap.copy()

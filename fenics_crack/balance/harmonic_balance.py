@@ -126,7 +126,7 @@ def solve_linear(
 def _linear_periodic_solution(
     structure: Structure, omega: float, harmonics: int
 ) -> PeriodicSolution:
-    """Return the solution without contact forces, with H = ``harmonics`` (collective).
+    """Return the linear solution, without contact forces, with H = ``harmonics`` (collective).
 
     Its errors are not estimated.
     """
@@ -637,8 +637,8 @@ def _states_with_more_modes(
 ) -> np.ndarray:
     """Return an orbit's states on a flow with more modes: (32, flow.state_size).
 
-    If the assessment already has an orbit with as many modes, its states are returned; otherwise
-    new modes are added to ``orbit``. The states belong to equal parts of the period.
+    They belong to 32 equal parts of the period. If the assessment already has an orbit with as many
+    modes as ``flow``, its states are returned; otherwise new modes are added to ``orbit``.
     """
     more_modes = assessment.more_modes
     if more_modes and more_modes.orbit and more_modes.flow.n_modes == flow.n_modes:

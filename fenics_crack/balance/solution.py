@@ -52,9 +52,9 @@ class Stability(Described):
     refined : bool
         True if the multipliers belong to an exact orbit.
     distance : float
-        Relative distance from the solution to this orbit, in the gaps over the period. It is
-        relative to the moving part of B^T u, the gap without clearance, like the estimated errors,
-        and is the actual error. nan: no orbit.
+        Relative distance from the solution to the exact orbit, in the gaps over the period: the
+        actual error. The reference is the vibrating part of the gaps without clearance. nan: no
+        orbit.
     reason : str
         Why no orbit decides; "" if an orbit does.
     from_rest : str
@@ -163,7 +163,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
 
     @property
     def report(self) -> ErrorReport:
-        """Estimated errors, relative to the gap's root mean square.
+        """Estimated errors, relative to the root mean square of the gap without clearance.
 
         They are computed on first request; for a structure with many dofs, together with the
         solution.
@@ -419,10 +419,10 @@ class Solver:
         return solution
 
     def _check_law_slope(self, gap_coefficients: np.ndarray) -> None:
-        """Raise InputError unless a user's law has the right tangent.
+        """Raise InputError unless the tangent of a user's law is the slope of its force.
 
-        The slope is compared at gaps over a period, by coefficients (2H+1, n_pairs) [m], and at
-        their negatives.
+        Both are compared at gaps with the given coefficients (2H+1, n_pairs) [m] over a period, and
+        at their negatives.
         """
         if is_unilateral(self.problem.contact):
             return

@@ -103,9 +103,10 @@ def modal_compliance_of(point: ContactPoint) -> ModalCompliance:
 class PhasePoint(Linearisation):
     """Equations of a phase resonance at a point, with derivatives.
 
-    Harmonic balance F(s, v, w) = 0 for the slow gap s, and Re P / Im P = 0 for the load's complex
-    work P. v is the factor for the vibrating load, w the load frequency. The unknowns are s divided
-    by the system's ``vibration_size`` times v, and w divided by the problem's frequency.
+    Harmonic balance F(s, v, w) = 0, and Re P / Im P = 0 for the load's complex work P. s is the
+    slow gap (gap plus residual flexibility times contact force), v the factor for the vibrating
+    load, w the load frequency. The unknowns are s divided by the system's ``vibration_size`` times
+    v, and w divided by the problem's frequency.
 
     Attributes
     ----------
@@ -165,9 +166,10 @@ class PhasePoint(Linearisation):
         ) / complex_work.imag
 
     def _complex_work_change(self, slow_gap_change: np.ndarray) -> complex:
-        """Return the complex work's change by a slow gap's change (2H+1, n_pairs) [m].
+        """Return the change in the load's complex work by a slow gap's change [N m].
 
-        The contact forces change with the gap; the frequency is fixed.
+        ``slow_gap_change`` is (2H+1, n_pairs) [m]; slow gap: gap plus residual flexibility times
+        contact force. The contact forces change with the gap; the frequency is fixed.
         """
         return (
             self.exciting_harmonic.complex_work(
@@ -244,7 +246,7 @@ class ResonanceSystem(CurveSystem):
     """Equations of a phase resonance along a factor v for the vibrating load.
 
     The unknowns are the slow gap's coefficients over (``vibration_size`` v), and the load frequency
-    over the problem's frequency.
+    over the problem's frequency. Slow gap: gap plus residual flexibility times contact force.
 
     Attributes
     ----------
