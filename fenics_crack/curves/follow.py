@@ -79,8 +79,8 @@ def continue_frequency(
     """Follow the response from one load frequency to another, through resonances and folds.
 
     The first solution may lie on a closed loop, or on a curve that turns back past its start.
-    Another curve is then sought from the end of the range, or from between; the status says so. The
-    first curve is returned if that fails or would take long, or if ``initial`` is given.
+    Another curve is then searched from the end of the range, or from between; the status says so.
+    The first curve is returned if this search fails or would take long, or if ``initial`` is given.
 
     Parameters
     ----------
@@ -90,8 +90,8 @@ def continue_frequency(
     omega_start, omega_end : float
         Load frequencies [rad/s]; the end may be below the start.
     contact : ContactLaw
-        Law of all pairs. :class:`UnilateralConstraint` requires crack faces without mass, or modes
-        above the harmonics that move every pair by itself.
+        Law for all pairs. :class:`UnilateralConstraint` requires crack faces without mass, or modes
+        above the harmonics by which every pair can move on its own.
     progress : bool
         Show a progress bar.
     throw : bool
@@ -236,7 +236,8 @@ def _find_other_curve(
         Parameter values.
     first_curve : GrowingCurve or None
         Curve that returned to its start. All searches together may take as many points as it has,
-        or 120,000 points times unknowns if more. None: no first solution; a single search is made.
+        or 120,000 over the number of unknowns if more. None: no first solution was found; a single
+        search is made.
     """
     n_spent_points, n_first_points = 0, 0 if first_curve is None else len(first_curve.points)
     # If there is no orbit at the start, each search takes long.
