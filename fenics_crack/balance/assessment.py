@@ -60,8 +60,8 @@ within half to twice the distance.
 MAX_ORBIT_DISTANCE_OF_MASSLESS_FACES = 0.5
 """Maximum relative distance of an accepted orbit for crack faces without mass.
 
-Of ten such orbits between 0.1 and 0.5 away, and within three predictions, nine belonged to the
-solution with many harmonics. All had the same verdict.
+Of ten such orbits between 0.1 and 0.5 away, and within three times the prediction, nine belonged to
+the solution with many harmonics. All had the same verdict on stability.
 """
 MAX_HARMONIC_DOUBLINGS = 2
 """Maximum number of times that the harmonics are doubled to find an orbit."""
@@ -125,9 +125,10 @@ class Assessment:
 
     @cached_property
     def flow(self) -> ContactFlow | None:
-        """Exact flow of structure and law; None if there is none.
+        """Exact flow of structure and law: motion without time steps, or None.
 
-        There is none for a linear solution, without pairs, or for a smooth law.
+        None: a linear solution, no pairs, a smooth law, a large structure, or a rigid law with a
+        singular residual flexibility.
         """
         if self.exact_orbit is not None or self._flow is not None:
             return self._flow if self.exact_orbit is None else self.exact_orbit.flow

@@ -585,8 +585,8 @@ class FactoredCompliance:
     def higher_harmonics_compliance(self, max_harmonic: int) -> np.ndarray:
         """Return the compliance at harmonics above H: (n, n_pairs, n_pairs) complex [m/N].
 
-        The n harmonics are H+1 to ``max_harmonic``. At least 20 modes respond dynamically, the rest
-        of the static compliance statically: an approximation for error estimates.
+        The n harmonics are H+1 to ``max_harmonic``. At least 20 modes respond dynamically; the
+        remaining static compliance responds statically. This approximation is for error estimates.
         """
         natural_omegas, modal_damping_rates, pair_shapes = self.structure.compute_once(
             _omegas_dampings_gap_shapes
@@ -641,8 +641,9 @@ ComplianceModel = ModalCompliance | FactoredCompliance
 def resized_compliance_model(compliance_model: ComplianceModel, harmonics: int) -> ComplianceModel:
     """Return a compliance model with another number of harmonics.
 
-    With factorisations, harmonics above the present H get at least 20 modes and a static rest,
-    enough for an error estimate. The model's ``displacement`` keeps the number of harmonics.
+    :class:`FactoredCompliance` has no factors for harmonics above the present H. At least 20 modes
+    and the remaining static compliance approximate these, enough for an error estimate. The model's
+    ``displacement`` keeps the number of harmonics.
     """
     new_model = copy(compliance_model)
     resized_matrices = compliance_model.matrices[: harmonics + 1]

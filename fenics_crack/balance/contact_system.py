@@ -84,7 +84,7 @@ Measured with H = 8 to 40 and 18 pairs: both ways take equally long at 300 to 35
 """
 
 DYNAMIC_TO_SOFT_PAIR_COMPLIANCE = 0.05
-"""Ratio of dynamic compliance to pair compliance at the softest contact.
+"""Dynamic compliance of the gaps over compliance in series with the pairs, at the softest contact.
 
 Below this ratio the solution is unique and close to the linear one.
 """
@@ -328,8 +328,8 @@ class ContactSystem:
     def with_harmonics(self, harmonics: int) -> ContactSystem:
         """Return these equations with another number of harmonics.
 
-        Large structures: harmonics above the present H get at least 20 modes and a static rest
-        instead of a factorisation, enough for an error estimate.
+        Large structures have no factors for harmonics above the present H. At least 20 modes and
+        the remaining static compliance approximate these, enough for an error estimate.
         """
         compliance_model = resized_compliance_model(self.compliance_model, harmonics)
         return ContactSystem(compliance_model, self.integrals.with_harmonics(harmonics))
@@ -391,10 +391,10 @@ class ContactPoint(DenseLinearisation):
 
     @cached_property
     def jacobian(self) -> np.ndarray:
-        """Dense Jacobian I + (R - R_inf) T, with one row per coefficient and pair.
+        """Dense Jacobian I + (R - R_inf) T: ((2H+1) n_rows, (2H+1) n_rows).
 
         R - R_inf is the dynamic compliance less residual flexibility, T the forces' derivative by
-        the slow gap.
+        the slow gap (gap plus residual flexibility times contact force).
         """
         return self.linearised_forces.identity_plus_compliance_tangent(
             self.system.dynamic_less_static_compliance

@@ -364,7 +364,8 @@ def _relative_changes_by_better_system(
     better_system : ContactSystem
         Equations with more harmonics or modes.
     start_slow_gap : (2K+1, n_rows) [m]
-        Start of Newton's method.
+        Gap coefficients at which Newton's method starts; with a residual flexibility, coefficients
+        of gap plus residual flexibility times contact force.
     structure : Structure
         Structure of the better equations.
 

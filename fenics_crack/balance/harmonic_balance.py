@@ -343,7 +343,7 @@ It holds while a tolerance chooses the modes. Larger linear predictions are enou
 modes: measured, they are right to a factor of 2.
 """
 FIRST_MODE_COUNT = 10
-"""Number of modes in the first attempt for a large structure."""
+"""Number of modes in the first attempt to meet a tolerance, for a large structure."""
 MAX_HARMONICS = 500
 """Maximum number of harmonics solved for; from an orbit, per load period."""
 

@@ -67,7 +67,7 @@ class ManyOrbits(Tabular):
     Attributes
     ----------
     structure, contact : Structure, ContactLaw
-        Structure and law that the cases vary.
+        Structure before the changes of each case, and law of all cases.
     harmonics : int
         Number of harmonics H for ``truncation``.
     omega, load, damping, clearance : (n,)
@@ -169,7 +169,7 @@ def solve_many(
     omega : float or (n,) [rad/s]
         Load frequencies.
     contact : ContactLaw
-        Penalty law or constraint, for all pairs.
+        Penalty law or constraint, with or without friction, for all pairs.
     load, damping : float or (n,)
         Factors of the structure's load and damping.
     clearance : float or (n,) [m]

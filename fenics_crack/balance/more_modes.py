@@ -67,10 +67,10 @@ def more_modes_structure_of(wave: Wave) -> ReducedStructure | None:
 
 
 def _neglected_dissipation_ratio(wave: Wave) -> float:
-    """Return the dissipation that truncated modes lack, relative to the kept modes'.
+    """Return the dissipation missing in truncated modes, relative to the kept modes.
 
-    With Rayleigh damping, quasi-static modes would dissipate energy, too. The ratio is 0 with
-    another damping, and for a structure with mass in all coordinates.
+    Rayleigh damping would damp the truncated modes, too, but they respond quasi-statically, without
+    damping. The ratio is 0 with another damping, and for a structure with mass in all coordinates.
     """
     massless_structure = as_massless_structure_or_none(wave.structure)
     if massless_structure is None or not isinstance(

@@ -188,7 +188,11 @@ class BalanceEquations(CurveSystem):
 
     @property
     def n_time_means(self) -> int:
-        """Number of leading unknowns that are means over time: a mean for each gap row."""
+        """Number of unknowns that are means over time.
+
+        They come first: a mean for each pair's normal gap, with friction also for each tangential
+        gap.
+        """
         return int(self.shape[1])
 
     def rounding(self, parameter: float) -> float:

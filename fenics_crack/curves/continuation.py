@@ -91,7 +91,7 @@ class StepLimits:
     most_points : int
         Maximum number of points.
     turning_back : float
-        Maximum return past the start, relative to the parameter range.
+        How far the curve may turn back past its start, relative to the parameter range.
     """
 
     longest_step: float = 0.05
@@ -169,7 +169,7 @@ class GrowingCurve:
         iterations : int
             Newton iterations.
         multipliers_and_counts : (k + 3,) complex or None
-            An exact orbit's leading multipliers and three counts
+            An exact orbit's leading multipliers, and how many are outside the unit circle
             (:func:`leading_multipliers_and_counts`).
         """
         value = self.system.value(parameter)
@@ -372,9 +372,9 @@ class Continuation(GrowingCurve):
     most_points : int
         Maximum number of points; default: 50,000.
     turning_back : float
-        Maximum return past the start, relative to the parameter range; default: 0.1. The curve
-        never returns to a frequency, damping or speed of zero. Only within this return can a closed
-        curve be recognised.
+        How far the curve may turn back past its start, relative to the parameter range; default:
+        0.1. A frequency, damping or speed of zero is never reached. A closed curve is recognised
+        only within this distance.
 
     Attributes
     ----------

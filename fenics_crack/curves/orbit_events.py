@@ -68,7 +68,7 @@ from fenics_crack.numerics.path import (
 )
 
 ACCEPTED_LOG_CHANGE = 0.01
-"""Change in ln |mu| of a Floquet multiplier mu over a step that is always accepted."""
+"""Change in ln |mu| that every step may make, for a Floquet multiplier mu."""
 
 MIN_STEP_RATIO = 0.01
 """Shortest step that is shortened for a multiplier's change, relative to the longest step."""

@@ -363,12 +363,12 @@ def floquet(
 
 
 def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attractor, ...]:
-    """Find the motions to which an unstable solution's motion goes in the long run.
+    """Find the motions that a disturbed unstable solution reaches in the long run.
 
     A motion begins next to the unstable orbit, at a distance of 1 % of the motion, and the exact
     flow follows it. Small disturbances grow in the direction v, an eigenvector M v = mu v of the
-    monodromy matrix M. If mu > 1, the motions along v and -v part. They may go to two orbits: above
-    and below the unstable orbit of a leaning resonance, for example. For an irregular solution the
+    monodromy matrix M. If mu > 1, disturbances along v and -v may lead to two orbits: above and
+    below the unstable orbit of a leaning resonance, for example. For an irregular solution the
     result is the exact motion that begins with the solution.
 
     Parameters

@@ -45,7 +45,10 @@ from fenics_crack.numerics.newton import PathPoint, point_on_path
 from fenics_crack.numerics.path import ZeroCrossing
 
 MAX_FOLLOWED_POINTS = 8
-"""Maximum number of points with an integrated exact motion, at 0.05 to 0.5 s each."""
+"""Maximum number of points whose exact motion is integrated.
+
+Each takes 0.05 to 0.5 s.
+"""
 
 
 def judge_curve(curve: ResponseCurve) -> ResponseCurve:
