@@ -70,8 +70,7 @@ MAX_HARMONIC_DOUBLINGS = 2
 class Assessment:
     """Comparison of a harmonic-balance solution with exact motions.
 
-    Exact motions are integrated without time steps, from contact event to contact event (the exact
-    flow). The comparison has a predicted error and the nearest exact orbit. Each part is computed
+    Exact motions are integrated to rounding, from contact event to contact event (the exact flow). The comparison has a predicted error and the nearest exact orbit. Each part is computed
     on first request, from the solution alone.
 
     Parameters
@@ -125,7 +124,7 @@ class Assessment:
 
     @cached_property
     def flow(self) -> ContactFlow | None:
-        """Exact flow of structure and law: motion without time steps, or None.
+        """Exact flow of structure and law, which integrates motions to rounding; or None.
 
         None: a linear solution, no pairs, a smooth law, a large structure, or a rigid law with a
         singular residual flexibility.
@@ -147,9 +146,10 @@ class Assessment:
 
     @property
     def is_load_too_slow(self) -> bool:
-        """True if two periods take more time steps than the exact flow allows.
+        """True if the load is too slow to integrate exact motions.
 
-        Always False for models with more than 120 modes, or without an exact flow.
+        Two periods then exceed the budget of Taylor pieces into which a motion is split. Always
+        False for models with more than 120 modes, or without an exact flow.
         """
         flow, wave = self.flow, self.wave
         return flow is not None and is_load_too_slow(flow, wave.omega, wave.subharmonic)

@@ -11,9 +11,9 @@ those of the load. b and T = db/ds follow from the integrals of the condensed fo
 harmonics of its dofs. Modal damping C = M Phi diag(d) Phi^T M is dense. Its m modes add the
 unknowns q = Phi^T M u to each harmonic, on the last rank.
 
-With a static compliance R_inf = W^T B in series with contact, as for crack faces without mass, s is
-the slow gap of the condensed form, s = B^T u - g0 + R_inf b. With B b = c - A u it is linear in the
-displacement:
+A static compliance R_inf = W^T B may be in series with contact, as for crack faces without mass.
+Then s is the slow gap of the condensed form, s = B^T u - g0 + R_inf b. With B b = c - A u it is
+linear in the displacement:
 
     s = B^T u - g0 + W^T (c - A u),        J = A + B T (B - A^T W)^T.
 

@@ -111,8 +111,8 @@ class ContactSystem:
         F(s) = s - g_lin + (R_k - R_inf) b(lambda(s)) = 0
 
     The slow gap s = g + R_inf lambda is the gap g without its quasi-static response to the contact
-    forces lambda. Its coefficients are (2H+1, n_rows), with a row for each pair; with friction,
-    tangential rows follow. g_lin is the gap without contact forces, R_k the dynamic compliance at
+    forces lambda. Its coefficients are (2H+1, n_rows), with a column for each pair; with
+    friction, tangential columns follow. g_lin is the gap without contact forces, R_k the dynamic compliance at
     harmonic k, R_inf the residual flexibility, b the forces' coefficients.
 
     The path parameter p leads from soft contact to the law itself, at p = 1. The compliance in
@@ -209,8 +209,8 @@ class ContactSystem:
     def _gap_spring_compliances(self, law: ContactLaw) -> np.ndarray:
         """Return the compliance of each gap's contact spring: (n_rows,) [m/N].
 
-        It is 1 over the contact stiffness, and 0 for a rigid law. With friction, rows are normal,
-        then tangential gaps.
+        It is 1 over the contact stiffness, and 0 for a rigid law. With friction, normal gaps come
+        first, then tangential ones.
         """
         return spring_compliances(law, self.shape[1] // (1 if friction_of(law) is None else 2))
 
@@ -626,7 +626,7 @@ class Wave:
     def gaps_and_forces(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return gaps [m] and contact forces [N] at times [s]: (len(time), n_rows) each.
 
-        Normal rows are first; with friction, tangential ones follow.
+        Columns are normal; with friction, tangential ones follow.
         """
         _, gap, force = self.basis_gaps_and_forces_at_phases(self.base_omega * np.atleast_1d(time))
         return gap, force
@@ -878,7 +878,7 @@ class CompiledPoint(Linearisation):
 def residual_friction_scale_derivative(point: ContactPoint) -> np.ndarray:
     """Return the residual's derivative by a factor for the friction coefficient.
 
-    The result is (2H+1, n_rows) [m], with normal, then tangential gaps as rows.
+    The result is (2H+1, n_rows) [m], with normal, then tangential gaps as columns.
     """
     assert isinstance(point.linearised_forces, FrictionForces)
     return multiply_compliance_and_force(
