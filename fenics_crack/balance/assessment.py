@@ -70,8 +70,9 @@ MAX_HARMONIC_DOUBLINGS = 2
 class Assessment:
     """Comparison of a harmonic-balance solution with exact motions.
 
-    Exact motions are integrated to rounding, from contact event to contact event (the exact flow). The comparison has a predicted error and the nearest exact orbit. Each part is computed
-    on first request, from the solution alone.
+    Exact motions are integrated to rounding, from contact event to contact event (the exact flow).
+    The comparison has a predicted error and the nearest exact orbit. Each part is computed on first
+    request, from the solution alone.
 
     Parameters
     ----------

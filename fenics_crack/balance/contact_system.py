@@ -111,9 +111,9 @@ class ContactSystem:
         F(s) = s - g_lin + (R_k - R_inf) b(lambda(s)) = 0
 
     The slow gap s = g + R_inf lambda is the gap g without its quasi-static response to the contact
-    forces lambda. Its coefficients are (2H+1, n_rows), with a column for each pair; with
-    friction, tangential columns follow. g_lin is the gap without contact forces, R_k the dynamic compliance at
-    harmonic k, R_inf the residual flexibility, b the forces' coefficients.
+    forces lambda. Its coefficients are (2H+1, n_rows), with a column for each pair; with friction,
+    tangential columns follow. g_lin is the gap without contact forces, R_k the dynamic compliance
+    at harmonic k, R_inf the residual flexibility, b the forces' coefficients.
 
     The path parameter p leads from soft contact to the law itself, at p = 1. The compliance in
     series with every pair is ``start_softness`` |1 - p|^3, in units of
