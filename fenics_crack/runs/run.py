@@ -40,7 +40,17 @@ class ResultAttribute:
         return self if run is None else getattr(run.result, self.attribute_name)
 
 
-@with_old_names(watched_name="watched_description")
+@with_old_names(
+    at_phase="basis_gaps_and_forces_at_phases",
+    coordinates="displacement_of_local_dofs",
+    force_rows="row_force_coefficients",
+    gap_rows="row_gap_coefficients",
+    measure="indicators_of_dofs",
+    observe="observe_dofs",
+    over_period="basis_gaps_and_forces_over_period",
+    said="build_conclusion",
+    watched_name="watched_description",
+)
 @dataclass(frozen=True, repr=False)
 class Run(StudyWithResult, Generic[ResultType]):
     """Result of a command, with scene, structure, contact law and watched displacements.
@@ -168,6 +178,7 @@ class Run(StudyWithResult, Generic[ResultType]):
     bifurcations = ResultAttribute()
     branch = ResultAttribute()
     breathes = ResultAttribute()
+    build_conclusion = ResultAttribute()
     by_period = ResultAttribute()
     change = ResultAttribute()
     coefficients_at = ResultAttribute()
@@ -226,7 +237,6 @@ class Run(StudyWithResult, Generic[ResultType]):
     resolution = ResultAttribute()
     row_force_coefficients = ResultAttribute()
     row_gap_coefficients = ResultAttribute()
-    said = ResultAttribute()
     samples = ResultAttribute()
     seconds = ResultAttribute()
     settled = ResultAttribute()
