@@ -194,8 +194,8 @@ class Interpolation:
     def list_weighted_node_errors(self, x: np.ndarray) -> np.ndarray:
         """Return interpolation errors at values x (m, d) of the unknowns: (m, k, q).
 
-        The k errors are independent; the sum of their products over k is the covariance of the q
-        quantities. They come from the nodes around x, along each axis, and from failed cases.
+        The k independent errors come from the nodes around x, along each axis, and from failed
+        cases. The sum of their squares over k is the variance of each quantity.
         """
         errors_along_axes = self.list_weighted_node_errors_along_axes(x)
         return (

@@ -156,7 +156,7 @@ def _parse_response(
     """Parse a frequency response from a dataset 58 or 58b.
 
     Parameters are as yielded by :func:`_iterate_response_datasets`, with the heading decoded.
-    Raises ValueError for numbers that are not complex, not finite, or of a wrong count.
+    Raises ValueError for invalid data, such as real numbers or a wrong count.
     """
     number_type_code, n_spectral_lines, is_equally_spaced = (
         int(heading_texts[7][start_column : start_column + 10]) for start_column in (0, 10, 20)
