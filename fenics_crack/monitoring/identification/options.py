@@ -16,8 +16,8 @@ class Options:
     allowed_vibration_ratio: float = 2.0
     """Maximum vibration between solved cracks, over the largest at any solved crack.
 
-    Above the ratio more cracks are solved, if a steady load or a clearance makes the shape of the
-    motion depend on the load's size.
+    Above the ratio more cracks are solved, unless the motion is proportional to the load
+    (:func:`has_load_independent_motion_shape`).
     """
     allowed_interpolation_share: float = 0.2
     """Maximum part of a measurement's variance that interpolation between cases may cause.
