@@ -102,7 +102,10 @@ class EllipseTable:
         )
 
     def with_every_second_size(self) -> EllipseTable:
-        """Return a coarser table with every second depth and length."""
+        """Return a coarser table with every second depth and length.
+
+        The change of the life with this table shows the interpolation error.
+        """
         coarse_column_by_name = {
             column_name: column[::2, ::2] for column_name, column in self.column_by_name.items()
         }
@@ -147,13 +150,15 @@ def compute_growth_per_cycle(
     depths: np.ndarray,
     lengths: np.ndarray,
 ) -> np.ndarray:
-    """Return the growth of crack depth and length in a load cycle: (n, 2) [m].
+    """Return the growth of depth and length in a load cycle: (n, 2) [m].
 
-    With the equivalent ranges delta K_a (deepest point) and delta K_c (ends) in MPa m^0.5,
+    Let delta K_a and delta K_c [MPa m^0.5] be the ranges of K_I from 0 with the same growth in a
+    load period, at the deepest point and at the ends on the face. Then
 
         da/dN = C delta K_a^m,      dl/dN = n_surface_ends C delta K_c^m.
 
-    Near the threshold of the effective range, see :data:`THRESHOLD_RAMP_FRACTION`.
+    Below ``growth.threshold`` for the range while the tip is open, the growth is 0
+    (:data:`THRESHOLD_RAMP_FRACTION`).
 
     Parameters
     ----------
@@ -191,7 +196,7 @@ def compute_growth_per_cycle(
 def integrate_ellipse_growth(
     ellipse_table: EllipseTable, law: Law, n_surface_ends: int
 ) -> EllipsePath:
-    """Integrate growth from the first depth and length in a table to its end.
+    """Integrate the growth of a half-ellipse from a table's first shape.
 
     Growth ends as :attr:`EllipsePath.end_reason` describes. ``n_surface_ends`` is as in
     :func:`compute_growth_per_cycle`. The integration variable s is the sum of the growth in depth a

@@ -72,12 +72,15 @@ END_TEXT_BY_REASON: dict[GrowthEnd, str] = {
     "broken": "the structure breaks, since K_max reaches growth.toughness",
     "side": "growth is followed no further, since an end of the crack comes near to a side",
 }
-"""Descriptions of the end of growth, by the value of :attr:`Growth.end`."""
+"""Descriptions of the end of growth, by the value of :attr:`Growth.end`.
+
+The effective range is that of K_I while the crack tip is open.
+"""
 
 
 @dataclass(frozen=True, repr=False)
 class Growth(SavedResult):
-    """Result of :func:`grow`: crack length over load cycles, and the vibration at each length.
+    """Result of :func:`grow`: crack length and vibration over load cycles.
 
     Attributes
     ----------
@@ -180,7 +183,7 @@ class Growth(SavedResult):
         return float(np.interp(cycles, self.cycles, self.length, right=math.nan))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the columns of the table by name, with an entry for each length."""
+        """Return the table's columns by name, with an entry for each length."""
         values_by_column = {
             "cycles": self.cycles,
             "time": self.time,
@@ -235,7 +238,7 @@ class Growth(SavedResult):
         )
 
     def _size_in_words(self, row_index: int) -> str:
-        """Return the crack size in a row as text: "12 mm" or "12 mm x 3 mm deep"."""
+        """Return a row's crack size as text: "12 mm" or "12 mm x 3 mm deep"."""
         length_text = format_quantity(float(self.length[row_index]), "m")
         if self.depth is None:
             return length_text
@@ -299,12 +302,13 @@ GAUSS_LEGENDRE_NODES, GAUSS_LEGENDRE_WEIGHTS = np.polynomial.legendre.leggauss(3
 MAX_ALLOWED_LOG_RANGE_ERROR = 0.05
 """Maximum error of ln delta K in an interval between solved lengths.
 
-Intervals with larger errors are halved, even if few cycles pass there, to find resonances inside.
+delta K is the range of K_I for the growth law. Intervals with larger errors are halved, even if few
+cycles pass there, to find resonances inside.
 """
 LOGARITHMIC_COLUMN_NAMES = ("driving", "K_max", "delta_K_effective", "response")
 """Columns with a spline of the logarithm, which is smooth through resonances.
 
-"driving" is the range of K_I in the growth law (:func:`_reduce_load_levels_to_columns`).
+"driving" is the constant range of K_I with the same growth as all loads.
 """
 LINEAR_COLUMN_NAMES = ("omega", "omega_open", "omega_bilinear", "K_min", "K_II_max")
 """Columns with a spline of the values themselves."""
@@ -333,7 +337,7 @@ def grow(
     *,
     progress: bool = False,
 ) -> Growth:
-    r"""Let the crack of a plate, or of a solid, grow under its vibration (collective).
+    r"""Let the crack of a plate or solid grow under vibration (collective).
 
     The length grows from ``crack.length`` to ``growth.until``, by the table ``[growth]``, in N load
     cycles:
@@ -471,12 +475,13 @@ def _collect_life_error_by_cause(
 ) -> dict[str, float]:
     """Return standard deviations of ln(life) by cause.
 
-    Keys are "rate", "exponent", "vibration" and "interpolation", as in :attr:`Growth.errors`.
+    Keys are "rate", "exponent", "vibration" and "interpolation", as in :attr:`Growth.errors`. Life
+    is the number of load cycles until growth ends.
 
     Parameters
     ----------
     law : Growth
-        Table ``[growth]`` with C, m and their deviations.
+        Table ``[growth]`` with C, m and their standard deviations.
     growth_rates, cycles : (n,) [m], [-]
         Growth in a load cycle, and the cycles until then.
     vibration_error : float
@@ -810,9 +815,10 @@ def _list_failed_ellipse_remarks(
 def _estimate_ellipse_range_error_and_remarks(
     scene: Scene, ellipse_table: EllipseTable, ellipse_path: EllipsePath, path_row_index: int
 ) -> tuple[float, list[str]]:
-    """Estimate the error of the range of K_I at a row of an ellipse's growth.
+    """Estimate the error of the range of K_I for a growing half-ellipse.
 
-    The equivalent range is that of the deepest point or the ends, whichever grows faster.
+    ``path_row_index`` is the size in ``ellipse_path``. The equivalent range at the deepest point or
+    at the ends counts, whichever grow faster.
 
     Returns
     -------
@@ -838,7 +844,8 @@ def _estimate_ellipse_range_error_and_remarks(
 def _compute_growth_rates(length_path: LengthPath, law: Law, lengths: np.ndarray) -> np.ndarray:
     """Return da/dN [m] at lengths (n,) [m] of a straight crack.
 
-    The rate is C delta K^m, with the column "driving" of the solved lengths as delta K.
+    The rate is C delta K^m. delta K [MPa m^0.5] is the column "driving" of the solved lengths: the
+    range of K_I with the growth of all loads (:func:`_reduce_load_levels_to_columns`).
     """
     driving_ranges_mpa = (
         length_path.interpolate_column("driving", lengths) / 1e6
@@ -851,8 +858,8 @@ def _integrate_cycles_to_end(
 ) -> tuple[np.ndarray, np.ndarray, GrowthEnd]:
     """Integrate dN = da / (da/dN) over the solved lengths, until growth ends.
 
-    Growth is arrested if the effective range is below the threshold or the rate is 0. The structure
-    is broken if K_max reaches the toughness.
+    Growth is arrested if the effective range (of K_I while the crack tip is open) is below the
+    threshold, or the rate is 0. The structure is broken if K_max reaches the toughness.
 
     Returns
     -------
@@ -890,7 +897,8 @@ def _make_scene_with_crack_size(
 ) -> Scene:
     """Return the scene with another crack size, at a fixed load frequency.
 
-    The requested quantities become the equivalent ranges of K_I.
+    The requested quantities become the ranges of K_I from 0 with the same crack growth
+    ("delta_K_equivalent").
 
     Parameters
     ----------
@@ -899,7 +907,7 @@ def _make_scene_with_crack_size(
     omega : float [rad/s]
         Load frequency, in place of an engine order.
     length, depth : float [m]
-        Crack size; no depth for a crack through the thickness.
+        Crack size; None as depth for a crack through the thickness.
     """
     value_by_key = {"crack.length": length, "excitation.omega": omega}
     quantity_names = observable_names(
@@ -913,9 +921,10 @@ def _make_scene_with_crack_size(
 def _estimate_range_error_and_remarks(
     scene: Scene, length_path: LengthPath, length: float
 ) -> tuple[float, list[str]]:
-    """Estimate the error of the equivalent range of K_I at a crack length [m].
+    """Estimate the error of the equivalent range of K_I at a length.
 
-    For a spectrum, the load with most growth at the nearest solved length counts.
+    The equivalent range, from 0 once in a load period, gives the same crack growth. The length is
+    in m. For a spectrum, the load with most growth at the nearest solved length counts.
 
     Returns
     -------
@@ -1212,8 +1221,9 @@ def _reduce_load_levels_to_columns(
 
         (sum n_i delta K_i^m / sum n_i)^(1 / m),
 
-    with n_i cycles of the equivalent range delta K_i at load i. Loads with an effective range below
-    the threshold are left out if any load is above it.
+    with n_i cycles at load i. delta K_i is the range of K_I from 0 that gives the growth in a period.
+    Loads with a range below the threshold while the crack tip is open are left out, if any load is
+    above the threshold.
 
     Parameters
     ----------
@@ -1227,7 +1237,7 @@ def _reduce_load_levels_to_columns(
     Returns
     -------
     dict of str to (k,)
-        "K_max" and "delta_K_effective" are maxima, "omega" is cycles over duration. Other columns
+        "K_max" and "delta_K_effective" are maxima; "omega" is the mean frequency. Other columns
         are from the load with most growth.
     (k,) [rad/s]
         Frequency of the load with most growth.
@@ -1358,7 +1368,8 @@ def _solve_lengths_to_tolerance(
 def _get_level_omega_and_cycles(law: Law) -> tuple[np.ndarray, np.ndarray]:
     """Return load frequencies (levels,) [rad/s] and cycles of a spectrum.
 
-    Without a spectrum: no frequencies (0,), and cycles (1,) of 1.
+    A level is one load frequency of ``[growth]``. Without a spectrum: no frequencies (0,), and
+    cycles (1,) of 1.
     """
     if law.frequencies is None:
         return np.zeros(0), np.ones(1)

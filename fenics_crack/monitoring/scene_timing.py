@@ -107,7 +107,7 @@ def arrivals_of_blades(
 
 
 def _load_or_solve_run(scene: Scene, source_path: Path | None, comm: MPI.Comm) -> Run[Result]:
-    """Load the result at a path, or solve the scene without a path (collective).
+    """Load a result, or solve the scene if there is no path (collective).
 
     Raises
     ------

@@ -261,7 +261,7 @@ def _build_motion(
 def _build_run_up_motion(
     curve: ResponseCurve, factor_by_dof: Mapping[int, float], order: int, n_revolutions: int
 ) -> _TipMotion:
-    """Return the motion of a blade tip in a run-up or run-down along a curve.
+    """Return a blade tip's motion in a run-up or run-down along a curve.
 
     Parameters are as in :func:`_build_motion`.
 
@@ -358,7 +358,7 @@ def _mark_jumped_points(
 
 @dataclass(frozen=True)
 class _TipMotion:
-    """Displacement u of a blade tip in the direction of rotation, over the rotor angle.
+    """Displacement u of a blade tip over the rotor angle, along the rotation.
 
     The rotor turns at constant acceleration, from angle alpha = 0 at time 0:
 
@@ -436,7 +436,7 @@ class _TipMotion:
     def evaluate_displacement_and_slope(
         self, rotor_angles: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return displacements u [m] and slopes du/dalpha [m] at rotor angles (n,) [rad].
+        """Return displacements u and slopes du/dalpha [m] at rotor angles (n,) [rad].
 
         The slope includes the change of the harmonics with the speed.
         """

@@ -93,7 +93,7 @@ class Timing(SavedResult):
 
     @property
     def of_resonances(self) -> bool:
-        """Return True if any blade's fit is a tuple of resonances in a run-up."""
+        """Return True if the fits are resonances in a run-up."""
         return any(isinstance(fit, tuple) for fit in self.fits.values())
 
     def to_dict(self) -> dict[str, Any]:

@@ -377,12 +377,14 @@ def _yield_unresolved_resonance_remarks(
 def _find_largest_vibration_ratio_and_place(
     model: ForwardModel, load_frequency: float, point_name: str
 ) -> tuple[float, np.ndarray]:
-    """Find the largest vibration of a point between solved cracks, at a load [Hz].
+    """Find the largest vibration of a point at cracks between solved ones.
+
+    The vibration is the first harmonic at a load frequency [Hz], interpolated by the model.
 
     Returns
     -------
     float
-        First harmonic over the largest at any solved crack; 0 if none is known.
+        Vibration over the largest at any solved crack; 0 if none is known.
     (d,)
         Values of the unknowns with the largest vibration.
     """
@@ -428,9 +430,9 @@ class SolvedForwardModels:
 
 
 def _solve_uncracked_plate(scene: Scene, comm: MPI.Comm) -> UncrackedPlate:
-    """Solve the modes of the plate without its crack on rank 0, for all ranks (collective).
+    """Solve the modes of the plate without its crack (collective).
 
-    A crack that cannot be removed is bonded.
+    Rank 0 solves for all ranks. A crack that cannot be removed is bonded.
     """
     identify_table = scene.given("identify")
     uncracked_scene = scene.replace(
@@ -618,7 +620,7 @@ class _ForwardSweeper:
         axis_index: int,
         refined_axis: Axis,
     ) -> SweepResult:
-        """Run the added values of an unknown, and join them to a sweep (collective).
+        """Solve added values of an unknown, and join the sweeps (collective).
 
         Parameters
         ----------
@@ -630,6 +632,11 @@ class _ForwardSweeper:
             Index of the unknown among them.
         refined_axis : Axis
             Unknown with old and added values.
+
+        Returns
+        -------
+        SweepResult
+            All cases.
         """
         values_solved_before = unknown_axes[axis_index].values
         added_axis_values = tuple(
@@ -650,11 +657,24 @@ class _ForwardSweeper:
         unknown_axes: Sequence[Axis],
         all_cases_sweep: SweepResult,
     ) -> ForwardSweeps:
-        """Run a few cases on the finer mesh, and halfway between all cases (collective).
+        """Solve a few cases on the finer mesh, and between all cases (collective).
 
-        Return these sweeps with ``all_cases_sweep``. There are none on a finer mesh without
-        ``fine_scene``, and none halfway with mesh files. ``scene_changes`` removes the crack if not
-        empty.
+        Parameters
+        ----------
+        sweep_name : str
+            Beginning of the file names.
+        scene_changes : dict
+            Changes by key that remove the crack; empty to keep the crack.
+        unknown_axes : sequence of Axis
+            Unknowns with all solved values.
+        all_cases_sweep : SweepResult
+            Sweep of all cases, which is returned first.
+
+        Returns
+        -------
+        three SweepResult or None
+            All cases; on the finer mesh, or None without ``fine_scene``; halfway between all cases,
+            or None with mesh files.
         """
         identify_table, axis_keys = self.identify_table, [axis.key for axis in unknown_axes]
         n_number_unknowns = sum(
@@ -853,10 +873,11 @@ def _refine_axis_by_share_or_none(
 
 
 def _list_coarse_and_fine_scenes(scene: Scene, mesh_ratio: float) -> tuple[Scene, Scene | None]:
-    """Return the scene for all cases, and the scene with the finer mesh for a few.
+    """Return the scenes with the coarse and the finer mesh.
 
-    ``mesh_ratio`` is ``identify.finer``. Above 1 the scene's own mesh is the coarse one, below 1
-    the fine one. The second is None for 1, and if mesh and harmonics cannot be refined.
+    The first is for all cases, the second for a few. ``mesh_ratio`` is ``identify.finer``. Above 1
+    the scene's own mesh is the coarse one, below 1 the fine one. The second is None for a ratio of
+    1, and if mesh and harmonics cannot be refined.
     """
     finer_value_by_key: dict[str, Any] = {}
     if scene.harmonic_balance.tolerance is None and mesh_ratio > 1.0:
@@ -876,9 +897,9 @@ def _list_coarse_and_fine_scenes(scene: Scene, mesh_ratio: float) -> tuple[Scene
 
 
 def _thin_axes(unknown_axes: Sequence[Axis], n_kept_values: int) -> tuple[Axis, ...]:
-    """Keep a number of values on each axis, equally spread, with both ends.
+    """Keep a number of values of each unknown, equally spread, with both ends.
 
-    Text values are all kept.
+    All text values are kept.
     """
     thinned_axes = []
     for unknown_axis in unknown_axes:
@@ -923,8 +944,9 @@ def _build_models(
 ) -> dict[str, ForwardModel]:
     """Build a forward model for each choice of text values, from its sweeps.
 
-    Keys are the text values joined with ", ". ``uncracked_sweeps`` are for the plate without the
-    crack; None if the crack cannot be removed, or if ``cracked_sweeps`` are without the crack, too.
+    Some unknowns have text values, as crack.edge = "left". Keys are these values joined with ", ".
+    ``uncracked_sweeps`` are for the plate without the crack; None if the crack cannot be removed,
+    or if ``cracked_sweeps`` are without the crack, too.
     """
     mesh_number_axes = scene.given("identify").mesh_axes
     axes = [

@@ -81,7 +81,7 @@ class UnknownGrid:
 
     @cached_property
     def nodes(self) -> np.ndarray:
-        """Return all combinations of values, the last unknown fastest: (n, d)."""
+        """Return all grid nodes, combinations of values, the last unknown fastest: (n, d)."""
         value_combinations = list(itertools.product(*self.axes))
         return np.array(value_combinations, dtype=float).reshape(
             len(value_combinations), len(self.axes)
@@ -93,7 +93,7 @@ class UnknownGrid:
         return tuple(len(axis_values) for axis_values in self.axes)
 
     def find_node_coordinates(self, x: np.ndarray) -> np.ndarray:
-        """Convert values x (m, d) of the unknowns to positions on the axes (m, d).
+        """Convert values of the unknowns to positions on the axes: (m, d) each.
 
         Position i is the i-th value of an axis, from 0; between two values positions are linear.
         """
@@ -113,10 +113,10 @@ def _fit_spline(axis_values: np.ndarray, node_values: np.ndarray) -> Any:
 
 
 def compute_leave_one_out_errors(axis_values: np.ndarray, node_values: np.ndarray) -> np.ndarray:
-    """Return spline errors at each node if this node is left out.
+    """Return a spline's error at each grid node if this node is left out.
 
-    Values (n, ...) and errors (n, ...) are on an axis (n,). The two ends are never left out, and
-    get the errors of the nodes beside them.
+    Values (n, ...) and errors (n, ...) are on an axis (n,) of an unknown. The two ends are never
+    left out, and get the errors of the nodes beside them.
     """
     node_errors = np.zeros_like(node_values)
     for node_index in range(1, len(axis_values) - 1):
@@ -134,16 +134,16 @@ class Interpolation:
     Parameters
     ----------
     unknown_grid : UnknownGrid
-        Grid of the solved values.
+        Grid of the solved values of the unknowns.
     node_values : (n, q)
-        Values at all nodes; nan for failed cases.
+        Quantities at all grid nodes; nan for failed cases.
 
     Attributes
     ----------
     has_enough_known_nodes : (q,) bool
-        True for a quantity with enough known nodes (:func:`_fill_unknown_nodes`).
+        True for a quantity with enough known grid nodes (:func:`_fill_unknown_nodes`).
     has_only_inner_gaps : (q,) bool
-        True if every unknown node lies between two known nodes along an axis.
+        True if every unknown grid node lies between two known ones along an axis.
     """
 
     def __init__(self, unknown_grid: UnknownGrid, node_values: np.ndarray) -> None:
@@ -179,7 +179,7 @@ class Interpolation:
     def interpolate(self, x: np.ndarray) -> np.ndarray:
         """Interpolate the quantities to values x (m, d) of the unknowns: (m, q).
 
-        Values outside the bounds move to the bounds. Quantities without enough known nodes are 0.
+        Values outside the bounds move to the bounds. Quantities with too many failed cases are 0.
         """
         node_weights = np.ones((len(x), 1))
         for x_column, axis_values, basis_spline in zip(
@@ -192,10 +192,11 @@ class Interpolation:
         return np.asarray(node_weights @ self._node_values)
 
     def list_weighted_node_errors(self, x: np.ndarray) -> np.ndarray:
-        """Return interpolation errors at values x (m, d) of the unknowns: (m, k, q).
+        """Return interpolation errors of q quantities: (m, k, q).
 
-        The k independent errors come from the nodes around x, along each axis, and from failed
-        cases. The sum of their squares over k is the variance of each quantity.
+        The k independent errors come from the grid nodes around the values x (m, d) of the
+        unknowns, along each axis, and from failed cases. The sum of their squares over k is the
+        variance of each quantity.
         """
         errors_along_axes = self.list_weighted_node_errors_along_axes(x)
         return (
@@ -232,7 +233,7 @@ class Interpolation:
 
 
 def _has_only_inner_gaps(unknown_grid: UnknownGrid, is_known: np.ndarray) -> np.ndarray:
-    """Return for each quantity whether its unknown nodes lie between known nodes: (q,).
+    """Return True for each quantity whose unknown grid nodes lie between known ones: (q,).
 
     ``is_known`` (n, q) marks the known nodes. Known nodes on both sides along any axis suffice.
     """
@@ -251,10 +252,10 @@ def _has_only_inner_gaps(unknown_grid: UnknownGrid, is_known: np.ndarray) -> np.
 def _fill_unknown_nodes(
     unknown_grid: UnknownGrid, node_values: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fill unknown nodes by a thin-plate spline through the known nodes.
+    """Fill the values of failed cases by a thin-plate spline through known ones.
 
-    At least half the nodes must be known, and one more than the (d + 1)(d + 2) / 2 terms of a
-    quadratic polynomial. ``node_values`` (n, q) has nan at unknown nodes.
+    At least half of the n grid nodes must be known, and one more than the (d + 1)(d + 2) / 2 terms
+    of a quadratic polynomial. ``node_values`` (n, q) has nan for failed cases.
 
     Returns
     -------
@@ -316,7 +317,7 @@ MESH_AXIS_KEY = "mesh.file"
 
 
 class SweptLoads:
-    """Loads at which the forward model is solved; the last axis of its sweeps.
+    """Loads at which the forward model is solved, the last axis of sweeps.
 
     If the load is an engine order, each load frequency has a rotor speed. The first load has the
     scene's speed, which is the default for natural frequencies.
@@ -370,10 +371,11 @@ class SweptLoads:
 
 
 class SolvedCases:
-    """Solved cases of a sweep over unknowns and loads, for one choice of text values.
+    """Solved cases of a sweep over unknowns and loads.
 
-    An unknown with text values is, for instance, crack.edge with "left" and "right". The grid has
-    the unknowns with numbers. ``uncracked_cases`` are the cases without the crack, or None.
+    Unknowns with text values, as crack.edge = "left", have one chosen value. The grid nodes are all
+    combinations of the other unknowns. ``uncracked_cases`` are the cases without the crack, or
+    None.
     """
 
     def __init__(
@@ -419,16 +421,16 @@ class SolvedCases:
         self.word_selection_index = tuple(word_selection)
 
     def get_column(self, column_name: str) -> np.ndarray:
-        """Return a column of the sweep at all nodes and loads: (n, n_loads)."""
+        """Return a column of the sweep at all grid nodes and loads: (n, n_loads)."""
         column = self.sweep_result[column_name][self.word_selection_index]
         return np.asarray(column.reshape(-1, column.shape[-1]), dtype=float)
 
     def get_natural_frequencies(self, crack_state: str, mode: int) -> np.ndarray:
-        """Return natural frequencies of a mode at all nodes and loads: (n, n_loads) [Hz].
+        """Return natural frequencies of a mode [Hz]: (n, n_loads).
 
-        ``crack_state`` is "open", "tied" (bonded), "bilinear" or "uncracked"; ``mode`` counts from
-        1. If the crack cannot be removed, the bonded crack replaces "uncracked". nan marks unknown
-        frequencies.
+        They are at all n combinations of the unknowns (grid nodes), and all loads. ``crack_state``
+        is "open", "tied" (bonded), "bilinear" or "uncracked"; ``mode`` counts from 1. If the crack
+        cannot be removed, the bonded crack replaces "uncracked". nan marks unknown frequencies.
         """
         if crack_state == "uncracked":
             if self.uncracked_cases is None:
@@ -459,7 +461,7 @@ class SolvedCases:
     def get_harmonic_amplitudes(
         self, point_name: str, load_frequency: float, harmonic_order: int
     ) -> np.ndarray:
-        """Return complex amplitudes of a harmonic at all nodes: (n,) [m].
+        """Return complex amplitudes of a harmonic at all grid nodes: (n,) [m].
 
         An amplitude a - i b means a cos + b sin. Cases with fewer harmonics have 0, failed cases
         nan. ``point_name`` is as "tip.ux", or "" for the load's point; the load frequency is in Hz.
@@ -481,9 +483,9 @@ class SolvedCases:
         )
 
     def find_smallest_harmonic_count(self, load_frequency: float) -> int:
-        """Find the smallest number of harmonics in the solved cases at a load [Hz].
+        """Find the smallest number of harmonics in any solved case at a load.
 
-        1 if no case is solved.
+        The load frequency is in Hz. Return 1 if no case is solved.
         """
         load_index = self.find_load_index(load_frequency)
         is_solved = self.get_column("state")[:, load_index] == CaseState.CONVERGED
@@ -515,11 +517,12 @@ class SolvedCases:
 
     @cached_property
     def split_root_and_frequencies(self) -> np.ndarray:
-        """Return data for the poles of harmonics at all nodes and loads.
+        """Return data for the poles of harmonics: (n, n_loads, 1 + 2 modes).
 
-        Columns of (n, n_loads, 1 + 2 modes) are sqrt(s), the bilinear frequencies [Hz], and the
-        uncracked frequencies [Hz]; nan for a missing frequency. The split s measures how much the
-        crack changes the stiffness, from bonded and open frequencies w_b, w_o:
+        At all n combinations of the unknowns and all loads, columns are sqrt(s), the bilinear
+        frequencies [Hz], and the uncracked frequencies [Hz]; nan for a missing frequency. The split
+        s measures how much the crack changes the stiffness, from bonded and open frequencies w_b,
+        w_o:
 
             s = sum_j (w_b,j - w_o,j) / w_b,j (w_b,1 / w_b,j)^2.
 
@@ -615,7 +618,7 @@ class Feature:
         return replace(self, crack_state="uncracked")
 
     def get_node_values(self, solved_cases: SolvedCases) -> np.ndarray:
-        """Return values at all nodes of solved cases: (n,) complex.
+        """Return the feature's values at all grid nodes of solved cases: (n,) complex.
 
         Values are ln(frequency [Hz]), or complex amplitudes [m].
         """
@@ -651,18 +654,18 @@ class Feature:
 def compute_ratios_and_pole_factors(
     features: Sequence[Feature], damping_ratios: np.ndarray, split_root_and_frequencies: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return frequency ratios r and pole factors 1 - r^2 + 2 i z r of each mode.
+    """Return frequency ratios r and pole factors of each mode: (m, f, modes) each.
 
-    r = k W / w_j, with the order k of a harmonic at load frequency W and bilinear frequency w_j; z
-    is the damping ratio. Both arrays are (m, f, modes) at m values of the unknowns. For natural
-    frequencies and missing modes, r is 0 and the factor 1.
+    The pole factor is 1 - r^2 + 2 i z r, and r = k W / w_j. Here k is the order of a harmonic, W the
+    load frequency, w_j a bilinear frequency, and z the damping ratio. For natural frequencies and
+    missing modes, r is 0 and the factor 1.
 
     Parameters
     ----------
     features : sequence of Feature
-        f features.
+        f natural frequencies and harmonics.
     damping_ratios : (m, 1)
-        Damping ratios z.
+        Damping ratios z at m values of the unknowns.
     split_root_and_frequencies : (m, f, 1 + 2 modes)
         :attr:`SolvedCases.split_root_and_frequencies` at the load of each feature.
     """
@@ -698,7 +701,8 @@ def compute_log_factors_by_first_harmonic(
 def list_first_harmonic_features(features: Sequence[Feature]) -> list[Feature]:
     """List the first harmonic at the point and load of each higher harmonic.
 
-    Other features get order 0, for which :func:`compute_ratios_and_pole_factors` returns 0 and 1.
+    Natural frequencies and first harmonics get order 0, for which
+    :func:`compute_ratios_and_pole_factors` returns 0 and 1.
     """
     return [
         replace(feature, harmonic_order=int(feature.harmonic_order > 1)) for feature in features
@@ -713,9 +717,10 @@ def compute_smoothing_factors(
 ) -> np.ndarray:
     """Return factors that make features smooth functions of the unknowns: (m, f).
 
-    Feature times factor is interpolated. The factors remove the poles of harmonics, and divide the
-    change of frequencies by the relative crack size. ``relative_crack_sizes`` is (m,), 1 for the
-    largest; other parameters are as in :func:`compute_ratios_and_pole_factors`.
+    Features are natural frequencies and harmonics; feature times factor is interpolated. The
+    factors remove the poles of harmonics, and divide the change of frequencies by the relative
+    crack size. ``relative_crack_sizes`` is (m,), 1 for the largest; other parameters are as in
+    :func:`compute_ratios_and_pole_factors`.
     """
     split_exponents = np.array([feature.split_exponent for feature in features])
     is_cracked_frequency = np.array([feature.is_cracked_frequency for feature in features])

@@ -189,7 +189,7 @@ class Measurement:
 
     @property
     def orders(self) -> tuple[int, ...]:
-        """Return the orders of the harmonics in the quantity, for a ratio the numerator first.
+        """Return the orders of the quantity's harmonics, the numerator first.
 
         The tuple is empty for natural frequencies, and for displacements, which have all harmonics.
         """
@@ -206,7 +206,7 @@ class Measurement:
         return f"{self.quantity} at {self.frequency:g} Hz{phase_text}{point_text}"
 
     def load(self, scene: Scene) -> float:
-        """Return the load frequency [Hz] at which the scene is solved for this measurement.
+        """Return the load frequency [Hz] to solve for this measurement.
 
         For a natural frequency at a rotor speed, it is the engine order's frequency at this speed;
         0 stands for the scene's own speed.

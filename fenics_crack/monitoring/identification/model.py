@@ -108,9 +108,10 @@ class ProbeDisplacements:
         ]
 
     def compute_displacement_covariances(self, harmonic_orders: np.ndarray) -> np.ndarray:
-        """Return covariances of the n displacements by harmonics of random phase: (k, n, n).
+        """Return covariances of displacements by harmonics of random phase: (k, n, n).
 
-        Each of the k ``harmonic_orders`` has an amplitude with mean square 1.
+        Each of the k ``harmonic_orders`` has an amplitude with mean square 1; n is the number of
+        displacements.
         """
         phase_differences = self._probe_phases[:, None] - self._probe_phases
         return np.asarray(0.5 * np.cos(np.multiply.outer(harmonic_orders, phase_differences)))
@@ -118,9 +119,10 @@ class ProbeDisplacements:
     def fit_load_to_displacements(
         self, model_harmonics: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Fit the load's size A and phase psi, and the constant c, to the measured displacements.
+        """Fit the load's size and phase, and a constant, to measured displacements.
 
-        ``model_harmonics`` (m, K) [m] has the harmonics U_k at m values of the unknowns.
+        A is the size, psi the phase and c the constant. ``model_harmonics`` (m, K) [m] has the
+        harmonics U_k at m values of the unknowns.
 
         Returns
         -------
@@ -497,9 +499,11 @@ class MeasurementPredictor:
         self._set_up_feature_interpolations()
 
     def _set_up_features_and_indices(self) -> None:
-        """Set the features, their indices for each measurement, and pairs of indices.
+        """Set the features of all measurements, and indices of features.
 
-        A pair has a natural frequency with the crack, and the same mode's frequency without.
+        Features are natural frequencies and harmonics, from which measurements are predicted.
+        Indices are for each measurement, and for pairs of a mode's frequency with the crack and
+        without.
         """
         features_by_row = [
             Feature.list_features_of_measurement(measurement, self.model.scene)
@@ -531,9 +535,9 @@ class MeasurementPredictor:
         )
 
     def _set_up_feature_interpolations(self) -> None:
-        """Set the interpolations of all features, and of their corrections by the finer mesh.
+        """Set interpolations of all features, and of corrections by the finer mesh.
 
-        This also sets ``is_predictable``.
+        Features are natural frequencies and harmonics. This also sets ``is_predictable``.
         """
         model = self.model
         self._coarse_interpolation = Interpolation(
@@ -572,9 +576,10 @@ class MeasurementPredictor:
     def with_change_factors(
         self, *, clamp_factor: float, temperature_factor: float
     ) -> MeasurementPredictor:
-        """Return a copy with larger or smaller prior changes since the record before the crack.
+        """Return a copy with other prior changes of the plate.
 
-        The factors multiply the changes by the clamp and by an unknown temperature difference.
+        The factors multiply the changes by the clamp and by an unknown temperature difference,
+        since the plate was measured without the crack.
         """
         changed_predictor = copy(self)
         changed_predictor.baseline_changes = self.baseline_changes.with_change_factors(
@@ -585,7 +590,7 @@ class MeasurementPredictor:
     def iterate_face_state_predictions(
         self, x: np.ndarray
     ) -> Iterator[tuple[np.ndarray, np.ndarray, MeasurementPrediction]]:
-        """Yield predictions for each possible motion of the crack faces, at values x (m, d).
+        """Yield predictions for each possible motion of the crack faces.
 
         Under a steady load, a preload or a clearance a crack may always stay open or closed. The
         motion then has no higher harmonics. Between a solved crack with such a motion and one
@@ -595,6 +600,11 @@ class MeasurementPredictor:
         breathes for half of the period, or breathes for another part of the period. In the last
         case the part is the same at all resonances, or different at each, with half of the
         probability each.
+
+        Parameters
+        ----------
+        x : (m, d)
+            Values of the unknowns.
 
         Yields
         ------
@@ -636,9 +646,10 @@ class MeasurementPredictor:
                     )
 
     def _evaluate_smooth_features(self, solved_cases: SolvedCases) -> np.ndarray:
-        """Return smooth forms of all features at the nodes of solved cases: (n, 2f).
+        """Return smooth forms of all features at the grid nodes of solved cases: (n, 2f).
 
-        A smooth form is feature times factor; real and imaginary parts alternate.
+        Features are natural frequencies and harmonics. A smooth form is feature times factor
+        (:func:`compute_smoothing_factors`); real and imaginary parts alternate.
         """
         feature_values = np.stack(
             [feature.get_node_values(solved_cases) for feature in self._features], axis=1
@@ -653,11 +664,11 @@ class MeasurementPredictor:
         )
 
     def _estimate_interpolation_error_scales(self) -> np.ndarray:
-        """Return factors (>= 1) on the estimated interpolation errors of smooth forms: (2f,).
+        """Return factors (>= 1) on the estimated interpolation errors: (2f,).
 
-        A factor is the root-mean-square error at cases halfway between nodes over the estimated
-        error. All are 1 without such cases. Features with more waves than nodes look smooth, as
-        higher modes along the height do.
+        A factor is the root-mean-square error at cases halfway between grid nodes over the
+        estimated error, for each of f features. All are 1 without such cases. Features with more
+        waves than nodes look smooth, as higher modes along the height do.
         """
         halfway_cases = self.model.halfway_cases
         if halfway_cases is None:
@@ -685,9 +696,10 @@ class MeasurementPredictor:
     def _compute_smoothing_factors(
         self, x: np.ndarray, split_root_and_frequencies: np.ndarray
     ) -> np.ndarray:
-        """Return the factors that make features smooth, at values x (m, d): (m, f).
+        """Return factors that make features smooth, at values x (m, d): (m, f).
 
-        Features on both meshes get the factors of the coarse mesh.
+        x are values of the unknowns. Both meshes get the factors of the coarse mesh
+        (:func:`compute_smoothing_factors`).
         """
         return compute_smoothing_factors(
             self._features,
@@ -711,21 +723,24 @@ class MeasurementPredictor:
         )[:, self._load_index_of_features]
 
     def __call__(self, x: np.ndarray) -> MeasurementPrediction:
-        """Return predictions at values x (m, d), for the first motion of the crack faces.
+        """Return predictions at values x (m, d) of the unknowns.
 
-        If several motions are possible at resonances, the first has the largest standard deviation.
+        At resonances several motions of the crack faces may be possible. The predictions are for
+        the first (:func:`_list_face_states`), with the largest standard deviation.
         """
         return self._predict_measurements(self._predict_features(x), None, self._face_states[0])
 
     def compute_interpolation_and_total_variances(
         self, x: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return variances of predictions at values x (m, d) by interpolation, and in total.
+        """Return variances of predictions by interpolation, and in total.
+
+        ``x`` (m, d) are values of the unknowns.
 
         Returns
         -------
         (m, d, q)
-            Variances by interpolation along each of the d unknowns.
+            Variances of q predictions by interpolation along each of the d unknowns.
         (m, q)
             Total variances.
         """
@@ -758,7 +773,10 @@ class MeasurementPredictor:
         )
 
     def _predict_features(self, x: np.ndarray) -> FeaturePrediction:
-        """Predict all features at values x (m, d), with the covariance by all causes."""
+        """Predict natural frequencies and harmonics at values x (m, d) of the unknowns.
+
+        The covariance has the errors by interpolation, mesh, contact and priors.
+        """
         smooth_features = self._coarse_interpolation.interpolate(x)
         interpolation_errors = [
             self._interpolation_error_scales
@@ -825,7 +843,8 @@ class MeasurementPredictor:
     ) -> MeasurementPrediction:
         """Predict all measurements from features, for a motion of the crack faces.
 
-        Features marked in ``is_zero_feature`` (f,) are 0; None marks no feature.
+        Features are natural frequencies and harmonics. Those marked in ``is_zero_feature`` (f,) are
+        0; None marks no feature.
         """
         smoothing_factors = feature_prediction.smoothing_factors
         feature_values = feature_prediction.feature_values
@@ -1112,9 +1131,18 @@ class MeasurementPredictor:
 def _find_harmonic_masks_and_motionless_nodes(
     solved_cases: SolvedCases, features: Sequence[Feature], load_index_of_features: Sequence[int]
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Find cracks whose faces stay open or closed, so that higher harmonics are zero.
+    """Find solved cracks whose faces stay open or closed.
 
-    Only loads with such cracks and with breathing cracks count.
+    Higher harmonics are then zero. Only loads with such cracks and with breathing cracks count.
+
+    Parameters
+    ----------
+    solved_cases : SolvedCases
+        Cases on the grid of the unknowns.
+    features : sequence of Feature
+        f natural frequencies and harmonics.
+    load_index_of_features : (f,)
+        Load of each feature.
 
     Returns
     -------

@@ -175,9 +175,9 @@ class UncrackedPlate:
     def compute_frequency_factors_by_modulus(
         self, speed_ratio: float, modulus_ratio: float
     ) -> np.ndarray:
-        """Return the factor on each natural frequency by a factor on Young's modulus: (n,).
+        """Return factors on natural frequencies by a factor on Young's modulus: (n,).
 
-        ``speed_ratio`` is the rotor speed over the scene's.
+        ``modulus_ratio`` is this factor, ``speed_ratio`` the rotor speed over the scene's.
         """
         return (
             self.solve_modes_at(speed_ratio, modulus_ratio)[0] / self.solve_modes_at(speed_ratio)[0]
@@ -332,15 +332,15 @@ class UncrackedPlate:
     def compute_clamp_and_temperature_sensitivities(
         self, speed_ratio: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return relative changes of frequencies between the records before and since the crack.
+        """Return relative changes of frequencies since the plate had no crack.
 
         ``speed_ratio`` is the rotor speed over the scene's.
 
         Returns
         -------
         (n, 3 + n)
-            Changes by one standard deviation each: a turning clamp, a moving clamp, the stiffening
-            of all modes by rotation, and each mode by itself.
+            Changes of n frequencies by one standard deviation each: a turning clamp, a moving
+            clamp, the stiffening of all modes by rotation, and each mode by itself.
         (n, 1 + n)
             Change by 1 K [1/K], and its uncertainty [1/K] for each mode by rotation.
         """
@@ -438,7 +438,7 @@ class UncrackedPlate:
 
 
 def _guess_frequency_unit_or_empty(frequency_ratio: float) -> str:
-    """Guess the unit of a frequency from its ratio to the expected value in Hz.
+    """Guess a frequency's unit from its ratio to the expected value in Hz.
 
     Return "rad/s", "kHz" or "mHz" if the ratio fits within a factor exp(0.3), otherwise "".
     """
@@ -452,10 +452,10 @@ def _guess_frequency_unit_or_empty(frequency_ratio: float) -> str:
 
 
 class BaselineChanges:
-    """Changes in q measurements between the records before and since the crack.
+    """Changes of the plate since it was measured without the crack (baseline).
 
-    The record before the crack is the baseline. All changes are 0 for measurements other than
-    natural frequencies, and for modes above those of the plate.
+    Changes are in q predicted measurements. They are 0 for measurements other than natural
+    frequencies, and for modes above those of the plate.
 
     Attributes
     ----------
@@ -541,7 +541,11 @@ class BaselineChanges:
 
     @property
     def frequency_changes(self) -> np.ndarray:
-        """Return all relative changes of predictions by one standard deviation: (q, s)."""
+        """Return all relative changes of q predicted measurements: (q, s).
+
+        Each of the s columns is for one standard deviation of a change since the plate was measured
+        without the crack: temperature, clamp, and errors of temperatures.
+        """
         return np.hstack(
             [
                 self.unknown_temperature_frequency_changes,
@@ -553,10 +557,7 @@ class BaselineChanges:
     def with_change_factors(
         self, clamp_factor: float, temperature_factor: float
     ) -> BaselineChanges:
-        """Return a copy with the changes multiplied by two factors.
-
-        One factor is for the clamp, the other for the unknown temperature difference.
-        """
+        """Return a copy with the changes by clamp and unknown temperature multiplied."""
         scaled_changes = copy(self)
         scaled_changes.clamp_frequency_changes = clamp_factor * self.clamp_frequency_changes
         scaled_changes.unknown_temperature_frequency_changes = (
@@ -566,7 +567,7 @@ class BaselineChanges:
 
 
 def _solve_plate_modes(scene: Scene) -> Modes:
-    """Solve the lowest modes of a scene on this rank, with a bonded crack if any."""
+    """Solve a scene's lowest modes on this rank, with any crack bonded."""
     structure = prepare(scene, MPI.COMM_SELF, whole=True).structure
     n_modes = min(N_LOWEST_MODES, structure.n_dofs - structure.n_pairs)
     return solve_modes(structure, n_modes, lips="tied" if structure.n_pairs else "open")

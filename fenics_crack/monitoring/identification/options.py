@@ -7,7 +7,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Options:
-    """Settings of an identification's numerics; results depend more on any prior."""
+    """Numerical settings of an identification.
+
+    The results depend less on these settings than on any prior in ``[identify]``.
+    """
 
     max_measurements: int = 1000
     """Maximum number of measurements, since each grid point factorises their covariance."""

@@ -87,7 +87,10 @@ class Likelihood:
         return residual_rows
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Return log L at values x (m, d) of the unknowns: (m,), up to a constant."""
+        """Return the log-likelihood at values x (m, d) of the unknowns: (m,).
+
+        A constant is left out.
+        """
         log_likelihoods = np.full(len(x), -np.inf)
         for point_indices, state_residuals, _ in self._iterate_state_residuals(x):
             log_likelihoods[point_indices] = np.logaddexp(
@@ -96,7 +99,10 @@ class Likelihood:
         return log_likelihoods
 
     def predict_most_probable(self, x: np.ndarray) -> MeasurementPrediction:
-        """Return predictions at values x (d,), for the most probable motion of the crack faces."""
+        """Return predictions at values x (d,) of the unknowns.
+
+        They are for the most probable motion of the crack faces: breathing, open or closed.
+        """
         states_with_residuals = self._iterate_state_residuals(x[None])
         return min(
             states_with_residuals,
@@ -146,9 +152,10 @@ class Likelihood:
             )
 
     def compute_normalised_temperature_change(self, x: np.ndarray) -> float:
-        """Return the posterior mean of the unknown temperature change, at values x (d,).
+        """Return the posterior mean of the unknown temperature change.
 
-        The change is since the record before the crack, in standard deviations of the prior.
+        The change is since the plate was measured without the crack, in standard deviations of the
+        prior. x (d,) are values of the unknowns.
         """
         prediction = self.predict_most_probable(x)
         temperature_slopes = (
@@ -165,7 +172,7 @@ class Likelihood:
         return float(temperature_slopes @ np.linalg.solve(covariance, scaled_differences))
 
     def explains_measurements(self, x: np.ndarray) -> np.ndarray:
-        """Return True for each of the values x (m, d) that explains the measurements.
+        """Return True for values x (m, d) that explain the measurements: (m,).
 
         The p-value of chi^2 must be at least 1 - ``identify.confidence``; no unknown counts as
         fitted.
@@ -260,7 +267,7 @@ class Optimum:
 
 
 class PosteriorBranch:
-    """Posterior for one choice of text values, on a grid of the other unknowns.
+    """Posterior on a grid of the unknowns, for one choice of text values.
 
     The grid has more points around the best optima. An unknown with text values is, for instance,
     crack.edge.
@@ -274,8 +281,8 @@ class PosteriorBranch:
     axes : tuple of arrays
         Values of each unknown in the grid.
     grid_log_likelihood : array
-        log L on the grid, convolved with the distribution of a real crack about the equivalent
-        crack.
+        Log-likelihood on the grid, convolved with the distribution of a real crack about the
+        equivalent crack.
     prior_masses : array
         Prior probability of each grid point; the sum is 1.
     """
@@ -352,16 +359,22 @@ class PosteriorBranch:
 
     @property
     def log_evidence(self) -> float:
-        """Return the evidence: the log of the integral of L over the prior."""
+        """Return the log of the evidence, the integral of the likelihood over the prior."""
         return float(logsumexp(self.grid_log_likelihood, b=self.prior_masses))
 
     def get_unknown_values_by_key(self, x: np.ndarray) -> dict[str, Any]:
-        """Return values of all unknowns by key: text values, and numbers x (d,)."""
+        """Return values of all unknowns by key: numbers x (d,), and text values.
+
+        Text values are, for instance, "left" for crack.edge.
+        """
         model = self.likelihood.predictor.model
         return model.word_by_key | dict(zip(model.unknown_keys, x.tolist(), strict=True))
 
     def interpolate_log_likelihood(self, x: np.ndarray) -> float:
-        """Interpolate log L on the grid to values x (d,); outside values move to the bounds."""
+        """Interpolate the log-likelihood on the grid to values x (d,).
+
+        Values outside the bounds move to the bounds.
+        """
         if not self.axes:
             return float(self.grid_log_likelihood)
         bounded_x = np.clip(
@@ -478,7 +491,7 @@ def _build_grid_points(axes: list[np.ndarray]) -> np.ndarray:
 
 
 def _evaluate_log_likelihood(likelihood: Likelihood, points: np.ndarray) -> np.ndarray:
-    """Return log L at points (n, d): (n,), evaluated in batches."""
+    """Return the log-likelihood at points (n, d): (n,), evaluated in batches."""
     return np.concatenate(
         [likelihood(point_batch) for point_batch in _split_points_into_batches(points)]
     )
@@ -492,11 +505,11 @@ def _split_points_into_batches(points: np.ndarray) -> list[np.ndarray]:
 def _find_optima(
     likelihood: Likelihood, axes: list[np.ndarray], log_likelihood: np.ndarray
 ) -> list[Optimum]:
-    """Find maxima of the likelihood by least squares from local maxima on a grid.
+    """Find maxima of the likelihood by least squares.
 
-    The best 8 local maxima are starts. Left out are optima within one standard deviation of a
-    better one in every unknown, and optima with log L more than 8 below the best.
-    ``log_likelihood`` is on the grid of ``axes``.
+    The best 8 local maxima of ``log_likelihood`` on the grid of ``axes`` are starts. Left out are
+    optima within one standard deviation of a better one in every unknown, and optima with a
+    log-likelihood more than 8 below the best.
     """
     local_maximum_indices = np.argwhere(
         log_likelihood == maximum_filter(log_likelihood, size=3, mode="nearest")
@@ -564,12 +577,14 @@ def _find_optima(
 
 
 class Posterior:
-    """Posterior for all choices of text values, each with the same prior probability.
+    """Posterior of all unknowns, with text values of equal prior probability.
+
+    An unknown with text values is, for instance, crack.edge.
 
     Parameters
     ----------
     branch_by_words : dict of str to PosteriorBranch
-        Posterior for each choice, by the text values joined with ", "; "" without any.
+        Posterior for each choice of text values, by these values joined with ", "; "" without any.
     """
 
     def __init__(self, branch_by_words: Mapping[str, PosteriorBranch]) -> None:
@@ -591,7 +606,10 @@ class Posterior:
 
     @property
     def best_words_and_unknowns(self) -> tuple[str, np.ndarray]:
-        """Return the choice of text values, and unknowns (d,), with the largest L."""
+        """Return the text values, and unknowns (d,), with the largest likelihood.
+
+        Text values are joined with ", ", as "left" for crack.edge; "" without any.
+        """
         words_text = max(
             self.branch_by_words,
             key=lambda words_text: self.branch_by_words[words_text].optima[0].log_likelihood,
@@ -600,13 +618,13 @@ class Posterior:
 
     @property
     def _best_likelihood_and_unknowns(self) -> tuple[Likelihood, np.ndarray]:
-        """Return the likelihood, and the unknowns (d,), at the largest L."""
+        """Return the likelihood, and the unknowns (d,) at its maximum."""
         words_text, x = self.best_words_and_unknowns
         return self.branch_by_words[words_text].likelihood, x
 
     @cached_property
     def misfit(self) -> tuple[float, float]:
-        """Return chi^2 and its p-value at the unknowns with the largest L."""
+        """Return chi^2 and its p-value at the maximum of the likelihood."""
         likelihood, x = self._best_likelihood_and_unknowns
         return likelihood.compute_chi_square_and_p_value(x)
 
@@ -614,7 +632,7 @@ class Posterior:
     def misfits_without_each_measurement(self) -> list[tuple[float, float]]:
         """Return chi^2 and its p-value without each of the measurements in turn.
 
-        The unknowns are those with the largest L for all measurements.
+        The unknowns are those at the maximum of the likelihood for all measurements.
         """
         likelihood, x = self._best_likelihood_and_unknowns
         return [
@@ -625,10 +643,11 @@ class Posterior:
     def compute_misfit_with_change_factors(
         self, *, clamp_factor: float = 1.0, temperature_factor: float = 1.0
     ) -> tuple[float, float]:
-        """Return chi^2 and its p-value with other changes since the record before the crack.
+        """Return chi^2 and its p-value with other prior changes of the plate.
 
-        The factors multiply the prior changes by the clamp and by an unknown temperature. The
-        unknowns are those with the largest L without factors.
+        The factors multiply the changes by the clamp and by an unknown temperature, since the plate
+        was measured without the crack. The unknowns are those at the maximum of the likelihood
+        without factors.
         """
         likelihood, x = self._best_likelihood_and_unknowns
         predictor = likelihood.predictor.with_change_factors(
@@ -638,9 +657,10 @@ class Posterior:
 
     @cached_property
     def mean_normalised_temperature_change(self) -> float:
-        """Return the posterior mean of the unknown temperature change at the largest L.
+        """Return the posterior mean of the unknown temperature change.
 
-        The change is since the record before the crack, in standard deviations of the prior.
+        The change is since the plate was measured without the crack, in standard deviations of the
+        prior, at the maximum of the likelihood.
         """
         likelihood, x = self._best_likelihood_and_unknowns
         return likelihood.compute_normalised_temperature_change(x)
@@ -649,8 +669,8 @@ class Posterior:
     def unresolved_probability(self) -> float:
         """Return the probability at points that the grid does not resolve.
 
-        At such points log L falls by more than 2 to both neighbouring points along an unknown, as
-        on a thin ridge.
+        At such points the log-likelihood falls by more than 2 to both neighbouring points along an
+        unknown, as on a thin ridge.
         """
         unresolved_sum = 0.0
         for words_text, branch in self.branch_by_words.items():
@@ -665,9 +685,9 @@ class Posterior:
         return unresolved_sum
 
     def find_region_border_log_likelihood(self, probability: float) -> float:
-        """Return log L at the border of the credible region with a probability.
+        """Return the log-likelihood at the border of a credible region.
 
-        The region has the points with the largest L.
+        The region has a given probability, and the points with the largest likelihood.
         """
         indices_most_likely_first = np.argsort(-self._log_likelihood_of_points)
         cumulative_masses = np.cumsum(self._mass_of_points[indices_most_likely_first])
@@ -779,8 +799,8 @@ class Posterior:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return probability and density over two unknowns: (n_first, n_second) each.
 
-        They are for one choice of text values, ``words_text``. The density is relative to the
-        prior's.
+        They are for one choice of text values, ``words_text``. The density is the probability over
+        the prior's.
         """
         mass_and_prior = (
             self.grid_masses_by_words[words_text],

@@ -319,7 +319,7 @@ def _compute_log_determinant_and_deviations(
     covariance_and_slopes: tuple[np.ndarray, np.ndarray],
     row_indices: np.ndarray,
 ) -> tuple[float, dict[str, float]]:
-    """Return log det F of the Fisher information, and standard deviations of the unknowns.
+    """Return log det of the Fisher information, and standard deviations.
 
     Parameters
     ----------
@@ -335,7 +335,7 @@ def _compute_log_determinant_and_deviations(
     Returns
     -------
     float
-        log det F.
+        log det F of the Fisher information F, prior included.
     dict of str to float
         Standard deviation of each unknown by key.
     """
@@ -453,8 +453,8 @@ class Identification(Tabular):
     def _region_parts(self) -> list[tuple[str, np.ndarray, float]]:
         """Return separate parts of the credible region, most probable first.
 
-        Each has text values, middle (d,) and probability. Parts with less than 0.03
-        (:attr:`Options.min_part_probability`) are left out.
+        Each has text values (as "left" for crack.edge), middle (d,) and probability. Parts with
+        less than 0.03 (:attr:`Options.min_part_probability`) are left out.
         """
         return self.posterior.find_region_parts(
             self._identify_table.confidence, OPTIONS.min_part_probability
@@ -464,8 +464,9 @@ class Identification(Tabular):
     def _branch_and_unknowns_of_estimate(self) -> tuple[PosteriorBranch, np.ndarray]:
         """Return the posterior branch with the estimate, and the estimate (d,).
 
-        This is the middle of the most probable part, or the largest likelihood if all parts are too
-        improbable.
+        A branch is the posterior for one choice of text values, as crack.edge = "left". The
+        estimate is the middle of the most probable part of the credible region. If all parts are
+        too improbable, the estimate is the maximum of the likelihood.
         """
         words_text, x = (
             self._region_parts[0][:2]
@@ -478,8 +479,8 @@ class Identification(Tabular):
     def estimate(self) -> dict[str, Any]:
         """Return the estimate of all unknowns by key.
 
-        Numbers are the mean over the most probable part of the credible region. Text values are
-        those of this part.
+        Numbers are the mean over the most probable part of the credible region. Text values, as
+        "left" for crack.edge, are those of this part.
         """
         branch, x = self._branch_and_unknowns_of_estimate
         return branch.get_unknown_values_by_key(x)
@@ -1019,7 +1020,7 @@ def _describe_unchanged_plate_condition_or_empty(identification: Identification)
 
 
 def _describe_warming_condition_or_empty(identification: Identification) -> str:
-    """Return the change of Young's modulus that a crack needs to fit, as text.
+    """Describe the change of Young's modulus that a crack needs to fit.
 
     Return "" if the crack explains the measurements without a change of temperature.
     """
