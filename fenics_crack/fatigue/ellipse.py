@@ -152,8 +152,8 @@ def compute_growth_per_cycle(
 ) -> np.ndarray:
     """Return the growth of depth and length in a load cycle: (n, 2) [m].
 
-    Let delta K_a and delta K_c [MPa m^0.5] be the ranges of K_I from 0 with the same growth in a
-    load period, at the deepest point and at the ends on the face. Then
+    Let delta K_a be the range of K_I at the deepest point, and delta K_c at the ends on the face
+    [MPa m^0.5]: from 0, with the same growth in a load period. Then
 
         da/dN = C delta K_a^m,      dl/dN = n_surface_ends C delta K_c^m.
 

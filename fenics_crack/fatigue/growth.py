@@ -1221,7 +1221,7 @@ def _reduce_load_levels_to_columns(
 
         (sum n_i delta K_i^m / sum n_i)^(1 / m),
 
-    with n_i cycles at load i. delta K_i is the range of K_I from 0 that gives the growth in a period.
+    with n_i cycles at load i. delta K_i is the range of K_I from 0 with the same growth in a period.
     Loads with a range below the threshold while the crack tip is open are left out, if any load is
     above the threshold.
 

@@ -656,9 +656,9 @@ def compute_ratios_and_pole_factors(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return frequency ratios r and pole factors of each mode: (m, f, modes) each.
 
-    The pole factor is 1 - r^2 + 2 i z r, and r = k W / w_j. Here k is the order of a harmonic, W the
-    load frequency, w_j a bilinear frequency, and z the damping ratio. For natural frequencies and
-    missing modes, r is 0 and the factor 1.
+    The pole factor is 1 - r^2 + 2 i z r, and r = k W / w_j. Here k is the order of a harmonic, W
+    the load frequency, w_j a bilinear frequency, and z the damping ratio. For natural frequencies
+    and missing modes, r is 0 and the factor 1.
 
     Parameters
     ----------
