@@ -645,21 +645,21 @@ def _collect_ellipse_remarks(
 
     They are about failed shapes, uncertain stability, a turning crack, and a passed resonance.
 
-        Parameters
-        ----------
-        sweep_result : SweepResult
-            Cases over depth and length, failed ones included.
-        ellipse_table, ellipse_path : EllipseTable, EllipsePath
-            Shapes in the sweep, and along the growth.
-        values_by_column : dict of str to (n,)
-            Columns along the growth.
-        law : Growth
-            Table ``[growth]``.
+    Parameters
+    ----------
+    sweep_result : SweepResult
+        Cases over depth and length, failed ones included.
+    ellipse_table, ellipse_path : EllipseTable, EllipsePath
+        Shapes in the sweep, and along the growth.
+    values_by_column : dict of str to (n,)
+        Columns along the growth.
+    law : Growth
+        Table ``[growth]``.
 
-        Raises
-        ------
-        ConvergenceError
-            A failed shape is next to the growth.
+    Raises
+    ------
+    ConvergenceError
+        A failed shape is next to the growth.
     """
     n_not_stable_shapes = int((sweep_result.not_stable & sweep_result.converged).sum())
     remark_texts = _list_failed_ellipse_remarks(sweep_result, ellipse_table, ellipse_path)
@@ -1221,7 +1221,7 @@ def _reduce_load_levels_to_columns(
 
         (sum n_i delta K_i^m / sum n_i)^(1 / m),
 
-    with n_i cycles at load i. delta K_i is the range of K_I from 0 with the same growth in a period.
+    with n_i cycles at load i. delta K_i is the range of K_I from 0 with equal growth in a period.
     Loads with a range below the threshold while the crack tip is open are left out, if any load is
     above the threshold.
 

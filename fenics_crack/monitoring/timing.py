@@ -439,12 +439,12 @@ def _list_fit_notes_and_doubts(fit: TipFit) -> tuple[list[str], list[str]]:
 
     A note gives the ratio of the second harmonic to the first, which indicates a breathing crack.
 
-        Returns
-        -------
-        list of str
-            Notes.
-        list of str
-            Doubts.
+    Returns
+    -------
+    list of str
+        Notes.
+    list of str
+        Doubts.
     """
     note_texts = [
         f"in addition, {_describe_constant_frequency_fit(line_fit)}"

@@ -850,7 +850,8 @@ def _refine_axis_by_share_or_none(
 
     Added values are halfway between old ones, around the cracks (m, d) that explain the
     measurements. ``shares_along_unknowns`` (d,) are the parts of the variance. None if the cases
-    would be too many, or if no unknown is real.
+    would be too many, or if
+    no unknown has real numbers.
     """
     axis_by_key = {unknown_axis.key: unknown_axis for unknown_axis in forward_models.axes}
     for unknown_index in np.argsort(-shares_along_unknowns):
@@ -916,7 +917,7 @@ def _thin_axes(unknown_axes: Sequence[Axis], n_kept_values: int) -> tuple[Axis, 
 
 
 def _is_divisible(unknown_axis: Axis) -> bool:
-    """Return True if an unknown is real, False for text and whole numbers."""
+    """Return True if an unknown has real numbers, not text or whole numbers."""
     return any(isinstance(axis_value, float) for axis_value in unknown_axis.values)
 
 

@@ -441,7 +441,7 @@ class MeasurementPredictor:
     is_predictable : (q,) bool
         True for a measurement or candidate that the solved cases can predict.
     baseline_changes : BaselineChanges
-        Possible changes of the plate since the record before the crack.
+        Possible changes of the plate since it was measured without the crack.
     """
 
     def __init__(

@@ -73,10 +73,10 @@ class Likelihood:
     def compute_residuals(self, x: np.ndarray) -> np.ndarray:
         """Return residuals at values x (m, d) of the unknowns: (m, q + 1).
 
-        The first q are L^-1 (m - s) / e with V = diag(e) L L^T diag(e); their squares sum to chi^2.
-        Here m are the measured values with standard deviations e, and s predictions. The last is
-        the root of log(det L L^T / p^2). All are for the most probable motion of the crack faces,
-        with its probability p.
+        The first q are L^-1 (m - s) / e, with measured values m, their standard deviations e, and
+        predictions s. The squares sum to chi^2. V = diag(e) L L^T diag(e) is the covariance of
+        measurements and predictions. The last residual is the root of log(det L L^T / p^2). All are
+        for the most probable motion of the crack faces, with its probability p.
         """
         residual_rows = np.full((len(x), len(self.measurement_values) + 1), np.inf)
         for point_indices, state_residuals, _ in self._iterate_state_residuals(x):
