@@ -850,8 +850,7 @@ def _refine_axis_by_share_or_none(
 
     Added values are halfway between old ones, around the cracks (m, d) that explain the
     measurements. ``shares_along_unknowns`` (d,) are the parts of the variance. None if the cases
-    would be too many, or if
-    no unknown has real numbers.
+    would be too many, or if no unknown has real numbers.
     """
     axis_by_key = {unknown_axis.key: unknown_axis for unknown_axis in forward_models.axes}
     for unknown_index in np.argsort(-shares_along_unknowns):
