@@ -1330,7 +1330,7 @@ class Identify(Table):
     frequencies: tuple[float, ...] = value_field(
         "a list of finite numbers > 0", lambda values: min(values, default=1.0) > 0, ()
     )
-    """Further load frequencies [Hz] that the plan of measurements may propose."""
+    """Load frequencies [Hz], besides the excitation's, for which measurements are planned."""
     finer: float = bounded_field("0.25", "4", 0.5)
     """Ratio of element lengths between the few fine cases and all other cases.
 
@@ -1381,8 +1381,9 @@ class Identify(Table):
     )
     """Standard deviation of the temperature difference since the measurement without a crack.
 
-    It counts if measurements do not state temperatures. Default at rest: 10 K, which takes 0.2 % from all natural frequencies. Default for a rotor: 25
-    K, since gas or drag warms blades (engineering judgement). 0: equal temperatures.
+    It counts if measurements do not state temperatures; 0: equal temperatures. Default at rest:
+    10 K, which takes 0.2 % from all natural frequencies. Default for a rotor: 25 K, since gas or
+    drag warms blades (engineering judgement).
     """
     temperature_coefficient: float = bounded_field("-0.01", "0.01", -4e-4, unit="1/K")
     """Relative change of Young's modulus per kelvin.
