@@ -61,7 +61,7 @@ SEARCH_BANDWIDTHS_PER_SIDE = 1.5
 
 
 def wheel_of(structure: Structure) -> Wheel:
-    """Return the bladed disk, not reduced, to which a structure belongs.
+    """Return a structure's bladed disk, not reduced.
 
     ``structure`` is a wheel or a wheel's reduced structure.
 
@@ -77,7 +77,7 @@ def wheel_of(structure: Structure) -> Wheel:
 
 @dataclass(frozen=True, repr=False)
 class Blades(Tabular):
-    """Result of :func:`blades`: vibration of each of N blades, at the same dof in each.
+    """Result of :func:`blades`: vibration at the same dof in each blade.
 
     Attributes
     ----------
@@ -107,11 +107,11 @@ class Blades(Tabular):
 
     @property
     def phase(self) -> np.ndarray:
-        """Phase (N,) [rad] by which each blade's first harmonic leads cos(w t)."""
+        """Phase lead (N,) [rad] of each blade's first harmonic over cos(w t)."""
         return np.angle(self.fundamental)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the columns of the result's table by name, with a row for each blade."""
+        """Return the result's columns by name, with a row for each blade."""
         blade_numbers = range(1, len(self.amplitude) + 1)
         return {
             "blade": list(blade_numbers),
@@ -207,7 +207,7 @@ def blades(found: Any, dof: int | None = None) -> Blades:
 class NodalDiameters(SavedResult):
     """Result of :func:`nodal_diameters`: natural frequencies over the nodal diameter.
 
-    The disk is tuned, and its cracks are bonded.
+    The disk is tuned, with bonded cracks.
 
     Attributes
     ----------
@@ -226,7 +226,7 @@ class NodalDiameters(SavedResult):
 
     @property
     def excited(self) -> int:
-        """Nodal diameter that the engine order excites."""
+        """Nodal diameter excited by the engine order."""
         return excited_diameter(self.order, self.sectors)
 
     @property
@@ -240,9 +240,9 @@ class NodalDiameters(SavedResult):
         return self.scene.given("disk").sectors
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the columns of the result's table by name, with a row for each nodal diameter.
+        """Return the result's columns by name, with a row for each nodal diameter.
 
-        "engine_orders" has the lowest engine orders that excite the nodal diameter.
+        "engine_orders" has the lowest engine orders with this nodal diameter.
         """
         column_by_name: dict[str, Any] = {"nodal_diameter": list(range(len(self.omega)))}
         for family_number, family_omega in enumerate(self.omega.T, 1):
@@ -254,7 +254,7 @@ class NodalDiameters(SavedResult):
         }
 
     def _describe_lowest_orders(self, diameter: int) -> str:
-        """List the lowest engine orders that excite a nodal diameter: "3 5 11"."""
+        """List the lowest engine orders with a nodal diameter: "3 5 11"."""
         lowest_orders = sorted({diameter, self.sectors - diameter, self.sectors + diameter} - {0})
         return " ".join(map(str, lowest_orders))
 
@@ -264,7 +264,7 @@ class NodalDiameters(SavedResult):
         }
 
     def build_conclusion(self) -> Conclusion:
-        """Return the summary that commands print: frequencies at the excited nodal diameter."""
+        """Return the printed summary: frequencies at the excited nodal diameter."""
         frequencies_text = ", ".join(
             f"{omega / RAD_PER_TURN:.6g}" for omega in self.omega[self.excited]
         )
@@ -286,14 +286,14 @@ class NodalDiameters(SavedResult):
 def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiameters:
     """Find a bladed disk's natural frequencies over the nodal diameter (collective).
 
-    The disk has no mistuning, and its cracks are bonded. Ranks share the nodal diameters.
+    The disk has no mistuning, and bonded cracks. Ranks share the nodal diameters.
 
     Parameters
     ----------
     scene : Scene
-        Scene with [disk]; ``disk.families`` is the number of frequencies per nodal diameter.
+        Scene with [disk], which has ``disk.families`` frequencies for each nodal diameter.
     comm : MPI.Comm
-        Ranks that share the work.
+        Communicator, whose ranks share the work.
 
     Returns
     -------
@@ -315,7 +315,7 @@ def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiame
 
 
 def report_of_diameters(disk_modes: NodalDiameters) -> Report:
-    """Return what the command prints and writes: the table of frequencies and its summary."""
+    """Return the command's output: the table with frequencies, and a summary."""
     return Report(
         disk_modes.table(),
         disk_modes.build_conclusion(),
@@ -340,11 +340,11 @@ class Amplification(SavedResult):
     omega : (n,) [rad/s]
         Load frequency at the largest amplitude.
     blade : (n,) int
-        Number, from 1, of the blade with the largest amplitude in each pattern.
+        Blade, from 1, with the largest amplitude in each pattern.
     tuned, tuned_omega : float [m], [rad/s]
-        The tuned wheel's largest amplitude, and the load frequency there.
+        The tuned wheel's largest amplitude, and the load frequency for this amplitude.
     deviation, seed : float, int
-        Standard deviation of the sectors' relative stiffness deviations, and the first pattern's
+        Standard deviation for the sectors' relative stiffness deviations, and the first pattern's
         seed; the following patterns have consecutive seeds.
     """
 
@@ -372,7 +372,7 @@ class Amplification(SavedResult):
         return float(np.percentile(self.factor, min(percent, 100.0)))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the columns of the result's table by name, with a row for each pattern."""
+        """Return the result's columns by name, with a row for each pattern."""
         seeds = range(self.seed, self.seed + len(self.factor))
         return {
             "seed": list(seeds),
@@ -385,7 +385,7 @@ class Amplification(SavedResult):
         return {"frequency": "Hz"}
 
     def build_conclusion(self) -> Conclusion:
-        """Return the summary that commands print: 95th percentile, largest factor, bound."""
+        """Return the printed summary: 95th percentile, largest factor, bound."""
         answer = f"95 % of the amplification factors are at most {self.percentile(95.0):.4g}"
         answer += f", the largest is {self.factor.max():.4g}; Whitehead's bound is {self.bound:.4g}"
         return Conclusion(f"{format_count(len(self.factor), 'pattern')} solved", answer)
@@ -407,10 +407,10 @@ def amplification(
 ) -> Amplification:
     """Find a disk's amplification factors for random mistuning patterns (collective).
 
-    The disk has no cracks. The largest response is sought near the natural frequencies of one
-    family of modes and of neighbouring modes. Chosen is the family whose frequency at the excited
-    nodal diameter is nearest to the scene's load frequency. The amplitude is that of the watched
-    dof, at the same place on every blade. Ranks share the patterns.
+    The disk has no cracks. The largest response is sought near the natural frequencies of a mode
+    family and neighbouring modes. At the excited nodal diameter, this family is nearest to the
+    scene's load frequency. The watched dof, at the same place on every blade, has the amplitude.
+    Ranks share the patterns.
 
     Parameters
     ----------
@@ -419,11 +419,11 @@ def amplification(
     patterns : int
         Number of patterns.
     deviation : float
-        Standard deviation of the sectors' relative stiffness deviations.
+        Standard deviation for the sectors' relative stiffness deviations.
     seed : int
         Seed of the first pattern, as ``disk.seed``.
     comm : MPI.Comm
-        Ranks that share the work.
+        Communicator, whose ranks share the work.
 
     Returns
     -------
@@ -474,7 +474,7 @@ def amplification(
 
 
 def report_of_amplification(amplification_result: Amplification) -> Report:
-    """Return what the command prints and writes: percentiles of the factors, and a summary.
+    """Return the command's output: a table with percentiles of the factors, and a summary.
 
     The full table with a row for each pattern is written, but not printed.
     """
@@ -495,18 +495,19 @@ def report_of_amplification(amplification_result: Amplification) -> Report:
 
 
 PeakFinder = Callable[[np.ndarray], tuple[float, float, int]]
-"""Function that finds a mistuned wheel's largest response without contact.
+"""Function for a mistuned wheel's largest response without contact.
 
-It takes the sectors' relative stiffness deviations (N,), and returns the amplitude [m], the load
+The argument has the sectors' relative stiffness deviations (N,). Returned are amplitude [m], load
 frequency [rad/s] and the blade's number from 1.
 """
 
 
 def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
-    """Return the function that finds a mistuned wheel's largest response without contact.
+    """Return the function for a mistuned wheel's largest response without contact.
 
-    The function searches next to 2 N natural frequencies: the N modes of the family that, at the
-    excited nodal diameter, is nearest to ``load_omega`` [rad/s], and N neighbouring modes.
+    The function searches next to 2 N natural frequencies: N modes in one family, and N
+    neighbouring modes. This family is nearest to ``load_omega`` [rad/s] at the excited nodal
+    diameter.
 
     Raises
     ------

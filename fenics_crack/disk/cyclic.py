@@ -50,23 +50,23 @@ from fenics_crack.numerics.fourier import to_complex
 
 
 def excited_diameter(engine_order: int, n_sectors: int) -> int:
-    """Return the nodal diameter that an engine order E excites: min(E mod N, N - E mod N)."""
+    """Return the nodal diameter for an engine order E: min(E mod N, N - E mod N)."""
     remainder = engine_order % n_sectors
     return min(remainder, n_sectors - remainder)
 
 
 class SectorNumbering:
-    """Numbering of a sector's dofs or nodes, where members with equal motion share a number.
+    """Numbering of a sector's dofs or nodes; members with equal motion share a number.
 
     Attributes
     ----------
     own_members : (n_own,) int
-        Members that belong to the sector itself: without right side and upper crack face.
+        Members without right side and upper crack face.
     member_positions : (n,) int
-        Position in ``own_members`` of the member with the same motion. For the right side this is
-        a member of the next sector.
+        Position in ``own_members`` for the member with the same motion, on the right side a
+        member in the next sector.
     belongs_to_next_sector : (n,) bool
-        True for members on the right side, which belongs to the next sector.
+        True for members on the right side, a part of the next sector.
     upper_members : (n_upper,) int
         Members on the upper crack face.
     """
@@ -81,9 +81,9 @@ class SectorNumbering:
         node_members : (n_nodes, k) int
             Members of each node: k dofs, or the node itself; -1 for a clamped dof.
         side_nodes : (2, m) int
-            Nodes on the left side, and their partners on the right side.
+            Nodes on the left side, and matching nodes on the right side.
         crack_face_nodes : (2, p) int
-            Nodes on the lower crack face, and their partners on the upper face.
+            Nodes on the lower crack face, and matching nodes on the upper face.
         """
         representative_members = np.arange(node_members.max() + 1)
         for kept_nodes, merged_nodes in (side_nodes, crack_face_nodes):
@@ -101,17 +101,17 @@ class SectorNumbering:
     def number_wheel_members(
         self, n_sectors: int, cracked_places: Sequence[int]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Number the members of a wheel with N sectors, where some cracks can open.
+        """Number the members of a wheel with N sectors and open cracks.
 
-        ``cracked_places`` are the sectors with such cracks, from 0.
+        ``cracked_places`` are the sectors with an open crack, from 0.
 
         Returns
         -------
         (N, n) int
-            Number in the wheel of each sector's members; equal numbers move together.
+            Number in the wheel for each sector's members; equal numbers move together.
         (n_wheel,) int
-            For each number in the wheel, the member that owns the number: a position among the
-            N n members of all sectors.
+            For each number in the wheel, the owner: a position among the N n members of all
+            sectors.
         """
         all_members = np.arange(n_sectors * len(self.member_positions)).reshape(n_sectors, -1)
         owner_sectors = (np.arange(n_sectors)[:, None] + self.belongs_to_next_sector) % n_sectors
@@ -143,11 +143,11 @@ class Sector:
     rotation : (d, d)
         Q, which turns the left side to the right side, and each sector to the next.
     side_nodes : (2, m) int
-        Nodes on the left side, and their partners on the right side.
+        Nodes on the left side, and matching nodes on the right side.
     crack_face_nodes : (2, p) int
-        Nodes on the lower crack face, and their partners on the upper face, without the tip.
+        Nodes on the lower crack face, and matching nodes on the upper face, without the tip.
     stiffness_at_rest : PETSc.Mat
-        Stiffness that mistuning multiplies, [N/m].
+        Stiffness multiplied by mistuning [N/m].
     bases_by_key : dict
         Bases computed so far, shared by wheels with other mistuning (:meth:`Wheel.basis`).
     """
@@ -163,7 +163,7 @@ class Sector:
 
     @cached_property
     def dof_numbering(self) -> SectorNumbering:
-        """Numbering of the sector's dofs."""
+        """Numbering for the sector's dofs."""
         nodes = self.structure.nodes
         assert nodes is not None
         return SectorNumbering(nodes.dofs, self.side_nodes, self.crack_face_nodes)
@@ -175,9 +175,9 @@ class Sector:
 
     @property
     def load_shares_of_diameters(self) -> np.ndarray:
-        """Part of a load on sector 0 that each nodal diameter carries: (N/2 + 1,).
+        """Part of a load on sector 0 carried by each nodal diameter: (N/2 + 1,).
 
-        It is 2/N for the waves n and -n together, 1/N for n = 0 and N/2.
+        The part is 2/N for the waves n and -n together, 1/N for n = 0 and N/2.
         """
         multiplicities = [
             1.0 if self.has_single_wave(n) else 2.0 for n in self.nodal_diameter_range
@@ -214,7 +214,7 @@ class Sector:
         Parameters
         ----------
         shapes : (n_dofs, m)
-            Shapes of one nodal diameter, possibly linearly dependent.
+            Shapes for a single nodal diameter, possibly linearly dependent.
 
         Returns
         -------
@@ -293,7 +293,7 @@ class NodalDiameterSolver:
     Attributes
     ----------
     sector : Sector
-        Sector of the wheel.
+        The wheel's sector.
     inside_factor : Factor
         Factor of the inside's stiffness K_ii.
     stacked_tie_matrices : (n_dofs, 2 n_own)
@@ -335,7 +335,7 @@ class NodalDiameterSolver:
     def tie_matrix(self) -> sparse.csr_matrix:
         """T_n = T_0 + e^(i 2 pi n / N) T_1: (n_dofs, n_own).
 
-        It gives all dofs of a sector from the own dofs of this sector.
+        Multiplied by a sector's own dofs, T_n gives all dofs in this sector.
         """
         n_own_dofs = self.stacked_tie_matrices.shape[1] // 2
         return sparse.csr_matrix(
@@ -385,14 +385,14 @@ class NodalDiameterSolver:
         Parameters
         ----------
         left_displacement, right_displacement : (n_side, m) [m]
-            Displacements of the sides.
+            Side displacements.
         inside_motion : (n_inside, m) [m]
             Displacement inside with fixed sides, by forces inside; default: 0.
 
         Returns
         -------
         (n_dofs, m) [m]
-            Displacement of all dofs of the sector.
+            Displacement of all the sector's dofs.
         """
         displacement = np.zeros((self.stacked_tie_matrices.shape[1], left_displacement.shape[1]))
         displacement[self.side_rows] = left_displacement
@@ -423,8 +423,8 @@ class NodalDiameterSolver:
     def apply(self, rhs: Any, solution: Any) -> None:
         """Write K_n^-1 ``rhs`` to ``solution``, both PETSc vectors in real form.
 
-        A complex vector is stored as its real part, then its imaginary part. The signature is that
-        of :meth:`Factor.apply`.
+        A complex vector is stored as real part, then imaginary part. The signature is as in
+        :meth:`Factor.apply`.
         """
         force_parts = rhs.array_r.reshape(2 if self.phase_factor.imag else 1, -1)
         force = force_parts[0] + 1j * force_parts[1] if self.phase_factor.imag else force_parts[0]
@@ -474,7 +474,7 @@ class NodalDiameterSolver:
     def static_response(self, forces: np.ndarray) -> np.ndarray:
         """Return the sector's response T_n K_n^-1 T_n^H f [m] to static forces.
 
-        ``forces`` (n_dofs, m) [N] act on all dofs of a sector; the response has the same shape.
+        ``forces`` (n_dofs, m) [N] act on all the sector's dofs; the response has the same shape.
         """
         return np.asarray(
             self.tie_matrix @ self.solve(np.asarray(self.tie_matrix.conj().T @ forces))
@@ -495,7 +495,7 @@ class CyclicModes:
     shapes : tuple of (n_dofs, families)
         v for each nodal diameter over a sector's dofs, real or complex, with v^H M v = 1.
     sector : Sector
-        Sector of the wheel.
+        The wheel's sector.
     """
 
     omega: tuple[np.ndarray, ...]
@@ -505,9 +505,9 @@ class CyclicModes:
 
 @dataclass(frozen=True, eq=False)
 class CyclicBasis:
-    """Basis U of motions by which a wheel with cracks and mistuning is reduced.
+    """Basis U of motions for reducing a wheel with cracks and mistuning.
 
-    Its first motions are modes with bonded cracks; further motions, the openings, open the cracks.
+    The first motions are modes with bonded cracks; further motions, the openings, open the cracks.
 
     Attributes
     ----------
@@ -544,14 +544,14 @@ class CyclicBasis:
     def sector_motions(self, sector_index: Any, rows: Any = slice(None)) -> np.ndarray:
         """Return a sector's displacement in each motion of the basis, as columns of U_j.
 
-        The modes come first, then the openings of each crack.
+        The modes come first, then each crack's openings.
 
         Parameters
         ----------
         sector_index : int or (k,) int
             Place of the sector from 0, or a place for each row.
         rows : slice or (k,) int
-            Rows of the sector's dofs.
+            Rows among the sector's dofs.
 
         Returns
         -------
@@ -607,8 +607,8 @@ class CyclicBasis:
     def tuned_mass_and_stiffness(self) -> tuple[np.ndarray, np.ndarray]:
         """U^T M U and U^T K U without mistuning: (n, n) each.
 
-        Both are diagonal for the modes. The stiffness of the openings follows from the forces that
-        bonds on the upper crack faces exert.
+        Both are diagonal for the modes. The stiffness for the openings follows from the bond
+        forces on the upper crack faces.
         """
         sector, opening_columns = self.cyclic_modes.sector, slice(len(self.squared_omegas), None)
         mass_columns = sum(self._yield_sector_projections(sector.mass, opening_columns))
@@ -628,7 +628,7 @@ class CyclicBasis:
     def sector_stiffnesses(self) -> np.ndarray:
         """Stiffness at rest of each sector j in the basis, U_j^T K U_j: (N, n, n).
 
-        Mistuning multiplies these matrices.
+        Mistuning multiplies each matrix.
         """
         stiffness_at_rest = local_rows(self.cyclic_modes.sector.stiffness_at_rest)
         return np.array(
@@ -644,7 +644,7 @@ class CyclicBasis:
 def solve_cyclic_modes(sector: Sector, families: int, comm: MPI.Comm) -> CyclicModes:
     """Find the ``families`` lowest modes for each nodal diameter (collective).
 
-    The wheel is tuned, and its cracks are bonded. The ranks share the nodal diameters.
+    The wheel is tuned, with bonded cracks. The ranks share the nodal diameters.
     """
     families, modes_by_diameter = min(families, len(sector.dof_numbering.own_members)), {}
     with sector.yield_zero_diameter_solver() as base_solver:
@@ -666,18 +666,18 @@ def make_cyclic_basis(
     """Make a basis for a wheel with cracks under an engine order's load (collective).
 
     The ranks share the nodal diameters. For each nodal diameter the basis has modes v, and static
-    responses to the load and to forces on the right side. Such forces, (K - w^2 M) v, arise if
-    mistuning or cracks disturb a mode; a few patterns approximate them for all modes.
+    responses to the load and to forces on the right side. If mistuning or cracks disturb a mode,
+    (K - w^2 M) v remains as force; a few patterns approximate the forces for all modes.
 
-    For each crack the basis has openings: responses of the whole wheel to contact forces, and to
-    the forces by which bonds close the crack in modes and under the load.
+    For each crack the basis has openings: the wheel's responses to contact forces, and to the
+    forces in the bonds of a closed crack, in modes and under the load.
 
     Parameters
     ----------
     families : int
         Number of modes for each nodal diameter.
     engine_order : int
-        Engine order of the load.
+        The load's engine order.
     cracked_places : tuple of int
         Sectors with a crack, from 0.
     """
@@ -754,7 +754,7 @@ def _make_diameter_basis(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Add static responses to the modes of a nodal diameter, as further Ritz modes.
 
-    Responses that are combinations of the modes, but for rounding, are dropped.
+    Responses equal to combinations of the modes, but for rounding, are dropped.
 
     Parameters
     ----------
@@ -766,9 +766,9 @@ def _make_diameter_basis(
     Returns
     -------
     omega : (n,) [rad/s]
-        Frequencies of modes and static responses together.
+        Frequencies for modes and static responses together.
     shapes : (n_dofs, n)
-        Shapes of modes and static responses together.
+        Shapes for modes and static responses together.
     bond_forces : (n_upper, k) [(N/m)^(1/2)]
         Real bond forces, scaled as in :func:`_compute_bond_forces`.
     """
@@ -790,8 +790,8 @@ def _make_diameter_basis(
 def _make_diameter_loads(sector: Sector, engine_order: int) -> list[np.ndarray]:
     """Return the complex loads (n_dofs, m) [N] on sector 0 for each nodal diameter.
 
-    Harmonic k of the load, f - i g, excites the nodal diameter of the order k E. It is conjugated
-    if the wave runs the other way, and split in real and imaginary part for n = 0 and N/2.
+    Harmonic k of the load, f - i g, excites the nodal diameter for the order k E. The load is
+    conjugated if the wave runs backwards, and split in real and imaginary part for n = 0 and N/2.
     """
     load_parts_of_diameters: list[list[np.ndarray]] = [[] for _ in sector.nodal_diameter_range]
     for harmonic, force in enumerate(to_complex(sector.structure.force)):
@@ -814,7 +814,7 @@ def _compute_bond_forces(
     load: np.ndarray,
     load_response: np.ndarray,
 ) -> np.ndarray:
-    """Return scaled forces by which bonds hold the upper crack face closed.
+    """Return scaled bond forces on the upper face of a closed crack.
 
     The columns are (K - w^2 M) v / w for the m modes v, and (K x - f) / sqrt(work) for the p loads
     f with static response x. With an opening's compliance C, a column b gives the relative change
@@ -833,18 +833,17 @@ def _compute_bond_forces(
 
 
 MIN_OPENING_PATTERN_SIZE = 1e-5
-"""Minimum size [-] of a kept pattern of bond forces.
+"""Minimum size [-] of a kept bond-force pattern.
 
-The squared size is the relative change of w^2, or of the load's work, by the pattern's opening.
-Smaller patterns matter less than the neglected mass that moves with the faces: up to 6e-9 in
-frequencies.
+The squared size is the pattern's relative change of w^2 or the load's work, if the crack opens.
+Smaller patterns matter less than the neglected mass at the faces, up to 6e-9 in frequencies.
 """
 
 
 def _find_opening_shapes(
     sector: Sector, bond_forces: np.ndarray, relieved_stiffness: np.ndarray
 ) -> np.ndarray:
-    """Find displacements D (n_upper, m) of the upper crack face that open the crack.
+    """Find upper-face displacements D (n_upper, m) for opening the crack.
 
     D are the responses to contact forces and to bond forces, normalised to D^T K D = 1 with the
     stiffness K of the upper face in the wheel. Patterns of bond forces smaller than
@@ -884,7 +883,7 @@ def _find_opening_shapes(
 def _gather_results_by_diameter(
     results_by_diameter: dict[int, Any], comm: MPI.Comm
 ) -> dict[int, Any]:
-    """Gather the results of all ranks by nodal diameter, ascending, on every rank (collective)."""
+    """Gather all ranks' results by nodal diameter, ascending, on every rank (collective)."""
     results_by_rank = (
         comm.allgather(results_by_diameter) if comm.size > 1 else [results_by_diameter]
     )
@@ -898,7 +897,7 @@ def _gather_results_by_diameter(
 
 
 MIN_SIDE_PATTERN_SIZE = 0.5
-"""Minimum singular value of a kept pattern of side forces, relative to the largest value."""
+"""Minimum singular value of a kept side-force pattern, relative to the largest value."""
 
 
 def _find_side_force_patterns(
@@ -906,12 +905,12 @@ def _find_side_force_patterns(
 ) -> np.ndarray:
     """Find orthonormal patterns (n_dofs, p) of the forces on the right side in modes.
 
-    The forces are (K - w^2 M) v / w^2 on the sector with free sides; other dofs have zeros.
+    The forces are (K - w^2 M) v / w^2 on the sector with free sides; all remaining dofs have zeros.
 
     Parameters
     ----------
     omega_shapes_pairs : sequence of (omega, shapes)
-        Frequencies (m,) [rad/s] and shapes v (n_dofs, m) of some nodal diameters.
+        Frequencies (m,) [rad/s] and shapes v (n_dofs, m), for a few nodal diameters.
     """
     scaled_force_parts, is_on_right_side = [], sector.dof_numbering.belongs_to_next_sector
     for omega, shapes in omega_shapes_pairs:

@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INSTANTS_PER_PERIOD = 48
-"""Number of instants in a period, among which each node's largest displacement is taken."""
+"""Instants per period for finding each node's largest displacement."""
 
 
 def draw_wheel(solution: PeriodicSolution, **picture_options: Unpack[PictureOptions]) -> Figure:
-    """Draw a bladed disk coloured by its vibration amplitude (collective).
+    """Draw a bladed disk coloured by the vibration amplitude (collective).
 
     The magnified shape belongs to the instant with the largest displacement. Colours show the
     largest displacement in the period. The mean displacement is left out. Blades of a plane disk
@@ -119,7 +119,7 @@ def draw_blades(
     """Draw the response of every blade along a curve.
 
     Cracked blades are orange. Among uncracked blades, the blade with the largest response is blue,
-    and all others are grey.
+    and all remaining blades are grey.
 
     Parameters
     ----------
@@ -192,8 +192,8 @@ def draw_nodal_diameters(
     """Draw natural frequencies over the nodal diameter (SAFE diagram).
 
     Each family of modes is a line with dots (Singh et al. 1988). Rings mark the nodal diameter
-    excited by the load. For a rotor, crosses show the frequency of each engine order over the nodal
-    diameter that this order excites; their line zigzags between 0 and N/2.
+    excited by the load. For a rotor, crosses show each engine order's frequency over the nodal
+    diameter excited by this order; the line zigzags between 0 and N/2.
 
     Parameters
     ----------

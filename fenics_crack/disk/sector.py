@@ -27,9 +27,9 @@ from fenics_crack.scene.scene import Scene
 
 
 def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Comm) -> Wheel:
-    """Assemble a bladed disk from one sector (collective).
+    """Assemble a bladed disk from a meshed sector (collective).
 
-    ``dofs`` and ``structure`` are of the meshed sector, complete on every rank. With a rotor speed
+    ``dofs`` and ``structure`` describe this sector, complete on every rank. With a rotor speed
     the sector gets the centrifugal load and the stiffness at this speed.
 
     Raises

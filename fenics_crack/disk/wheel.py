@@ -59,7 +59,7 @@ from fenics_crack.numerics.fourier import from_complex, to_complex
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WheelBody(Body):
-    """Data of a :class:`Wheel`, fields for its attributes; matrices are made on request."""
+    """Data for the attributes of a :class:`Wheel`; matrices are made on request."""
 
     sector: Sector
     cracked_places: tuple[int, ...]
@@ -71,7 +71,7 @@ class WheelBody(Body):
 
 
 class Wheel(Structure):
-    """Structure of a whole bladed disk, with all rows of its matrices on rank 0.
+    """Structure of a whole bladed disk, with all matrix rows on rank 0.
 
     Displacements are in the frame of each blade: "x" is the first blade's x, turned with the blade.
     Nodes on a side between two sectors belong to the later sector.
@@ -87,12 +87,12 @@ class Wheel(Structure):
     order : int
         The load's engine order.
     families : int
-        Number of modes that a reduction keeps for each nodal diameter, and for each blade.
+        Kept modes in a reduction, for each nodal diameter and for each blade.
     numbers : (N, n_sector) int
-        The wheel's dof for each dof of each sector.
+        The wheel's dof for each sector's dofs.
     places : (n,) int
-        For each dof of the wheel, a position among all ``numbers``: the sector that owns the dof,
-        and the dof in this sector.
+        For each dof, a position among all ``numbers``: the owner's sector, and the dof in this
+        sector.
     """
 
     body: WheelBody
@@ -175,14 +175,14 @@ class Wheel(Structure):
 
     @property
     def watched_sector_index(self) -> int:
-        """Index, from 0, of the sector whose blade is watched.
+        """Index, from 0, of the sector with the watched blade.
 
         This is the first cracked sector, or sector 0 without a crack.
         """
         return self.cracked[0] if self.cracked else 0
 
     def dof_of(self, blade: int, dof: int) -> int:
-        """Return the wheel's dof for a dof of one blade's sector.
+        """Return the wheel's dof for a dof in a blade's sector.
 
         Parameters
         ----------
@@ -220,8 +220,7 @@ class Wheel(Structure):
     def with_harmonics(self, harmonics: Mapping[int, tuple[Any, Any]]) -> Structure:
         """Raise InputError: a bladed disk cannot get further load harmonics.
 
-        The harmonics must be in the scene, since their phases on the blades follow from the engine
-        order.
+        The harmonics must be in the scene: the engine order sets the phases on the blades.
         """
         requirement = (
             "built from a scene with [[excitation.harmonics]]: a bladed disk cannot get them later"
@@ -233,11 +232,11 @@ class Wheel(Structure):
         return WheelInFewCoordinates(self, count_basis_families(self.families))
 
     def watched_sector_load_rows(self, structure: Structure, rows: slice) -> np.ndarray:
-        """Return the part of some load rows that acts on the watched blade's sector.
+        """Return load rows with forces on the watched blade's sector only.
 
-        ``structure`` is the wheel itself or a reduced structure; the result (n_rows,
-        structure.n_dofs) [N] is in its coordinates. ``rows`` are rows of ``force``: mean, then
-        cosine and sine for each harmonic.
+        ``rows`` are rows of ``force``: mean, then cosine and sine for each harmonic. The result
+        (n_rows, structure.n_dofs) [N] has the coordinates of ``structure``, the wheel itself or a
+        reduced structure.
         """
         is_own_dof = ~self.sector.dof_numbering.belongs_to_next_sector
         blade_dofs = np.unique(self.numbers[self.watched_sector_index, is_own_dof])
@@ -249,20 +248,14 @@ class Wheel(Structure):
 
     @shared_property
     def mass(self) -> Any:
-        """Mass matrix M (n, n) [kg] (collective).
-
-        It is made at the first request.
-        """
+        """Mass matrix M (n, n) [kg], made on request (collective)."""
         return self._assemble_wheel_matrix(
             sparse.kron(np.eye(self.sector.n_sectors), self.sector.mass)
         )
 
     @shared_property
     def stiffness(self) -> Any:
-        """Stiffness matrix K (n, n) [N/m] with mistuning (collective).
-
-        It is made at the first request.
-        """
+        """Stiffness matrix K (n, n) [N/m] with mistuning, made on request (collective)."""
         tuned_stiffness = sparse.kron(np.eye(self.sector.n_sectors), self.sector.stiffness)
         stiffness_at_rest = local_rows(self.sector.stiffness_at_rest)
         return self._assemble_wheel_matrix(
@@ -270,10 +263,10 @@ class Wheel(Structure):
         )
 
     def _assemble_wheel_matrix(self, sector_block_matrix: sparse.spmatrix) -> Any:
-        """Assemble a matrix of the wheel from those of its sectors (collective).
+        """Assemble a matrix of the wheel from the sectors' matrices (collective).
 
-        ``sector_block_matrix`` (N n_sector, N n_sector) has the matrix of each sector, with free
-        sides, on its diagonal.
+        ``sector_block_matrix`` (N n_sector, N n_sector) has each sector's matrix, with free sides,
+        on the diagonal.
         """
         copy_matrix = make_selection_matrix(self.numbers.ravel(), self.n_dofs)
         wheel_matrix = sparse.csr_matrix(copy_matrix.T @ sector_block_matrix @ copy_matrix)
@@ -318,7 +311,7 @@ class Wheel(Structure):
         )
 
     def basis(self, families: int) -> CyclicBasis:
-        """Return the basis of motions in which the wheel is solved (collective).
+        """Return the basis of motions for solving the wheel (collective).
 
         The basis does not depend on mistuning, and is computed once for all patterns.
 
@@ -333,7 +326,7 @@ class Wheel(Structure):
         return bases_by_key[basis_key]
 
     def cyclic_modes(self, families: int | None = None) -> CyclicModes:
-        """Find the lowest modes for each nodal diameter of the tuned wheel (collective).
+        """Find the tuned wheel's lowest modes for each nodal diameter (collective).
 
         The cracks are bonded. ``families`` is the number of modes for each nodal diameter; default:
         the wheel's.
@@ -346,7 +339,7 @@ class Wheel(Structure):
 def _read_deviations(given_deviations: Any, n_sectors: int) -> np.ndarray:
     """Return the relative stiffness deviation of each sector: (N,).
 
-    Raises InputError unless one number or N numbers are given, above -1 and below 1000.
+    Raises InputError unless a number or N numbers are given, above -1 and below 1000.
     """
     deviations = floats_or_nan(given_deviations)
     if (
@@ -386,7 +379,7 @@ def _make_wheel_nodes(
     wheel_dof_numbers : (N, n_sector) int
         The wheel's dof for each sector's dofs.
     own_rows : slice
-        All nodes on rank 0, none on other ranks.
+        All nodes on rank 0, none on all further ranks.
     """
     nodes = sector.structure.nodes
     assert nodes is not None
@@ -413,9 +406,9 @@ def _make_wheel_nodes(
 
 
 def _make_wheel_pairs(sector: Sector, cracked_places: tuple[int, ...]) -> Pairs:
-    """Make the contact pairs of all cracked sectors, one sector after the other.
+    """Make the contact pairs of all cracked sectors, sector by sector.
 
-    Empty pairs without a crack or a mesh. Names of places state the blade if several are cracked.
+    Empty pairs without a crack or a mesh. Place names state the blade if several are cracked.
     """
     pairs, n_cracked_sectors = sector.structure.pairs, len(cracked_places)
     if not cracked_places or pairs.points is None or pairs.cracks is None:
@@ -444,7 +437,7 @@ def _make_wheel_pairs(sector: Sector, cracked_places: tuple[int, ...]) -> Pairs:
 
 
 N_REFERENCE_MODES = 16
-"""Number of modes that the reference for the reduction error has beyond the kept modes.
+"""Number of modes in the reference for the reduction error, beyond the kept modes.
 
 On ten wheels, 16 modes cover 0.53 to 0.99 of the change by all neglected modes; eight modes cover
 0.35 to 0.96. With eight, true errors of 0.7 to 1.5 % were 1.8 times the stated errors.
@@ -519,15 +512,15 @@ class WheelInFewCoordinates(Structure):
 
     @cached_property
     def whole(self) -> Wheel:
-        """The wheel that is not reduced, with the same mistuning and settings."""
+        """The wheel before reduction, with the same mistuning and settings."""
         return self._apply_setting(self.body.wheel)
 
     def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """Return frequencies (m,) [rad/s] and shapes (n_dofs, m) of all modes, ascending.
 
-        Cracks are bonded or open. The matrices are dense: equal sectors have pairs of modes, which
-        a Krylov method would mix. After :meth:`with_ranked_modes_and_share`, the open modes are
-        the ranked modes, in their order.
+        Cracks are bonded or open. The matrices are dense, as a Krylov method would mix the mode
+        pairs of equal sectors. After :meth:`with_ranked_modes_and_share`, the open modes are the
+        ranked modes, in ranked order.
         """
         if is_bonded:
             return self.compute_once(_solve_bonded_modes)
@@ -542,10 +535,10 @@ class WheelInFewCoordinates(Structure):
     ) -> tuple[WheelInFewCoordinates, float]:
         """Rank the wheel's modes for a reduction with a reference for the error.
 
-        Three groups follow each other: the ``n_first`` lowest modes, the ``n_more`` modes with the
+        Three groups follow in turn: the ``n_first`` lowest modes, the ``n_more`` modes with the
         largest effect on the gaps, and the next N_REFERENCE_MODES modes by this effect. With mode
         shapes phi and psi = B^T phi, mode j has the part (psi_ij / w_j)^2 of pair i's static
-        compliance. Its inertia changes the part by (w / w_j)^2 at frequency w. The effect is this
+        compliance. At frequency w, inertia changes this part by (w / w_j)^2. The effect is this
         change relative to the pair's compliance, summed over the pairs.
 
         Returns
@@ -575,7 +568,7 @@ class WheelInFewCoordinates(Structure):
 
     @property
     def n_sectors(self) -> int:
-        """N, the number of the wheel's sectors."""
+        """N, the wheel's sector count."""
         return self.body.wheel.n_sectors
 
     @property
@@ -629,7 +622,7 @@ def _solve_all_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
 def _solve_bonded_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
     """Return all frequencies (m,) [rad/s] and mode shapes (n, m) with bonded cracks.
 
-    They are combinations of the open modes in which all gaps are zero.
+    The bonded modes are combinations of the open modes, with all gaps zero.
     """
     omega, shapes = structure.compute_once(_solve_all_modes)
     bonded_space = scipy.linalg.null_space(structure.gap.T @ shapes)
@@ -638,12 +631,13 @@ def _solve_bonded_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
 
 
 def count_basis_families(families: int, n_more: int = 0) -> int:
-    """Return the number of modes for each nodal diameter in the basis: ``families`` + 4 or + 11.
+    """Return the number of modes in the basis for each nodal diameter.
 
-    It is 11 more if ``n_more`` further modes are selected by their effect on the crack. With 2 more
-    families the stated error in a gap is 0.75 times the true error, with 4 more 1.4 times. In a
-    small basis the highest modes are not modes of the wheel, but open the crack much. Selecting
-    from 4 more families left the stability of 6 of 347 curve points undecided; from 8, of none.
+    The number is ``families`` + 4, or + 11 if ``n_more`` further modes are selected by the effect
+    on the crack. With 2 more families the stated error in a gap is 0.75 times the true error, with
+    4 more 1.4 times. In a small basis the highest modes are not modes of the wheel, but open the
+    crack much: selecting among 4 more families left stability undecided at 6 of 347 curve points,
+    among 8 more at none.
     """
     return families + (11 if n_more else 4)
 
@@ -660,10 +654,10 @@ def reduce_wheel(
     - static responses to the load, and to forces by mistuning and cracks on the sides,
     - the opening of each crack, with the wheel's static response.
 
-    In these motions the modes of the mistuned wheel with open cracks are solved. Kept are the
+    With all motions, the mistuned wheel's modes with open cracks are solved. Kept are the
     lowest modes, ``families`` for each sector, and ``more`` modes with the largest effect on the
-    gaps. The next modes by this effect form a reference structure, which estimates the reduction
-    error (``WheelInFewCoordinates.with_ranked_modes_and_share``).
+    gaps. The next modes by this effect form a reference structure for the reduction error
+    (``WheelInFewCoordinates.with_ranked_modes_and_share``).
 
     Parameters
     ----------

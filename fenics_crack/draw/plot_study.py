@@ -788,7 +788,7 @@ def draw_tip_fit(
 
 
 def _draw_candidates(axes: Axes, candidates: Candidates, best_order: float) -> None:
-    """Draw the residuals [m] of fits over the tried engine orders.
+    """Draw fit residuals [m] over the tried engine orders.
 
     Marked are the best order, orders that fit as well, and orders that the probes cannot measure.
     """
@@ -862,7 +862,7 @@ def _draw_fitted_harmonics(axes: Axes, fit: TipFit) -> None:
 def draw_tip_track(
     track: TipTrack, *, in_hertz: bool = False, **picture_options: Unpack[PictureOptions]
 ) -> Figure:
-    """Draw blade tip amplitudes of a run-up over the load frequency.
+    """Draw blade tip amplitudes in a run-up over the load frequency.
 
     Bands are standard errors. Each harmonic of the load frequency has a line.
 

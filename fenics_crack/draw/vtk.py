@@ -421,7 +421,7 @@ def write_fronts(found: StressIntensity, path: str | Path) -> None:
 
 
 class PeriodFields:
-    """Nodal fields of a vibration at n instants of one period, complete on every rank.
+    """Nodal fields of a vibration at n instants in a period, complete on every rank.
 
     Construction is collective. The parameters are as in :func:`write_period`, where ``n_frames`` is
     called ``frames``.
@@ -437,7 +437,7 @@ class PeriodFields:
     contact_forces, pair_areas : (n, n_pairs) [N], (n_pairs,) [m^2]
         Normal forces on the contact pairs, and the pairs' areas on one crack face.
     nodal_force_per_pair_force : (n_nodes, n_pairs)
-        Size of the force at each node for a unit contact force of each pair: 1 at the pair's two
+        Force size at each node for a unit contact force on each pair: 1 at the pair's two
         nodes, or at the two nodes in the middle of a solid's patch.
     pressure_weights : (n_nodes, n_pairs)
         Weight of each pair's pressure in the pressure drawn at each node.
@@ -540,7 +540,7 @@ class PeriodFields:
         return nodal_stress(self.mesh, self.displacement, self.material)
 
     def make_frame_grid(self, frame_index: int) -> Any:
-        """Return the grid at rest with all point fields of one frame.
+        """Return the grid at rest with all point fields for one frame.
 
         :func:`write_period` lists the fields.
         """
@@ -600,7 +600,7 @@ def write_period(
     Returns
     -------
     float
-        Scale factor of the displacement in the script.
+        Displacement scale factor in the script.
 
     Raises
     ------
@@ -676,7 +676,7 @@ VIEW_COMMANDS_BY_DIMENSION = {
 
 
 def _format_vtu(grid: Any) -> str:
-    """Return a grid as the text of a .vtu file.
+    """Return a grid as the text for a .vtu file.
 
     VTK does not write the file itself, since it would not report a failure such as a full disk.
     """
@@ -691,7 +691,7 @@ def _format_vtu(grid: Any) -> str:
 
 
 def _find_nodal_force_per_pair_force(structure: Structure) -> np.ndarray:
-    """Return the size of each node's force for a unit contact force of each pair (collective).
+    """Return the size of each node's force for a unit contact force on each pair (collective).
 
     Returns
     -------

@@ -143,7 +143,7 @@ def _read_string(value: object) -> str:
 
 
 def _read_floats(value: object) -> tuple[float, ...]:
-    """Return a list of finite numbers as a tuple of floats."""
+    """Convert a list with finite numbers to a tuple of floats."""
     return tuple(map(_read_float, _require_instance(list | tuple, value)))
 
 
@@ -534,7 +534,7 @@ def use_table_name_in_errors(table_name: str) -> Iterator[None]:
 
 
 class Table:
-    """Base class of a scene's tables, which checks the value of each key when it is made.
+    """Base class for a scene's tables, which checks the value of each key when it is made.
 
     Subclasses are frozen dataclasses with one field for each key.
     """

@@ -48,14 +48,14 @@ from fenics_crack.scene.fields import (
 )
 
 MANY_SOLUTION_TABLE_NAMES = ("curve", "sweep", "growth", "identify")
-"""Settings tables of the commands that solve a scene many times."""
+"""Settings tables for the commands that solve a scene many times."""
 RESULT_TABLE_NAMES = ("curve", "integration", "sweep", "growth", "identify", "tip_timing", "output")
 """Tables that only choose results and do not change the structure or its load."""
 
 PLATE_TABLE_NAMES = (
     "geometry", "material", "mesh", "crack", "cracks", "loads", "base", "rotation", "disk",
 )  # fmt: skip
-"""Tables of a plate or solid; forbidden with [structure], whose matrices replace them."""
+"""Tables for a plate or solid; forbidden with [structure], whose matrices replace them."""
 MAX_ALLOWED_SIDE_RATIO = 1e4
 """Maximum ratio of width or thickness to the height, or of the height to either side."""
 
@@ -288,7 +288,7 @@ class Scene:
 
     @property
     def dimension(self) -> int:
-        """Number of space dimensions, 2 or 3.
+        """Number of space dimensions: 2 or 3.
 
         3 for a solid and for matrices with another program's model; 2 for a plate and for matrices
         without a model.
@@ -383,7 +383,7 @@ class Scene:
 
     @property
     def label_by_point_name(self) -> dict[str, str]:
-        """Labels of output points: "x displacement of tip" for the name "tip.ux"."""
+        """Labels for output points: "x displacement of tip" for the name "tip.ux"."""
         return {
             f"{point.key}.u{axis_letter}": f"{axis_letter} displacement of {point.key}"
             for point in self.output_points
@@ -405,12 +405,12 @@ class Scene:
 
     @property
     def swept_values_by_key(self) -> dict[str, tuple[Any, ...]]:
-        """Values of each axis of the sweep, by full key; empty without a sweep."""
+        """Values on each axis in the sweep, by full key; empty without a sweep."""
         return {} if self.sweep is None else {axis.key: axis.values for axis in self.sweep.over}
 
     @property
     def swept_omegas(self) -> tuple[float, ...]:
-        """Load frequencies of all cases of the sweep [rad/s].
+        """Load frequencies in all cases of the sweep [rad/s].
 
         Without a sweep, or if the sweep keeps the frequency, only the excitation's frequency.
         """
@@ -594,7 +594,7 @@ def _reason_without_observable(scene: Scene, observable: Observable) -> str:
 def list_requested_extra_quantities(scene: Scene) -> tuple[str, ...]:
     """Return the names in ``output.quantities`` that are computed only on request.
 
-    This is a property of the observable's place (``Place.is_made_on_request``).
+    The observable's place determines this (``Place.is_made_on_request``).
     """
     return tuple(
         quantity_name
@@ -629,7 +629,7 @@ def file_keys_and_paths(scene: Scene) -> list[tuple[str, str]]:
 
 
 def _path_by_key(scene: Scene) -> dict[str, str]:
-    """Return the paths of a scene's files by full key.
+    """Return a scene's file paths by full key.
 
     Paths in ``sweep.over``, ``identify.unknown`` and ``identify.meshes`` are left out.
     """
@@ -809,7 +809,7 @@ def _check_tables_beside_matrices(scene: Scene, structure: kinds.Structure) -> N
 
 
 def _forbid_tables(scene: Scene, table_names: Iterable[str], circumstance: str) -> None:
-    """Raise InputError for the first of the named tables that the scene has.
+    """Raise InputError for the first named table that the scene has.
 
     ``circumstance`` follows "left out with" in the error.
     """
@@ -844,7 +844,7 @@ def _set_vector_dimension(scene: Scene) -> None:
 
 
 def _check_dimension(scene: Scene) -> None:
-    """Check keys that depend on plate or solid, and set the length of vectors.
+    """Check keys that depend on plate or solid, and set vector lengths.
 
     Raises InputError for keys that a plate, or a solid, cannot have, and for wrong vectors.
     """

@@ -358,7 +358,7 @@ class Damping(Table):
 
 
 class PeriodicLoad:
-    """Base class of tables for periodic loads.
+    """Base class for tables with periodic loads.
 
     ``harmonics`` are the load's further harmonics. Only an excitation has ``wave``, the path of a
     file with one period of a force, from which ``wave_harmonics`` harmonics are kept.
@@ -841,7 +841,7 @@ class Contact(Table):
 
 @dataclass(frozen=True)
 class HarmonicBalance(Table):
-    """Settings of harmonic balance: harmonics, contact sampling and tolerance."""
+    """Settings for harmonic balance: harmonics, contact sampling and tolerance."""
 
     harmonics: int = positive_int_field(None)
     """Number of harmonics H; with a tolerance, the minimum. Default: 5."""
@@ -1249,7 +1249,7 @@ class Growth(Table):
     cycles: tuple[float, ...] | None = value_field(
         "a list of numbers > 0", lambda cycles: len(cycles) > 0 and min(cycles) > 0.0, None
     )
-    """Number of load cycles at each of the ``frequencies``, in one repeat of the spectrum."""
+    """Number of load cycles at each frequency, in one repeat of the spectrum."""
     rate_deviation: float = bounded_field("0", "10", 0.0)
     """Relative standard deviation of ``rate``, for the scatter of the life."""
     exponent_deviation: float = bounded_field("0", "10", 0.0)
@@ -1289,7 +1289,7 @@ class Growth(Table):
 
 @dataclass(frozen=True)
 class Identify(Table):
-    """Settings of identification: unknowns, their ranges, and uncertainties of the model.
+    """Settings for identification: unknowns, their ranges, and uncertainties of the model.
 
     The keys ``..._deviation`` are standard deviations of what the model does not know.
 
@@ -1562,7 +1562,7 @@ class Identify(Table):
 
 @dataclass(frozen=True)
 class TipTiming(Table):
-    """Settings of blade tip timing: probes in the casing, and the fit to tip arrivals.
+    """Settings for blade tip timing: probes in the casing, and the fit to tip arrivals.
 
     [tip_timing]
     probes = [0.0, 17.0, 41.0, 58.0, 86.0, 113.0, 140.0, 178.0, 205.0, 251.0, 288.0, 330.0]
@@ -1651,7 +1651,7 @@ class TipTiming(Table):
 
 @dataclass(frozen=True)
 class Output(Table):
-    """Settings of the output: printed and drawn quantities, and watched points.
+    """Settings for the output: printed and drawn quantities, and watched points.
 
     [output]
     quantities = ["amplitude", "ratio_2_1"]
