@@ -315,7 +315,7 @@ def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiame
 
 
 def report_of_diameters(disk_modes: NodalDiameters) -> Report:
-    """Return the command's output: the table with frequencies, and a summary."""
+    """Return the command's printed and written output: table of frequencies, and summary."""
     return Report(
         disk_modes.table(),
         disk_modes.build_conclusion(),
@@ -409,8 +409,8 @@ def amplification(
 
     The disk has no cracks. The largest response is sought near the natural frequencies of a mode
     family and neighbouring modes. At the excited nodal diameter, this family is nearest to the
-    scene's load frequency. The watched dof, at the same place on every blade, has the amplitude.
-    Ranks share the patterns.
+    scene's load frequency. The amplitude is the watched dof's, at the same place on every
+    blade. Ranks share the patterns.
 
     Parameters
     ----------
@@ -474,7 +474,7 @@ def amplification(
 
 
 def report_of_amplification(amplification_result: Amplification) -> Report:
-    """Return the command's output: a table with percentiles of the factors, and a summary.
+    """Return the command's printed and written output: percentiles of the factors, and summary.
 
     The full table with a row for each pattern is written, but not printed.
     """

@@ -61,7 +61,7 @@ class SectorNumbering:
     Attributes
     ----------
     own_members : (n_own,) int
-        Members without right side and upper crack face.
+        Members outside the right side and the upper crack face.
     member_positions : (n,) int
         Position in ``own_members`` for the member with the same motion, on the right side a
         member in the next sector.
@@ -137,7 +137,7 @@ class Sector:
         Matrices, gaps and load of the sector, on this rank alone. Displacements on the right side
         are in the next sector's frame.
     n_sectors : int
-        N.
+        N, the number of sectors.
     center : (d,) [m]
         A point on the axis.
     rotation : (d, d)
@@ -200,12 +200,12 @@ class Sector:
 
     @cached_property
     def stiffness(self) -> sparse.csr_matrix:
-        """K [N/m], with free sides and an open crack."""
+        """Stiffness matrix K (n_dofs, n_dofs) [N/m], with free sides and an open crack."""
         return local_rows(self.structure.stiffness)
 
     @cached_property
     def mass(self) -> sparse.csr_matrix:
-        """M [kg], with free sides and an open crack."""
+        """Mass matrix M (n_dofs, n_dofs) [kg], with free sides and an open crack."""
         return local_rows(self.structure.mass)
 
     def solve_ritz_modes(self, shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -301,8 +301,8 @@ class NodalDiameterSolver:
     inside_rows, side_rows : (n_inside,), (n_side,) int
         Positions among the sector's own dofs: inside, and on the left side.
     left_and_right_couplings : pair of (n_inside, n_side)
-        K_il for the left side and for the right side.
-    side_stiffness, cross_stiffness : (n_side, n_side)
+        Stiffness K_il [N/m] between inside and left side, then inside and right side.
+    side_stiffness, cross_stiffness : (n_side, n_side) [N/m]
         P and R.
     phase_factor : complex
         e^(it).
@@ -321,7 +321,7 @@ class NodalDiameterSolver:
     n_null_pivots = 0
 
     def at_diameter(self, diameter: int) -> NodalDiameterSolver:
-        """Return the solver for a nodal diameter, with the same factor."""
+        """Return the solver for another nodal diameter, with the same factors."""
         phase_factor = np.exp(2j * np.pi * diameter / self.sector.n_sectors)
         is_single_wave = self.sector.has_single_wave(diameter)
         return replace(

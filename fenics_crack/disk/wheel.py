@@ -87,7 +87,7 @@ class Wheel(Structure):
     order : int
         The load's engine order.
     families : int
-        Kept modes in a reduction, for each nodal diameter and for each blade.
+        Number of modes kept in a reduction, for each nodal diameter and for each blade.
     numbers : (N, n_sector) int
         The wheel's dof for each sector's dofs.
     places : (n,) int
@@ -280,7 +280,7 @@ class Wheel(Structure):
         """Return frequencies (m,) [rad/s] and shapes (n_local, m) of the lowest modes (collective).
 
         The number m is ``families`` times N, or less if the basis is smaller. Cracks are bonded or
-        open. The modes are solved in few coordinates and expanded to the wheel.
+        open. The modes are solved in few coordinates and expanded to the wheel; never None.
         """
         wheel_structure = self.structure_in_few_coordinates()
         n_modes = min(
@@ -520,7 +520,7 @@ class WheelInFewCoordinates(Structure):
 
         Cracks are bonded or open. The matrices are dense, as a Krylov method would mix the mode
         pairs of equal sectors. After :meth:`with_ranked_modes_and_share`, the open modes are the
-        ranked modes, in ranked order.
+        ranked modes, in ranked order. The result is never None.
         """
         if is_bonded:
             return self.compute_once(_solve_bonded_modes)

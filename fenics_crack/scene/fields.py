@@ -159,12 +159,12 @@ def _read_vector(value: object, lengths: tuple[int, ...] = (2, 3)) -> Vector:
 
 
 def _read_space_vector(value: object) -> Vector:
-    """Read a vector with three components."""
+    """Return a list of three numbers as a vector; raise TypeError for another length."""
     return _read_vector(value, (3,))
 
 
 def _read_number_or_numbers(value: object) -> float | tuple[float, ...]:
-    """Read a number, or a list with at least one number."""
+    """Return a number as float, or a list with at least one number as a tuple."""
     if not isinstance(value, list | tuple):
         return _read_float(value)
     if not value:
@@ -625,7 +625,7 @@ class Table:
 
     @classmethod
     def field_by_key(cls) -> dict[str, Field[Any]]:
-        """Return the dataclass fields by key."""
+        """Return the dataclass field of each key."""
         return {key_field.name: key_field for key_field in fields(cls)}  # type: ignore[arg-type]
 
     @classmethod
@@ -742,7 +742,8 @@ class Table:
     def forbid_keys(self, keys: Iterable[str], circumstance: str) -> None:
         """Raise InputError if a key is neither None nor the default.
 
-        In the error, the circumstance follows "with" or begins with "without".
+        The error says "left out with" and the circumstance; a circumstance may also begin with
+        "without".
         """
         preposition = "" if circumstance.startswith("without ") else "with "
         for key in keys:

@@ -1098,7 +1098,10 @@ def _check_crack_front(crack: kinds.Crack, geometry: kinds.Geometry) -> None:
 
 
 def _check_crack_on_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kinds.Mesh) -> None:
-    """Raise InputError unless the crack and its tips lie on grid lines, to 1e-9."""
+    """Raise InputError unless a crack lies on a grid line and ends at grid lines.
+
+    The tolerance is 1e-9 of the side. A crack keeps at least one cell from each end of a side.
+    """
     crack.given("length", "given: a finite number > 0 [m]; a grid cannot have crack.first_omega")
     (width, height), n_columns = geometry.sides, mesh.given("columns")
     extent_and_cells_by_key = {"length": (width, n_columns), "height": (height, mesh.given("rows"))}
@@ -1151,7 +1154,10 @@ def _check_crack_distance(scene: Scene, first_name: str, second_name: str) -> No
 
 
 def _is_inside_with_margin(coordinate: float, extent: float) -> bool:
-    """Return True if a coordinate is between 0 and an extent, 1e-4 of it from both."""
+    """Return True if a coordinate is inside the interval from 0 to ``extent``.
+
+    The distance to both ends must be at least 1e-4 of the extent.
+    """
     return (
         MIN_ALLOWED_RELATIVE_DISTANCE * extent
         <= coordinate
@@ -1329,7 +1335,9 @@ def _with_changed_keys(
 
 
 def _merge_table_changes(table_name: str, table: Any, value_by_key: dict[str, object]) -> Any:
-    """Return a table as a mapping, with changed values and without contradicting twins.
+    """Return a table as a mapping, with changed values.
+
+    If a changed quantity also has a key in another unit, this key becomes None.
 
     ``table`` is a Table, a mapping, a shorthand word or None; anything else is returned unchanged
     and refused later.

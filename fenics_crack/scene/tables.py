@@ -152,9 +152,9 @@ class Crack(Table):
     center: float | None = positive_field(None, unit="m")
     """x of the middle, for a crack inside the plate."""
     height: float | None = positive_field(None, unit="m")
-    """y of the crack."""
+    """Coordinate y of the crack."""
     length: float | None = positive_field(None, unit="m")
-    """Length; or ``first_omega`` determines the length."""
+    """Length of the crack; computed if ``first_omega`` is given instead."""
     depth: float | None = positive_field(None, unit="m")
     """Depth of a crack that does not go through a solid."""
     front: str | None = choice_field("straight", "elliptical", "through", default=None)
@@ -291,7 +291,7 @@ class Damping(Table):
     modes: int | str = value_field(
         "'all' or a whole number >= 1", lambda value: value == "all" or value >= 1, "all"
     )
-    """Number of damped modes, from the lowest."""
+    """Number of damped modes, from the lowest; "all": every mode."""
     mass: float | None = nonnegative_field(None, unit="1/s")
     stiffness: float | None = nonnegative_field(None, unit="s")
     ratios: Pair | None = value_field(
@@ -351,7 +351,7 @@ class Damping(Table):
 
     @property
     def damps_all_modes(self) -> bool:
-        """True if the damping acts on every mode, for any structure."""
+        """True if damping acts on every mode, whatever the number of modes in the structure."""
         if self.ratio is None:
             return max(self.mass or 0.0, self.stiffness or 0.0, *(self.ratios or ())) > 0.0
         return self.modes == "all" and float(np.min(self.ratio)) > 0.0
@@ -727,7 +727,7 @@ class Disk(Table):
         lambda deviations: all(-0.5 < deviation < 1.0 for deviation in deviations),
         None,
     )
-    """Relative stiffness deviation of each sector at rest."""
+    """Relative deviation of each sector's stiffness at rest."""
     deviation: float = bounded_field("0", "0.1", 0.0)
     """Standard deviation of a random mistuning pattern, instead of ``mistuning``.
 
@@ -775,14 +775,17 @@ class Disk(Table):
 
 @dataclass(frozen=True)
 class Contact(Table):
-    """Contact between the crack faces, pair by pair of nodes."""
+    """Settings for contact between the crack faces, at pairs of opposite nodes."""
 
     stiffness: float | None = positive_field(None, unit="N/m")
     """Penalty stiffness k of one pair; or give the stiffness per area."""
     stiffness_per_area: float | None = positive_field(None, unit="N/m^3")
     """Penalty stiffness per area of crack face: independent of the mesh."""
     law: str = choice_field("penalty", "smoothed", "unilateral", default="penalty")
-    """"unilateral": no penetration."""
+    """Contact law of a pair: "penalty", a spring in contact; "unilateral", no penetration.
+
+    "smoothed": a penalty law without a corner, which has a force at every gap.
+    """
     sharpness: float | None = positive_field(None, unit="1/m")
     """s in the smoothed law lambda = k g (1/2 + arctan(s g) / pi)."""
     friction: float | None = nonnegative_field(None)
@@ -832,9 +835,9 @@ class Contact(Table):
 
     @property
     def is_unilateral(self) -> bool:
-        """True for laws in which a pair is either open or closed.
+        """True for the laws "penalty" and "unilateral": a pair is either open or closed.
 
-        With other laws forces are not proportional to gaps.
+        With the law "smoothed", a pair has a contact force at every gap.
         """
         return self.law in ("penalty", "unilateral")
 
@@ -862,7 +865,7 @@ class HarmonicBalance(Table):
     error: bool = value_field("true or false", default=True)
     """false: neither error nor stability is computed.
 
-    With many pairs or modes they take longer than the solution.
+    With many pairs or modes, error and stability take longer than the solution.
     """
 
     def __post_init__(self) -> None:
@@ -906,7 +909,7 @@ class HarmonicBalance(Table):
 
 @dataclass(frozen=True)
 class Mesh(Table):
-    """Mesh of the plate or solid.
+    """Settings for the mesh of the plate or solid.
 
     ``layout = "grid"``: columns x rows equal quadrilaterals, or twice as many triangles. The crack
     must run along grid lines.
@@ -926,7 +929,7 @@ class Mesh(Table):
     """
 
     layout: str = choice_field("grid", "graded", "file")
-    """Layout of the mesh."""
+    """Layout: "grid", equal cells; "graded", finer at cracks; "file", a mesh file."""
     cells: str = choice_field("triangle", "quadrilateral", default="quadrilateral")
     """Cells in a plate; a mesh file and a graded sector have their own."""
     order: int = value_field("1 or 2", lambda value: value in (1, 2), default=None)
@@ -939,13 +942,13 @@ class Mesh(Table):
     lip_elements: int | None = positive_int_field(None)
     """Elements of a graded mesh along each crack face."""
     grading: float = bounded_field("1", "1e+06", 4.0)
-    """Size of elements of a graded mesh at the mouth over that at the crack tip."""
+    """Ratio of element sizes along a crack face in a graded mesh, mouth over tip."""
     file: str | None = path_field("the path of a .msh file")
     """Mesh file, relative to the scene's folder, or with a full path."""
     coarser: str | None = path_field("the path of a .msh file")
     """Mesh file with the same part and fewer elements, for estimating the mesh error."""
     per_turn: int = value_field("a whole number from 4 to 200", lambda count: 4 <= count <= 200, 12)
-    """Minimum number of elements around a full circle on curved faces of a CAD part."""
+    """Number of elements on a full turn around a curved face of a CAD part."""
     patches: int | None = positive_int_field(None)
     """Maximum number of contact pairs in each crack.
 
@@ -1001,7 +1004,7 @@ class Structure(Table):
     model: str | None = path_field(
         "the path of the input file of the program that made the matrices"
     )
-    """Nodes and elements: CalculiX or Abaqus (.inp), Nastran (.bdf, .dat, .nas), Ansys (.cdb).
+    """Model file with nodes and elements: CalculiX, Abaqus (.inp), Nastran (.bdf, .dat, .nas), Ansys (.cdb).
 
     Or a table with node, x, y, z [m], separated by commas.
     """
@@ -1033,7 +1036,7 @@ class Structure(Table):
         0.0,
         "m",
     )
-    """g0 for all pairs, or for each; < 0: preload."""
+    """Clearance g0 of all contact pairs, or a file with a value for each; < 0: preload."""
     areas: str | None = path_field("the path of a Matrix Market file with n_pairs rows")
     """Area of each contact pair [m^2], for stiffnesses per area; computed for a model's pairs."""
 
@@ -1071,7 +1074,7 @@ class Reduction(Table):
 
 @dataclass(frozen=True)
 class Curve(Table):
-    """A response curve, followed through its folds by continuation."""
+    """Settings for a response curve, followed through folds by continuation."""
 
     start: float = number_field()
     """Start of the parameter's range, in the units of ``stop``."""
@@ -1129,9 +1132,9 @@ class Curve(Table):
 
 @dataclass(frozen=True)
 class Integration(Table):
-    """Direct integration in time, under the load or as a free decay.
+    """Settings for direct integration in time, under the load or as a free decay.
 
-    It starts at rest, at the end of an earlier motion, or at a static deflection.
+    Integration starts at rest, at the end of an earlier motion, or at a static deflection.
     """
 
     method: str | None = choice_field("exponential", "central_difference", "events", default=None)
@@ -1140,7 +1143,7 @@ class Integration(Table):
     Default: "exponential" for crack faces without mass, otherwise "central_difference".
     """
     periods: int = positive_int_field(600)
-    """Maximum load periods."""
+    """Maximum number of load periods to integrate."""
     settle: float = positive_field(1e-4)
     """Relative change from one period to the next at which integration stops.
 
@@ -1176,7 +1179,7 @@ class Integration(Table):
 
 @dataclass(frozen=True)
 class Sweep(Table):
-    """Many cases: all combinations of values for some keys of the scene.
+    """Settings for a sweep: all combinations of values for some keys of the scene.
 
     For example::
 
@@ -1206,7 +1209,7 @@ class Sweep(Table):
 
 @dataclass(frozen=True)
 class Growth(Table):
-    """Crack growth by fatigue, for ``fenics-crack grow``.
+    """Settings for crack growth by fatigue, for the command ``fenics-crack grow``.
 
     Growth in a cycle of the load is
 
