@@ -397,7 +397,7 @@ def write_fronts(found: StressIntensity, path: str | Path) -> None:
     Notes
     -----
     Each front station has the values of :attr:`StressIntensity.numbers`, ``K_I while closed``
-    [Pa m^0.5], and ``ahead``, the unit vector in the crack's plane in which the crack would grow.
+    [Pa m^0.5], and ``ahead``, the direction in which the crack would grow straight on.
 
     Examples
     --------

@@ -502,7 +502,7 @@ class Load(Table, PeriodicLoad):
     traction_cos: Vector | None = vector_value_field("t", unit="Pa")
     traction_mean: Vector | None = vector_value_field("t", unit="Pa")
     phase: float = number_field(0.0, unit="degrees")
-    """Lag of the cosine and sine parts behind the excitation's phase."""
+    """Phase lag in cos(omega t - phase) and sin(omega t - phase)."""
     harmonics: tuple[Harmonic, ...] = harmonics_field()
     """Further harmonics, ``[[loads.harmonics]]``, as in the excitation.
 
@@ -1004,9 +1004,10 @@ class Structure(Table):
     model: str | None = path_field(
         "the path of the input file of the program that made the matrices"
     )
-    """Model file with nodes and elements: CalculiX, Abaqus (.inp), Nastran (.bdf, .dat, .nas), Ansys (.cdb).
+    """Model file with nodes and elements, from the program that made the matrices.
 
-    Or a table with node, x, y, z [m], separated by commas.
+    CalculiX or Abaqus (.inp), Nastran (.bdf, .dat, .nas), Ansys (.cdb), or a table with node, x, y,
+    z [m], separated by commas.
     """
     dofs: str | None = path_field("the path of a file with node and direction of each row")
     """File with the node and direction of each matrix row, for Matrix Market files with a model.
@@ -1325,8 +1326,8 @@ class Identify(Table):
     )
     """Meshes of the cracked structure, with the unknowns of each, for ``mesh.layout = "file"``.
 
-    The names are keys of the crack, or words for other numbers. Each name has at least 4 values,
-    and each combination a mesh.
+    The names are keys of the crack, or free names for other unknowns. Each name has at least 4
+    values, and every combination of values has a mesh.
     """
     uncracked: str | None = path_field("the path of a .msh file")
     """Mesh of the same structure without the crack, if meshes are read from files."""
@@ -1592,8 +1593,9 @@ class TipTiming(Table):
     """Ratio of the tip's displacement along the rotation to the first watched displacement.
 
     Watched first is the load's dof, or the first point in [output.points]. The ratio is the sine of
-    the stagger; < 0: against the rotation. Default: 1. Default for a solid with [rotation]: the
-    node's circumferential motion; for identify the axis must then be along x, y or z.
+    the stagger; < 0: against the rotation. Default: 1. For a solid with [rotation] the default is
+    no ratio, but the circumferential motion of the watched node. For ``identify``, the rotor axis
+    must then be parallel to x, y or z.
     """
     order: int | None = positive_int_field(None)
     """Number of load periods in a revolution, for a scene without [rotation]."""
