@@ -50,7 +50,10 @@ from fenics_crack.numerics.fourier import to_complex
 
 
 def excited_diameter(engine_order: int, n_sectors: int) -> int:
-    """Return the nodal diameter for an engine order E: min(E mod N, N - E mod N)."""
+    """Return the nodal diameter excited by an engine order.
+
+    It is min(E mod N, N - E mod N) for the order E and N sectors.
+    """
     remainder = engine_order % n_sectors
     return min(remainder, n_sectors - remainder)
 
@@ -200,12 +203,12 @@ class Sector:
 
     @cached_property
     def stiffness(self) -> sparse.csr_matrix:
-        """Stiffness matrix K (n_dofs, n_dofs) [N/m], with free sides and an open crack."""
+        """Stiffness matrix K of the sector with free sides: (n_dofs, n_dofs) [N/m]."""
         return local_rows(self.structure.stiffness)
 
     @cached_property
     def mass(self) -> sparse.csr_matrix:
-        """Mass matrix M (n_dofs, n_dofs) [kg], with free sides and an open crack."""
+        """Mass matrix M of the sector with free sides: (n_dofs, n_dofs) [kg]."""
         return local_rows(self.structure.mass)
 
     def solve_ritz_modes(self, shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -274,7 +277,10 @@ class Sector:
 
 
 def make_selection_matrix(columns: np.ndarray, n_columns: int) -> sparse.csr_matrix:
-    """Return the matrix (n, n_columns) with a 1 in column ``columns[i]`` of each row i."""
+    """Return a sparse matrix with a single 1 in each row.
+
+    Row i has the 1 in column ``columns[i]``; shape (n, n_columns) for n ``columns``.
+    """
     row_starts = np.arange(len(columns) + 1)
     return sparse.csr_matrix(
         (np.ones(len(columns)), columns, row_starts), (len(columns), n_columns)
@@ -283,10 +289,10 @@ def make_selection_matrix(columns: np.ndarray, n_columns: int) -> sparse.csr_mat
 
 @dataclass(frozen=True, eq=False)
 class NodalDiameterSolver:
-    """Solver of K_n x = f for a tuned wheel with bonded cracks and nodal diameter n.
+    """Solver of K_n x = f for a single nodal diameter n.
 
-    The dofs inside the sector (i) are eliminated once for all nodal diameters. A dense matrix for
-    the left side (l) remains:
+    The wheel is tuned, with bonded cracks. The dofs inside the sector (i) are eliminated once for
+    all nodal diameters. A dense matrix for the left side (l) remains:
 
         S_n = P + e^(it) R + e^(-it) R^T,        t = 2 pi n / N
 
@@ -472,9 +478,10 @@ class NodalDiameterSolver:
         return omega[:n_modes], shapes[:, :n_modes]
 
     def static_response(self, forces: np.ndarray) -> np.ndarray:
-        """Return the sector's response T_n K_n^-1 T_n^H f [m] to static forces.
+        """Return the sector's static response to forces [m].
 
-        ``forces`` (n_dofs, m) [N] act on all the sector's dofs; the response has the same shape.
+        The response is T_n K_n^-1 T_n^H f. ``forces`` (n_dofs, m) [N] act on all the sector's dofs;
+        the response has the same shape.
         """
         return np.asarray(
             self.tie_matrix @ self.solve(np.asarray(self.tie_matrix.conj().T @ forces))
@@ -585,9 +592,10 @@ class CyclicBasis:
     def _yield_sector_projections(
         self, matrix: sparse.csr_matrix, column_range: slice
     ) -> Iterator[np.ndarray]:
-        """Yield U_j^T A U_j for each sector j, restricted to a range of columns.
+        """Yield the projection U_j^T A U_j for each sector j.
 
-        ``matrix`` is A over a sector's dofs: stiffness or mass.
+        Only the columns in ``column_range`` are computed. ``matrix`` is A over a sector's dofs:
+        stiffness or mass.
         """
         mapped_modes = replace(
             self.cyclic_modes, shapes=tuple(matrix @ shapes for shapes in self.cyclic_modes.shapes)
@@ -626,9 +634,9 @@ class CyclicBasis:
 
     @cached_property
     def sector_stiffnesses(self) -> np.ndarray:
-        """Stiffness at rest of each sector j in the basis, U_j^T K U_j: (N, n, n).
+        """Stiffness at rest of each sector in the basis: (N, n, n).
 
-        Mistuning multiplies each matrix.
+        U_j^T K U_j for sector j; mistuning multiplies each matrix.
         """
         stiffness_at_rest = local_rows(self.cyclic_modes.sector.stiffness_at_rest)
         return np.array(

@@ -74,10 +74,10 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
 
 
 def record_matched_side_nodes(scene: Scene, dofs: Dofs) -> None:
-    """Match the nodes on a sector's left and right side, and record the pairs in ``dofs``.
+    """Match the nodes on a sector's left and right side.
 
-    Either direction of rotation about the axis may map left to right. From then on, displacements
-    on the right side are in the frame of the next sector.
+    ``dofs`` records the node pairs. Either direction of rotation about the axis may map left to
+    right. From then on, displacements on the right side are in the frame of the next sector.
 
     Raises
     ------
@@ -198,7 +198,7 @@ def _find_partners_and_largest_distance(
     int
         Index of the point with the largest distance.
     (n,) int
-        Partner of each point: the nearest candidate.
+        Index of each point's partner, the nearest candidate.
     """
     from scipy.spatial import cKDTree
 

@@ -129,11 +129,17 @@ class Wheel(Structure):
         cracked_sector_columns = np.eye(n_sectors)[:, list(cracked)]
 
         def assemble_forces(forces: np.ndarray) -> np.ndarray:
-            """Add up forces (m, N, n_sector) on all sectors at the wheel's dofs: (m, n_local)."""
+            """Add up the sectors' forces at the wheel's dofs.
+
+            Shapes (m, N, n_sector) [N] and (m, n_local) [N].
+            """
             return np.asarray(forces.reshape(len(forces), -1) @ copy_matrix)[:, own_rows]
 
         def assemble_gap(gap: sparse.spmatrix) -> sparse.csr_matrix:
-            """Assemble the gap matrix B (n_local, n_pairs) of all cracks from a sector's B."""
+            """Assemble the gap matrix B of all cracks: (n_local, n_pairs).
+
+            ``gap`` is a sector's gap matrix, normal or tangential.
+            """
             return sparse.csr_matrix(copy_matrix.T @ sparse.kron(cracked_sector_columns, gap))[
                 own_rows
             ]
@@ -495,7 +501,10 @@ class WheelInFewCoordinates(Structure):
         )
 
         def assemble_gap(gap: sparse.spmatrix) -> sparse.csr_matrix:
-            """Assemble the gap matrix U^T B (n, p) of all cracks from a sector's B."""
+            """Assemble the gap matrix U^T B of all cracks: (n_dofs, n_pairs).
+
+            ``gap`` is a sector's gap matrix B, normal or tangential.
+            """
             crack_columns = [
                 basis.sector_motions(sector_index).T @ gap for sector_index in wheel.cracked
             ]
@@ -568,7 +577,7 @@ class WheelInFewCoordinates(Structure):
 
     @property
     def n_sectors(self) -> int:
-        """N, the wheel's sector count."""
+        """N, the number of sectors."""
         return self.body.wheel.n_sectors
 
     @property

@@ -101,7 +101,7 @@ def animate_period(
 
 
 class _ColourScale:
-    """Colour scale in steps from 0 to the end of the scale, in a unit with a prefix.
+    """Colour scale in equal steps from 0, in a unit with a prefix.
 
     Attributes
     ----------
@@ -254,11 +254,11 @@ class _MovingMesh:
 
 
 def _find_arrow_starts_and_vectors(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
-    """Return start and vector of the load arrow in each frame: (n_frames, d) [m] each.
+    """Return start and vector of the load arrow in each frame.
 
-    The arrow starts at the mean of the displaced nodes, weighted by their loads in the period, and
-    shows the total load. The longest arrow has an eighth of the structure's size. Both arrays are
-    zero without a total load.
+    Both are (n_frames, d) [m]. The arrow starts at the mean of the displaced nodes, weighted by
+    their loads in the period, and shows the total load. The longest arrow has an eighth of the
+    structure's size. Both arrays are zero without a total load.
     """
     total_loads = fields.nodal_loads.sum(axis=1)
     node_load_weights = np.abs(fields.nodal_loads).sum(axis=(0, 2))
@@ -337,10 +337,11 @@ def _make_palette(colour_scale: _ColourScale) -> Image.Image:
 
 
 def _fit_camera_and_find_width_ratio(plotter: Any, fields: PeriodFields) -> float:
-    """Fit the camera to the whole period, and return the drawn width over the picture's height.
+    """Fit the camera to the whole period.
 
-    A plate is seen from the front; the width is that of all drawn points in the period. A solid is
-    seen from a corner; the width is that of the picture.
+    Returns the drawn width over the picture's height. A plate is seen from the front; the width is
+    that of all drawn points in the period. A solid is seen from a corner; the width is that of the
+    picture.
     """
     width, height = plotter.window_size
     plotter.camera_set = True
@@ -425,9 +426,10 @@ class _AnimationPage:
         self.background_pixels = self.canvas.copy_from_bbox(self.figure.bbox)
 
     def compose_frame_image(self, frame_index: int, plate_image: Image.Image) -> Image.Image:
-        """Return the image of a frame: the page, with the structure's image in half its size.
+        """Return the image of a frame: page and structure.
 
-        ``plate_image`` comes from ``_MovingMesh.render_frame_image``.
+        The structure's image is pasted in half its size. ``plate_image`` comes from
+        ``_MovingMesh.render_frame_image``.
         """
         self.canvas.restore_region(self.background_pixels)
         load_periods = self.frame_load_periods[frame_index]

@@ -199,7 +199,7 @@ def render_png(figure: Figure) -> bytes:
 
 
 def copy_canvas_image(canvas: FigureCanvasAgg) -> Image.Image:
-    """Return a copy of the image on a canvas in red, green and blue, without transparency."""
+    """Return a copy of the image on a canvas, without transparency."""
     return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
 
@@ -298,7 +298,10 @@ class _ScaledLogFormatter(LogFormatter):
         self.unit_factor = unit_factor
 
     def __call__(self, x: float, pos: int | None = None) -> str:
-        """Return the label of a tick at x in SI units; empty for a tick without a label."""
+        """Return the label of a tick; empty for a tick without a label.
+
+        ``x`` is the tick's value in SI units, ``pos`` its number.
+        """
         return _format_number(self.unit_factor * x) if super().__call__(x, pos) else ""
 
 

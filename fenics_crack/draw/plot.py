@@ -136,7 +136,7 @@ def draw_waves(
 def draw_laws(
     laws: Mapping[str, ContactLaw], closing: np.ndarray, **picture_options: Unpack[PictureOptions]
 ) -> Figure:
-    """Draw the contact force [N] over the gap [m] of a contact pair, for several laws.
+    """Draw contact forces [N] over the gap [m] for several contact laws.
 
     Parameters
     ----------
@@ -284,7 +284,9 @@ def _draw_crack_surfaces(
 def _draw_crack_surface(
     axes: Axes, points: np.ndarray, triangles: np.ndarray, values: np.ndarray, label: str
 ) -> None:
-    """Draw nodal values on a crack surface, seen along the axis in which it extends least.
+    """Draw nodal values on a solid's crack surface.
+
+    The view is along the coordinate axis in which the surface extends least.
 
     Parameters
     ----------
@@ -936,7 +938,10 @@ def _draw_intensity_over_time(intensity: StressIntensity, panel: Axes) -> None:
 
 
 def _draw_intensity_along_fronts(intensity: StressIntensity, panel: Axes) -> None:
-    """Draw the largest sizes of K_I, K_II and K_III over the distance along each front."""
+    """Draw the largest stress intensity factors along each crack front.
+
+    These are the largest |K_I|, |K_II| and |K_III| in time at each front station.
+    """
     assert intensity.three is not None
     component_curves = zip(
         ("K_I", "K_II", "K_III"), (intensity.one, intensity.two, intensity.three), strict=True

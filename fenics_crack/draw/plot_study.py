@@ -275,11 +275,11 @@ def draw_verification(found: Verification, **picture_options: Unpack[PictureOpti
 def _draw_convergence_lines(
     panel: Axes, verification: Verification, cause: str, styles_by_quantity: StylesByQuantity
 ) -> None:
-    """Draw |f_i - f| in percent of the quantity over the relative element size h_i.
+    """Draw the differences |f_i - f| over the relative element size h_i.
 
-    The values f_i are from solutions in which ``cause`` was varied, and f is their extrapolation.
-    Sizes are relative to the scene's size. For causes other than the mesh, h_i is the inverse
-    number, for example of harmonics.
+    The differences are in percent of the quantity. The values f_i are from solutions in which
+    ``cause`` was varied, and f is their extrapolation. Sizes are relative to the scene's size. For
+    causes other than the mesh, h_i is the inverse number, for example of harmonics.
     """
     relative_sizes, largest_difference = np.ones(1), 100.0 * MIN_REPORTED_ERROR
     for quantity_name, line_options in styles_by_quantity.items():
@@ -610,7 +610,9 @@ def _draw_engine_order(
     speed_range: tuple[float, float],
     upper_limit: float,
 ) -> None:
-    """Draw the line of an engine order, and its number at the panel's right or upper edge.
+    """Draw the line of an engine order, and its number at an edge.
+
+    The edge is the panel's right or upper edge, at which the line ends.
 
     Parameters
     ----------

@@ -64,10 +64,10 @@ def set_parallel_camera(renderer: Any) -> Any:
 
 
 def look_from_corner(renderer: Any, points: np.ndarray) -> None:
-    """Set a VTK renderer's camera to show a whole solid from a corner, with y upwards.
+    """Set a VTK renderer's camera to show a solid from a corner.
 
-    The camera looks from above and from the side, mostly along the horizontal axis in which the
-    solid is thinnest.
+    y is upwards, and the whole solid is visible. The camera looks from above and from the side,
+    mostly along the horizontal axis in which the solid is thinnest.
 
     Parameters
     ----------
@@ -229,7 +229,7 @@ def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) 
 
 
 def _make_derivative_matrices(mesh: NodalMesh) -> list[csr_matrix]:
-    """Return matrices that differentiate a nodal field at the nodes: d/dx, d/dy and, in 3D, d/dz.
+    """Return matrices that differentiate a nodal field at the nodes.
 
     A derivative at a node is the mean over the cells at the node. VTK differentiates the shape
     functions N at the nodes X of its unit cell; dN/dx = dN/dX (dx/dX)^-1 then follows for each cell
@@ -238,7 +238,7 @@ def _make_derivative_matrices(mesh: NodalMesh) -> list[csr_matrix]:
     Returns
     -------
     list of (n_nodes, n_nodes) [1/m]
-        A matrix for each axis.
+        Matrices for d/dx, d/dy and, in a solid, d/dz.
     """
     n_cell_nodes = mesh.cells.shape[1]
     node_coordinates = np.reshape(
@@ -691,7 +691,7 @@ def _format_vtu(grid: Any) -> str:
 
 
 def _find_nodal_force_per_pair_force(structure: Structure) -> np.ndarray:
-    """Return the size of each node's force for a unit contact force on each pair (collective).
+    """Return nodal force sizes for a unit contact force on each pair (collective).
 
     Returns
     -------

@@ -164,7 +164,10 @@ def _read_space_vector(value: object) -> Vector:
 
 
 def _read_number_or_numbers(value: object) -> float | tuple[float, ...]:
-    """Return a number as float, or a list with at least one number as a tuple."""
+    """Return a number as float, or a list of numbers as a tuple.
+
+    Raises TypeError for an empty list.
+    """
     if not isinstance(value, list | tuple):
         return _read_float(value)
     if not value:
@@ -207,7 +210,10 @@ def _read_mesh_parameter_pairs(
 
 
 def _read_harmonics(value: object) -> tuple[Harmonic, ...]:
-    """Return a list of harmonic tables as a tuple; raise TypeError if two orders are equal."""
+    """Convert a list of harmonic tables to a tuple of harmonics.
+
+    Raises TypeError if two orders are equal.
+    """
     harmonic_tables = _require_instance(list | tuple, value)
     harmonics = tuple(
         harmonic if isinstance(harmonic, Harmonic) else _read_harmonic(harmonic)
@@ -476,7 +482,10 @@ def hertz_field(
     requirement: str = "a finite number > 0 (up to 1e29)",
     is_allowed: Callable[[Any], bool] = lambda value: 0 < value <= 1e29,
 ) -> Any:
-    """Return a field for frequencies in Hz, a second unit for the key ``omega_key`` in rad/s."""
+    """Return a field for frequencies in Hz.
+
+    The same quantity in rad/s is the key ``omega_key``, which a given value also sets.
+    """
     return twin_field(omega_key, RAD_PER_TURN, requirement, is_allowed, "Hz")
 
 
@@ -534,9 +543,10 @@ def use_table_name_in_errors(table_name: str) -> Iterator[None]:
 
 
 class Table:
-    """Base class for a scene's tables, which checks the value of each key when it is made.
+    """Base class for a scene's tables, with checks of all values.
 
-    Subclasses are frozen dataclasses with one field for each key.
+    A wrong value raises InputError when the table is made. Subclasses are frozen dataclasses with
+    one field for each key.
     """
 
     FIRST_TABLE_NAME: ClassVar[str | None] = None
@@ -686,8 +696,10 @@ class Table:
 
     @classmethod
     def full_key(cls, key: str = "") -> str:
-        """Return a key as written in a scene, ``harmonic_balance.samples``; without a key the
-        table's name."""
+        """Return a key with the table's name: "harmonic_balance.samples".
+
+        Without a key, the table's name alone.
+        """
         table_name = "".join(
             "_" + character.lower() if character.isupper() else character
             for character in cls.__name__

@@ -307,7 +307,7 @@ class Scene:
 
     @property
     def has_friction(self) -> bool:
-        """True if ``contact.friction`` is above 0 in the scene or in a case of its sweep."""
+        """True if ``contact.friction`` is above 0, also in a swept case only."""
         contact_has_friction = self.contact is not None and bool(self.contact.friction)
         return contact_has_friction or any(self.swept_values_by_key.get("contact.friction", ()))
 
@@ -347,7 +347,7 @@ class Scene:
         return 0.0 if self.rotation is None else self.rotation.speed
 
     def _is_key_given_or_varied(self, full_key: str) -> bool:
-        """Return True if a full key has a value, or is varied by [curve] or [sweep]."""
+        """Return True if a full key is given, or varied by [curve] or [sweep]."""
         table_name, key_in_table = full_key.split(".")
         is_given = getattr(getattr(self, table_name), key_in_table, None) is not None
         is_curve_parameter = self.curve is not None and self.curve.parameter == key_in_table
@@ -1006,9 +1006,10 @@ _CRACK_SHAPE_KEYS = (*kinds.BOX_CRACK_KEYS, "length", "depth", "front", *kinds.P
 
 
 def _check_cracks(scene: Scene) -> None:
-    """Raise InputError if a crack of a plate or box has a wrong position, or contact is missing.
+    """Raise InputError if a crack of a plate or box has wrong keys.
 
-    Cracks around ``crack.point`` are only checked for consistent keys.
+    Checked are position, length, depth and the distances to edges and other cracks. Cracks around
+    ``crack.point`` are only checked for consistent keys.
     """
     crack_by_name, geometry, mesh = scene.crack_by_name, scene.geometry, scene.mesh
     for crack_name, crack in crack_by_name.items():

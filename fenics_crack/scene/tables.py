@@ -244,7 +244,10 @@ class Crack(Table):
         return np.array([first_axis, np.cross(normal, first_axis), normal])
 
     def span(self, width: float) -> tuple[float, float]:
-        """Return x at the left and right end [m], in a plate with the given width [m]."""
+        """Return x at the crack's left and right end [m].
+
+        ``width`` [m] is the plate's width, needed for a crack from the right edge.
+        """
         crack_length = self.given("length")
         if self.edge is None:
             crack_center = self.given("center")
@@ -1373,12 +1376,12 @@ class Identify(Table):
     rotor the blade's seat or the measured speed changes. Temperatures have separate keys.
     """
     before_scatter: float = bounded_field("0", "1", 0.2)
-    """Part of the clamp's change (``before_deviation``) that differs between modes.
+    """Part of the clamp's change (``before_deviation``) that each mode has by itself.
 
-    Plates clamped deeper, partly released or on an elastic block were computed, with turning,
-    moving and a common change. The remaining part of the largest change is up to 0.05 for plates 15
-    times as tall as wide. It is 0.07 for five times, 0.12 for three, 0.18 for two and 0.29 for
-    squares (benchmarks/identification_limits.py).
+    Evidence: in plates clamped deeper, partly released or on an elastic block, a turning clamp, a
+    moving clamp and a common change explain all but this part of the largest change. The part is up
+    to 0.05 for plates 15 times as tall as wide, 0.07 for five times, 0.12 for three, 0.18 for two
+    and 0.29 for squares (benchmarks/identification_limits.py in commit 981867df).
     """
     temperature_deviation: float | None = value_field(
         "a number from 0 to 1000", lambda value: 0.0 <= value <= 1000.0, None, unit="K"
