@@ -204,9 +204,9 @@ def copy_canvas_image(canvas: FigureCanvasAgg) -> Image.Image:
 
 
 def magnification_to_tenth(vectors: np.ndarray, size: float) -> float:
-    """Return the factor that makes the longest of some vectors (..., d) a tenth of ``size``.
+    """Return the factor that makes the longest vector a tenth of ``size``.
 
-    The factor is 1 if all vectors are zero.
+    ``vectors`` are (..., d), in any unit. The factor is 1 if all vectors are zero.
     """
     largest_norm = np.linalg.norm(vectors, axis=-1).max()
     return float(0.1 * size / largest_norm) if largest_norm > 0.0 else 1.0

@@ -319,7 +319,7 @@ def _draw_crack_surface(
 
 
 def _stack_crack_distances_and_borders(pairs: Pairs) -> tuple[np.ndarray, list[float]]:
-    """Return positions of contact pairs on an axis with all cracks one after the other.
+    """Place contact pairs on an axis with all cracks in a row.
 
     Returns
     -------
@@ -856,9 +856,9 @@ def draw_stress_intensity(
     """Draw stress intensity factors at crack tips or along crack fronts.
 
     In a plate, K_I and K_II of each tip are drawn over time, K_II dashed; K_I is grey and thick
-    while the tip is closed. A solid has two panels: the largest sizes of K_I, K_II and K_III along
-    the fronts, and all three over time at the front station with the largest effective range of
-    K_I.
+    while the tip is closed. A solid has two panels. The first panel shows the largest |K_I|, |K_II|
+    and |K_III| along the fronts. The second panel shows all three over time, at the front station
+    with the largest effective range of K_I.
 
     Parameters
     ----------

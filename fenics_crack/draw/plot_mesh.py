@@ -268,7 +268,7 @@ def draw_numbered_faces(
     triangles: np.ndarray, triangle_faces: np.ndarray, face_tags: Sequence[int],
     number_positions: np.ndarray, **picture_options: Unpack[PictureOptions],
 ) -> Figure:  # fmt: skip
-    """Draw the faces of a CAD part from two sides, with their numbers from 1.
+    """Draw the numbered faces of a CAD part from two sides.
 
     Parameters
     ----------

@@ -216,7 +216,9 @@ def _log_density(density: np.ndarray) -> np.ndarray:
 def _set_limits(
     panel: Any, shown_points: np.ndarray, branch_axes: tuple[np.ndarray, np.ndarray]
 ) -> None:
-    """Limit a panel's axes to the shown points and a margin, within the unknowns' ranges.
+    """Limit a panel's axes to the shown points and a margin.
+
+    The limits stay within the ranges of both unknowns.
 
     Parameters
     ----------
@@ -278,8 +280,9 @@ def _draw_convergence_lines(
     """Draw the differences |f_i - f| over the relative element size h_i.
 
     The differences are in percent of the quantity. The values f_i are from solutions in which
-    ``cause`` was varied, and f is their extrapolation. Sizes are relative to the scene's size. For
-    causes other than the mesh, h_i is the inverse number, for example of harmonics.
+    ``cause`` was varied, and f is their extrapolation. Sizes are relative to the largest, mostly
+    the scene's. For causes other than the mesh, h_i is the inverse number, for example of
+    harmonics.
     """
     relative_sizes, largest_difference = np.ones(1), 100.0 * MIN_REPORTED_ERROR
     for quantity_name, line_options in styles_by_quantity.items():
@@ -727,7 +730,7 @@ def _draw_displacements(panel: Axes, arrivals: ArrivalTimes, in_rpm: bool) -> No
 def draw_tip_fit(
     fit: TipFit, arrivals: ArrivalTimes, **picture_options: Unpack[PictureOptions]
 ) -> Figure:
-    """Draw a vibration fitted to tip arrivals, and the residuals of all tried engine orders.
+    """Draw a vibration fitted to tip arrivals, and residuals by engine order.
 
     The first panel shows a period of the vibration, with the displacements from arrivals. If only
     one engine order was tried, the second panel shows the amplitudes of its harmonics with their

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 
 
 def pad_to_space(vectors: np.ndarray) -> np.ndarray:
-    """Return vectors (n, d), with d = 2 or 3, in space: (n, 3), with z = 0 if d = 2."""
+    """Return vectors (n, 2) with z = 0 added: (n, 3); vectors (n, 3) stay unchanged."""
     return np.pad(vectors, ((0, 0), (0, 3 - vectors.shape[1])))
 
 
@@ -145,9 +145,9 @@ def make_lines(points: np.ndarray, edges: np.ndarray) -> Any:
 
 
 def find_sharp_edge_nodes(mesh: NodalMesh) -> np.ndarray:
-    """Return edges (n, 2) of a solid's surface at which it bends by more than 25 degrees.
+    """Return the sharp edges of a solid's surface: (n, 2) nodes.
 
-    An edge is a pair of nodes.
+    At a sharp edge the surface bends by more than 25 degrees.
     """
     boundary_surface = make_surface(mesh.points, mesh.boundary_sides)
     boundary_surface["node"] = np.arange(len(mesh.points))
@@ -517,10 +517,11 @@ class PeriodFields:
 
     @property
     def colour_scale_end(self) -> float:
-        """End of the colour scale for the whole period, [Pa] or [m]; the scale begins at 0.
+        """End of the colour scale for the whole period, [Pa] or [m].
 
-        For displacements it is the largest value, for stresses the 98 % quantile of the nodes'
-        largest stresses, since stresses are unbounded at the tip and under the load.
+        The scale begins at 0. For displacements it is the largest value, for stresses the 98 %
+        quantile of the nodes' largest stresses, since stresses are unbounded at the tip and under
+        the load.
         """
         largest_nodal_values = self.colour_values.max(axis=0)
         scale_end = (

@@ -820,7 +820,7 @@ def _forbid_tables(scene: Scene, table_names: Iterable[str], circumstance: str) 
 
 
 def _set_vector_dimension(scene: Scene) -> None:
-    """Give zero vectors in all tables as many components as the scene has dimensions.
+    """Give zero vectors in all tables the scene's dimension.
 
     Changes the scene in place. Raises InputError if a nonzero vector or an output point has another
     number of components.
@@ -1084,7 +1084,7 @@ def _check_crack(crack: kinds.Crack, geometry: kinds.Geometry, crack_names: list
 
 
 def _check_crack_front(crack: kinds.Crack, geometry: kinds.Geometry) -> None:
-    """Raise InputError if ``depth`` and ``front`` of a crack do not fit the geometry."""
+    """Raise InputError if a crack's ``depth`` and ``front`` do not fit the geometry."""
     if geometry.dimension == 2:
         crack.forbid_keys(("depth", "front"), "geometry.kind = 'plate'")
     elif crack.depth is None:

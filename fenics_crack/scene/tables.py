@@ -1281,7 +1281,7 @@ class Growth(Table):
 
     @property
     def repeat_cycles_and_duration(self) -> tuple[float, float] | None:
-        """Number of load cycles and duration [s] of one repeat of the spectrum.
+        """Number of load cycles and duration [s] for one repeat of the spectrum.
 
         None without ``cycles`` or ``frequencies``, which only ``drive = "spectrum"`` has.
         """
