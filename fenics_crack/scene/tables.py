@@ -411,7 +411,7 @@ class Excitation(Table, PeriodicLoad):
     two rows with the same time are a jump.
     """
     wave_harmonics: int = harmonic_order_field(20)
-    """Number of harmonics kept from ``wave``; the neglected part is stated."""
+    """Number of harmonics kept from ``wave``; a remark states the neglected part."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -1081,9 +1081,9 @@ class Curve(Table):
     """Settings for a response curve, followed through folds by continuation."""
 
     start: float = number_field()
-    """Start of the parameter's range, in the units of ``stop``."""
+    """First value of the parameter, in the units of ``stop``."""
     stop: float = number_field()
-    """End of the parameter's range.
+    """Last value of the parameter.
 
     Units are rad/s for the load frequency, or Hz with "frequency". Load, stiffness, damping and
     friction are factors, clearances are added [m]. With an engine order: rotor speed [rad/s], or
@@ -1142,9 +1142,9 @@ class Integration(Table):
     """
 
     method: str | None = choice_field("exponential", "central_difference", "events", default=None)
-    """"events": exact from one switching instant to the next.
+    """Method: "exponential" or "central_difference" with time steps, or "events".
 
-    Default: "exponential" for crack faces without mass, otherwise "central_difference".
+    "events" is exact from one switching instant to the next. Default: "exponential" for crack faces without mass, otherwise "central_difference".
     """
     periods: int = positive_int_field(600)
     """Maximum number of load periods to integrate."""
@@ -1252,7 +1252,7 @@ class Growth(Table):
         None,
         unit="Hz",
     )
-    """Load frequencies in a spectrum."""
+    """Load frequencies of the spectrum [Hz], with ``drive = "spectrum"``."""
     cycles: tuple[float, ...] | None = value_field(
         "a list of numbers > 0", lambda cycles: len(cycles) > 0 and min(cycles) > 0.0, None
     )
@@ -1609,9 +1609,9 @@ class TipTiming(Table):
     clock: float = nonnegative_field(0.0, unit="s")
     """Step of the clock to which computed arrival times are rounded; 0: not rounded."""
     seed: int = value_field("a whole number >= 0", lambda value: value >= 0, 0)
-    """Seed of the noise."""
+    """Seed for the random errors with ``noise``."""
     angle_deviation: float = nonnegative_field(0.0, unit="degrees")
-    """Standard deviation of the probe angles' errors, equal in all revolutions."""
+    """Standard deviation of errors in probes, which a fit takes as equal in all revolutions."""
     orders: tuple[float, ...] | None = value_field(
         "a list of different whole numbers >= 1",
         lambda orders: (
