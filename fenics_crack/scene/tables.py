@@ -1144,7 +1144,8 @@ class Integration(Table):
     method: str | None = choice_field("exponential", "central_difference", "events", default=None)
     """Method: "exponential" or "central_difference" with time steps, or "events".
 
-    "events" is exact from one switching instant to the next. Default: "exponential" for crack faces without mass, otherwise "central_difference".
+    "events" is exact from one switching instant to the next. Default: "exponential" for crack faces
+    without mass, otherwise "central_difference".
     """
     periods: int = positive_int_field(600)
     """Maximum number of load periods to integrate."""
@@ -1611,7 +1612,7 @@ class TipTiming(Table):
     seed: int = value_field("a whole number >= 0", lambda value: value >= 0, 0)
     """Seed for the random errors with ``noise``."""
     angle_deviation: float = nonnegative_field(0.0, unit="degrees")
-    """Standard deviation of errors in probes, which a fit takes as equal in all revolutions."""
+    """Standard deviation of the probe angles' errors, which a fit takes as constant."""
     orders: tuple[float, ...] | None = value_field(
         "a list of different whole numbers >= 1",
         lambda orders: (
