@@ -51,17 +51,19 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import remarks_on_scene
 
 FREQUENCIES_PER_BANDWIDTH = 8
-"""Frequencies per half-power bandwidth 2 xi w in the first search for a peak.
+"""Number of frequencies per half-power bandwidth 2 xi w in the first search for a peak.
 
-For a single mode, the first search is within 8e-3 of the peak. A second search in 40 steps, over
-an interval to either side, is within 2e-5.
+For a single mode, the first search finds the peak amplitude to 8e-3. A second search, in 40 steps
+between the neighbouring frequencies, finds it to 2e-5.
 """
 SEARCH_BANDWIDTHS_PER_SIDE = 1.5
 """Half-width of the search interval around a natural frequency, in half-power bandwidths."""
 
 
 def wheel_of(structure: Structure) -> Wheel:
-    """Return a structure's whole wheel, also from a reduced structure.
+    """Return a structure's bladed disk, not reduced.
+
+    ``structure`` is a wheel or a wheel's reduced structure.
 
     Raises
     ------
@@ -75,18 +77,18 @@ def wheel_of(structure: Structure) -> Wheel:
 
 @dataclass(frozen=True, repr=False)
 class Blades(Tabular):
-    """Hold the vibration of a disk's blades at the same dof.
+    """Result of :func:`blades`: vibration at the same dof in each blade.
 
     Attributes
     ----------
     amplitude : (N,) [m]
         Half the peak-to-peak displacement; on a curve at the blade's largest response.
     fundamental : (N,) complex [m]
-        Coefficients of e^(i w t): a - i b for a cos(w t) + b sin(w t).
+        First harmonic, the coefficient of e^(i w t): a - i b for a cos(w t) + b sin(w t).
     second : (N,)
-        Second harmonic's amplitude over the first's.
+        Second harmonic's amplitude over the first harmonic's amplitude.
     omega : (N,) [rad/s]
-        The load's frequency.
+        Load frequency; on a curve at the blade's largest response.
     mistuning : (N,)
         Relative deviation of each sector's stiffness.
     cracked : tuple of int
@@ -105,11 +107,11 @@ class Blades(Tabular):
 
     @property
     def phase(self) -> np.ndarray:
-        """Lead (N,) [rad] of the first harmonic over the load on the first blade."""
+        """Phase lead (N,) [rad] of each blade's first harmonic over cos(w t)."""
         return np.angle(self.fundamental)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns with a row for each blade."""
+        """Return the result's columns by name, with a row for each blade."""
         blade_numbers = range(1, len(self.amplitude) + 1)
         return {
             "blade": list(blade_numbers),
@@ -203,15 +205,17 @@ def blades(found: Any, dof: int | None = None) -> Blades:
 
 @dataclass(frozen=True, repr=False)
 class NodalDiameters(SavedResult):
-    """Hold a tuned, uncracked bladed disk's natural frequencies over nodal diameter.
+    """Result of :func:`nodal_diameters`: natural frequencies over the nodal diameter.
+
+    The disk is tuned, with bonded cracks.
 
     Attributes
     ----------
     scene : Scene
         The disk's scene.
     omega : (n_diameters, families) [rad/s]
-        Frequencies for n = 0 .. N/2. Each belongs to a pair of modes, at n = 0 and N/2 to a single
-        mode.
+        Natural frequencies for the nodal diameters n = 0 .. N/2, ascending in each row. Each
+        belongs to a pair of modes, at n = 0 and N/2 to a single mode.
     """
 
     scene: Scene
@@ -222,12 +226,12 @@ class NodalDiameters(SavedResult):
 
     @property
     def excited(self) -> int:
-        """Nodal diameter that the engine order excites."""
+        """Nodal diameter excited by the engine order."""
         return excited_diameter(self.order, self.sectors)
 
     @property
     def order(self) -> int:
-        """Engine order of the load."""
+        """Engine order of the scene's load; 0 without an engine order."""
         return self.scene.excitation.order or 0
 
     @property
@@ -236,7 +240,10 @@ class NodalDiameters(SavedResult):
         return self.scene.given("disk").sectors
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns of frequencies and engine orders over the nodal diameter."""
+        """Return the result's columns by name, with a row for each nodal diameter.
+
+        "engine_orders" has the lowest engine orders with this nodal diameter.
+        """
         column_by_name: dict[str, Any] = {"nodal_diameter": list(range(len(self.omega)))}
         for family_number, family_omega in enumerate(self.omega.T, 1):
             column_by_name[f"frequency_{family_number}"] = (family_omega / (2.0 * np.pi)).tolist()
@@ -247,7 +254,7 @@ class NodalDiameters(SavedResult):
         }
 
     def _describe_lowest_orders(self, diameter: int) -> str:
-        """List the lowest engine orders that excite a nodal diameter: "3 5 11"."""
+        """List the lowest engine orders with a nodal diameter: "3 5 11"."""
         lowest_orders = sorted({diameter, self.sectors - diameter, self.sectors + diameter} - {0})
         return " ".join(map(str, lowest_orders))
 
@@ -257,7 +264,7 @@ class NodalDiameters(SavedResult):
         }
 
     def build_conclusion(self) -> Conclusion:
-        """Return the concluding sentence's parts: frequencies at the excited diameter."""
+        """Return the printed summary: frequencies at the excited nodal diameter."""
         frequencies_text = ", ".join(
             f"{omega / RAD_PER_TURN:.6g}" for omega in self.omega[self.excited]
         )
@@ -279,14 +286,14 @@ class NodalDiameters(SavedResult):
 def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiameters:
     """Find a bladed disk's natural frequencies over the nodal diameter (collective).
 
-    The disk has no mistuning, and its cracks are bonded. Ranks share the nodal diameters.
+    The disk has no mistuning, and bonded cracks. Ranks share the nodal diameters.
 
     Parameters
     ----------
     scene : Scene
-        Scene with [disk]; ``disk.families`` is the number of frequencies per nodal diameter.
+        Scene with [disk], which has ``disk.families`` frequencies for each nodal diameter.
     comm : MPI.Comm
-        Ranks that share the work.
+        Communicator, whose ranks share the work.
 
     Returns
     -------
@@ -308,7 +315,7 @@ def nodal_diameters(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> NodalDiame
 
 
 def report_of_diameters(disk_modes: NodalDiameters) -> Report:
-    """Report frequencies over the nodal diameter and at the excited diameter."""
+    """Return the command's printed and written output: table of frequencies, and summary."""
     return Report(
         disk_modes.table(),
         disk_modes.build_conclusion(),
@@ -321,7 +328,7 @@ def report_of_diameters(disk_modes: NodalDiameters) -> Report:
 
 @dataclass(frozen=True, repr=False)
 class Amplification(SavedResult):
-    """Hold amplification factors from random mistuning patterns, without contact.
+    """Result of :func:`amplification`: factors for n random mistuning patterns, without contact.
 
     Attributes
     ----------
@@ -333,11 +340,11 @@ class Amplification(SavedResult):
     omega : (n,) [rad/s]
         Load frequency at the largest amplitude.
     blade : (n,) int
-        Number, from 1, of the blade with the largest amplitude.
+        Blade, from 1, with the largest amplitude in each pattern.
     tuned, tuned_omega : float [m], [rad/s]
-        The tuned wheel's largest amplitude, and the load frequency there.
+        The tuned wheel's largest amplitude, and the load frequency for this amplitude.
     deviation, seed : float, int
-        Standard deviation of the sectors' relative stiffness deviations, and the first pattern's
+        Standard deviation for the sectors' relative stiffness deviations, and the first pattern's
         seed; the following patterns have consecutive seeds.
     """
 
@@ -365,7 +372,7 @@ class Amplification(SavedResult):
         return float(np.percentile(self.factor, min(percent, 100.0)))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns with a row for each pattern."""
+        """Return the result's columns by name, with a row for each pattern."""
         seeds = range(self.seed, self.seed + len(self.factor))
         return {
             "seed": list(seeds),
@@ -378,7 +385,7 @@ class Amplification(SavedResult):
         return {"frequency": "Hz"}
 
     def build_conclusion(self) -> Conclusion:
-        """Return the concluding sentence's parts: factors and Whitehead's bound."""
+        """Return the printed summary: 95th percentile, largest factor, bound."""
         answer = f"95 % of the amplification factors are at most {self.percentile(95.0):.4g}"
         answer += f", the largest is {self.factor.max():.4g}; Whitehead's bound is {self.bound:.4g}"
         return Conclusion(f"{format_count(len(self.factor), 'pattern')} solved", answer)
@@ -400,9 +407,10 @@ def amplification(
 ) -> Amplification:
     """Find a disk's amplification factors for random mistuning patterns (collective).
 
-    The disk has no cracks. The peak is sought in a single family of modes and in neighbouring
-    modes. At the excited nodal diameter, this family is nearest to the scene's load frequency. The
-    scene's dof is watched on every blade. Ranks share the patterns.
+    The disk has no cracks. The largest response is sought near the natural frequencies of a mode
+    family and neighbouring modes. At the excited nodal diameter, this family is nearest to the
+    scene's load frequency. The amplitude is the watched dof's, at the same place on every
+    blade. Ranks share the patterns.
 
     Parameters
     ----------
@@ -411,11 +419,11 @@ def amplification(
     patterns : int
         Number of patterns.
     deviation : float
-        Standard deviation of the sectors' relative stiffness deviations.
+        Standard deviation for the sectors' relative stiffness deviations.
     seed : int
         Seed of the first pattern, as ``disk.seed``.
     comm : MPI.Comm
-        Ranks that share the work.
+        Communicator, whose ranks share the work.
 
     Returns
     -------
@@ -466,7 +474,10 @@ def amplification(
 
 
 def report_of_amplification(amplification_result: Amplification) -> Report:
-    """Report percentiles of the amplification factors."""
+    """Return the command's printed and written output: percentiles of the factors, and summary.
+
+    The full table with a row for each pattern is written, but not printed.
+    """
     percents = (5.0, 25.0, 50.0, 75.0, 95.0, 99.0, 100.0)
     table_rows = [[percent, amplification_result.percentile(percent)] for percent in percents]
     tuned_peak_text = (
@@ -484,15 +495,19 @@ def report_of_amplification(amplification_result: Amplification) -> Report:
 
 
 PeakFinder = Callable[[np.ndarray], tuple[float, float, int]]
-"""Function from relative stiffness deviations (N,) to the largest response without contact: the
-amplitude [m], the load frequency [rad/s] and the blade's number from 1."""
+"""Function for a mistuned wheel's largest response without contact.
+
+The argument has the sectors' relative stiffness deviations (N,). Returned are amplitude [m], load
+frequency [rad/s] and the blade's number from 1.
+"""
 
 
 def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
-    """Return the function that finds a mistuned wheel's largest response.
+    """Return the function for a mistuned wheel's largest response without contact.
 
-    The function searches next to 2 N natural frequencies: the excited family nearest to
-    ``load_omega`` [rad/s], and neighbouring modes.
+    The function searches next to 2 N natural frequencies: N modes in one family, and N
+    neighbouring modes. This family is nearest to ``load_omega`` [rad/s] at the excited nodal
+    diameter.
 
     Raises
     ------

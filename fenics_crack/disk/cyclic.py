@@ -50,22 +50,26 @@ from fenics_crack.numerics.fourier import to_complex
 
 
 def excited_diameter(engine_order: int, n_sectors: int) -> int:
-    """Return the nodal diameter that an engine order E excites: min(E mod N, N - E mod N)."""
+    """Return the nodal diameter excited by an engine order.
+
+    It is min(E mod N, N - E mod N) for the order E and N sectors.
+    """
     remainder = engine_order % n_sectors
     return min(remainder, n_sectors - remainder)
 
 
 class SectorNumbering:
-    """Number the members of a sector, either dofs or nodes.
+    """Numbering of a sector's dofs or nodes; members with equal motion share a number.
 
     Attributes
     ----------
     own_members : (n_own,) int
-        Members that belong to the sector alone: without right side and upper face.
+        Members outside the right side and the upper crack face.
     member_positions : (n,) int
-        Position in ``own_members`` of the member with the same motion, in this sector or the next.
+        Position in ``own_members`` for the member with the same motion, on the right side a
+        member in the next sector.
     belongs_to_next_sector : (n,) bool
-        True for members on the right side, which belongs to the next sector.
+        True for members on the right side, a part of the next sector.
     upper_members : (n_upper,) int
         Members on the upper crack face.
     """
@@ -78,11 +82,11 @@ class SectorNumbering:
         Parameters
         ----------
         node_members : (n_nodes, k) int
-            Members of each node, -1 for none.
+            Members of each node: k dofs, or the node itself; -1 for a clamped dof.
         side_nodes : (2, m) int
-            Nodes on the left side, and their partners on the right side.
+            Nodes on the left side, and matching nodes on the right side.
         crack_face_nodes : (2, p) int
-            Nodes on the lower crack face, and their partners on the upper face.
+            Nodes on the lower crack face, and matching nodes on the upper face.
         """
         representative_members = np.arange(node_members.max() + 1)
         for kept_nodes, merged_nodes in (side_nodes, crack_face_nodes):
@@ -100,14 +104,17 @@ class SectorNumbering:
     def number_wheel_members(
         self, n_sectors: int, cracked_places: Sequence[int]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Number the members of a wheel with some open cracks.
+        """Number the members of a wheel with N sectors and open cracks.
+
+        ``cracked_places`` are the sectors with an open crack, from 0.
 
         Returns
         -------
         (N, n) int
-            Wheel number of each sector's members.
+            Number in the wheel for each sector's members; equal numbers move together.
         (n_wheel,) int
-            Position of each number's owner among all N n members.
+            For each number in the wheel, the owner: a position among the N n members of all
+            sectors.
         """
         all_members = np.arange(n_sectors * len(self.member_positions)).reshape(n_sectors, -1)
         owner_sectors = (np.arange(n_sectors)[:, None] + self.belongs_to_next_sector) % n_sectors
@@ -123,9 +130,9 @@ class SectorNumbering:
 
 @dataclass(frozen=True, eq=False)
 class Sector:
-    """Hold a wheel's sector with free sides and an open crack.
+    """A bladed disk's sector with free sides and an open crack.
 
-    Points are in the sector's own frame.
+    Points and vectors are in the sector's own frame, with d = 2 or 3 components.
 
     Attributes
     ----------
@@ -133,19 +140,19 @@ class Sector:
         Matrices, gaps and load of the sector, on this rank alone. Displacements on the right side
         are in the next sector's frame.
     n_sectors : int
-        N.
+        N, the number of sectors.
     center : (d,) [m]
         A point on the axis.
     rotation : (d, d)
         Q, which turns the left side to the right side, and each sector to the next.
     side_nodes : (2, m) int
-        Nodes on the left side, and their partners on the right side.
+        Nodes on the left side, and matching nodes on the right side.
     crack_face_nodes : (2, p) int
-        Nodes on the lower crack face, and their partners on the upper face, without the tip.
+        Nodes on the lower crack face, and matching nodes on the upper face, without the tip.
     stiffness_at_rest : PETSc.Mat
-        Stiffness that mistuning multiplies, [N/m].
+        Stiffness multiplied by mistuning [N/m].
     bases_by_key : dict
-        Bases of wheels, which all mistuning patterns share (``Wheel.basis``).
+        Bases computed so far, shared by wheels with other mistuning (:meth:`Wheel.basis`).
     """
 
     structure: Structure
@@ -159,7 +166,7 @@ class Sector:
 
     @cached_property
     def dof_numbering(self) -> SectorNumbering:
-        """Numbering of the sector's dofs."""
+        """Numbering for the sector's dofs."""
         nodes = self.structure.nodes
         assert nodes is not None
         return SectorNumbering(nodes.dofs, self.side_nodes, self.crack_face_nodes)
@@ -171,7 +178,10 @@ class Sector:
 
     @property
     def load_shares_of_diameters(self) -> np.ndarray:
-        """Share of each nodal diameter and its conjugate in a load on sector 0: (N/2 + 1,)."""
+        """Part of a load on sector 0 carried by each nodal diameter: (N/2 + 1,).
+
+        The part is 2/N for the waves n and -n together, 1/N for n = 0 and N/2.
+        """
         multiplicities = [
             1.0 if self.has_single_wave(n) else 2.0 for n in self.nodal_diameter_range
         ]
@@ -182,7 +192,7 @@ class Sector:
         return 2 * diameter % self.n_sectors == 0
 
     def rotation_matrix(self, n_sector_steps: int) -> np.ndarray:
-        """Return Q^n_sector_steps: (d, d)."""
+        """Return the rotation by a number of sectors: Q^n_sector_steps, (d, d)."""
         return np.asarray(np.linalg.matrix_power(self.rotation, n_sector_steps % self.n_sectors))
 
     def turn_points(self, points: np.ndarray, n_sector_steps: int) -> np.ndarray:
@@ -193,21 +203,21 @@ class Sector:
 
     @cached_property
     def stiffness(self) -> sparse.csr_matrix:
-        """K [N/m], with free sides and an open crack."""
+        """Stiffness matrix K of the sector with free sides: (n_dofs, n_dofs) [N/m]."""
         return local_rows(self.structure.stiffness)
 
     @cached_property
     def mass(self) -> sparse.csr_matrix:
-        """M [kg], with free sides and an open crack."""
+        """Mass matrix M of the sector with free sides: (n_dofs, n_dofs) [kg]."""
         return local_rows(self.structure.mass)
 
     def solve_ritz_modes(self, shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Solve for the modes in the space spanned by shapes.
+        """Solve for modes within the space spanned by given shapes (Rayleigh-Ritz).
 
         Parameters
         ----------
         shapes : (n_dofs, m)
-            Shapes of one nodal diameter, possibly linearly dependent.
+            Shapes for a single nodal diameter, possibly linearly dependent.
 
         Returns
         -------
@@ -226,9 +236,10 @@ class Sector:
 
     @contextmanager
     def yield_zero_diameter_solver(self) -> Iterator[NodalDiameterSolver]:
-        """Factor the inside's stiffness, and yield the solver of nodal diameter 0.
+        """Factorise the stiffness inside the sector, and yield the solver for nodal diameter 0.
 
-        The factor serves all nodal diameters.
+        The factors serve all nodal diameters (:meth:`NodalDiameterSolver.at_diameter`) and are
+        freed when the context ends.
         """
         dof_numbering, n_own_dofs = self.dof_numbering, len(self.dof_numbering.own_members)
         stacked_tie_matrices = make_selection_matrix(
@@ -266,7 +277,10 @@ class Sector:
 
 
 def make_selection_matrix(columns: np.ndarray, n_columns: int) -> sparse.csr_matrix:
-    """Return the matrix (n, n_columns) with a single 1 in each row."""
+    """Return a sparse matrix with a single 1 in each row.
+
+    Row i has the 1 in column ``columns[i]``; shape (n, n_columns) for n ``columns``.
+    """
     row_starts = np.arange(len(columns) + 1)
     return sparse.csr_matrix(
         (np.ones(len(columns)), columns, row_starts), (len(columns), n_columns)
@@ -275,26 +289,26 @@ def make_selection_matrix(columns: np.ndarray, n_columns: int) -> sparse.csr_mat
 
 @dataclass(frozen=True, eq=False)
 class NodalDiameterSolver:
-    """Solve a wheel with bonded cracks for a single nodal diameter.
+    """Solver of K_n x = f for a single nodal diameter n.
 
-    The sector's inside is eliminated once for all nodal diameters. A dense matrix for the left side
-    remains:
+    The wheel is tuned, with bonded cracks. The dofs inside the sector (i) are eliminated once for
+    all nodal diameters. A dense matrix for the left side (l) remains:
 
         S_n = P + e^(it) R + e^(-it) R^T,        t = 2 pi n / N
 
     Attributes
     ----------
     sector : Sector
-        The sector.
+        The wheel's sector.
     inside_factor : Factor
         Factor of the inside's stiffness K_ii.
     stacked_tie_matrices : (n_dofs, 2 n_own)
-        [T_0, T_1].
+        [T_0, T_1]: u_j = T_0 m_j + T_1 m_(j+1) for the sectors' own dofs m.
     inside_rows, side_rows : (n_inside,), (n_side,) int
         Positions among the sector's own dofs: inside, and on the left side.
     left_and_right_couplings : pair of (n_inside, n_side)
-        K_il for the left side and for the right side.
-    side_stiffness, cross_stiffness : (n_side, n_side)
+        Stiffness K_il [N/m] between inside and left side, then inside and right side.
+    side_stiffness, cross_stiffness : (n_side, n_side) [N/m]
         P and R.
     phase_factor : complex
         e^(it).
@@ -313,7 +327,7 @@ class NodalDiameterSolver:
     n_null_pivots = 0
 
     def at_diameter(self, diameter: int) -> NodalDiameterSolver:
-        """Return the solver for a nodal diameter, with the same factor."""
+        """Return the solver for another nodal diameter, with the same factors."""
         phase_factor = np.exp(2j * np.pi * diameter / self.sector.n_sectors)
         is_single_wave = self.sector.has_single_wave(diameter)
         return replace(
@@ -325,7 +339,10 @@ class NodalDiameterSolver:
 
     @cached_property
     def tie_matrix(self) -> sparse.csr_matrix:
-        """T_n, which ties the sector's dofs to its own dofs: (n_dofs, n_own)."""
+        """T_n = T_0 + e^(i 2 pi n / N) T_1: (n_dofs, n_own).
+
+        Multiplied by a sector's own dofs, T_n gives all dofs in this sector.
+        """
         n_own_dofs = self.stacked_tie_matrices.shape[1] // 2
         return sparse.csr_matrix(
             self.stacked_tie_matrices[:, :n_own_dofs]
@@ -334,19 +351,25 @@ class NodalDiameterSolver:
 
     @cached_property
     def side_stiffness_inverse(self) -> np.ndarray:
-        """S_n^-1: (n_side, n_side) [m/N]."""
+        """Inverse S_n^-1 of the left side's stiffness: (n_side, n_side) [m/N]."""
         cross_term = np.asarray(self.phase_factor * self.cross_stiffness)
         return np.linalg.inv(np.asarray(self.side_stiffness) + cross_term + cross_term.conj().T)
 
     @cached_property
     def side_coupling_matrix(self) -> sparse.csr_matrix:
-        """K_il for this nodal diameter: (n_inside, n_side) [N/m]."""
+        """Stiffness K_il between inside and left side for this nodal diameter [N/m].
+
+        Shape (n_inside, n_side); the right side's part has the phase factor.
+        """
         return sparse.csr_matrix(
             self.left_and_right_couplings[0] + self.phase_factor * self.left_and_right_couplings[1]
         )
 
     def solve_inside(self, forces: np.ndarray) -> np.ndarray:
-        """Return K_ii^-1 f_i for real or complex forces (n_inside, m): the same shape."""
+        """Return the response K_ii^-1 f_i [m] inside the sector with fixed sides.
+
+        ``forces`` (n_inside, m) [N] are real or complex; the response has the same shape.
+        """
         if not forces.any():
             return forces
         if not np.iscomplexobj(forces):
@@ -363,18 +386,19 @@ class NodalDiameterSolver:
         right_displacement: np.ndarray,
         inside_motion: Any = 0.0,
     ) -> np.ndarray:
-        """Return a sector's displacement from its sides' displacements.
+        """Return a sector's static displacement for given displacements of both sides.
 
         Parameters
         ----------
         left_displacement, right_displacement : (n_side, m) [m]
-            Displacements of the sides.
+            Side displacements.
         inside_motion : (n_inside, m) [m]
-            Motion inside with fixed sides.
+            Displacement inside with fixed sides, by forces inside; default: 0.
 
         Returns
         -------
         (n_dofs, m) [m]
+            Displacement of all the sector's dofs.
         """
         displacement = np.zeros((self.stacked_tie_matrices.shape[1], left_displacement.shape[1]))
         displacement[self.side_rows] = left_displacement
@@ -386,7 +410,10 @@ class NodalDiameterSolver:
         return np.asarray(self.stacked_tie_matrices @ displacement)
 
     def solve(self, forces: np.ndarray) -> np.ndarray:
-        """Return K_n^-1 f for forces on the sector's own dofs (n_own, m): the same shape."""
+        """Return the response K_n^-1 f [m] to forces on the sector's own dofs.
+
+        ``forces`` (n_own, m) [N] are real or complex; the response has the same shape.
+        """
         inside_motion = self.solve_inside(forces[self.inside_rows])
         side_coupling_matrix = self.side_coupling_matrix
         side_force = forces[self.side_rows] - side_coupling_matrix.conj().T @ inside_motion
@@ -400,7 +427,11 @@ class NodalDiameterSolver:
         return displacement
 
     def apply(self, rhs: Any, solution: Any) -> None:
-        """Apply K_n^-1 to a PETSc vector in real form, as :meth:`Factor.apply`."""
+        """Write K_n^-1 ``rhs`` to ``solution``, both PETSc vectors in real form.
+
+        A complex vector is stored as real part, then imaginary part. The signature is as in
+        :meth:`Factor.apply`.
+        """
         force_parts = rhs.array_r.reshape(2 if self.phase_factor.imag else 1, -1)
         force = force_parts[0] + 1j * force_parts[1] if self.phase_factor.imag else force_parts[0]
         displacement = self.solve(force[:, None])[:, 0]
@@ -414,7 +445,7 @@ class NodalDiameterSolver:
         Returns
         -------
         (n_modes,) [rad/s]
-            Frequencies.
+            Natural frequencies, ascending.
         (n_dofs, n_modes)
             Mode shapes v over a sector's dofs, with v^H M v = 1.
         """
@@ -447,7 +478,11 @@ class NodalDiameterSolver:
         return omega[:n_modes], shapes[:, :n_modes]
 
     def static_response(self, forces: np.ndarray) -> np.ndarray:
-        """Return T_n K_n^-1 T_n^H f for forces (n_dofs, m) on a sector: the same shape."""
+        """Return the sector's static response to forces [m].
+
+        The response is T_n K_n^-1 T_n^H f. ``forces`` (n_dofs, m) [N] act on all the sector's dofs;
+        the response has the same shape.
+        """
         return np.asarray(
             self.tie_matrix @ self.solve(np.asarray(self.tie_matrix.conj().T @ forces))
         )
@@ -455,7 +490,7 @@ class NodalDiameterSolver:
 
 @dataclass(frozen=True, eq=False)
 class CyclicModes:
-    """Hold the natural modes of an equal-sector wheel with bonded cracks.
+    """Natural modes of a wheel with equal sectors and bonded cracks, by nodal diameter.
 
     In a mode with nodal diameter n, sector j, from 0, moves as the real and imaginary parts of
     v e^(i 2 pi n j / N). Both modes have the same frequency; n = 0 and N/2 have a single mode.
@@ -467,7 +502,7 @@ class CyclicModes:
     shapes : tuple of (n_dofs, families)
         v for each nodal diameter over a sector's dofs, real or complex, with v^H M v = 1.
     sector : Sector
-        The sector.
+        The wheel's sector.
     """
 
     omega: tuple[np.ndarray, ...]
@@ -477,9 +512,9 @@ class CyclicModes:
 
 @dataclass(frozen=True, eq=False)
 class CyclicBasis:
-    """Hold a basis U for a wheel with cracks and mistuning.
+    """Basis U of motions for reducing a wheel with cracks and mistuning.
 
-    The cracks are bonded in the modes; further motions open them.
+    The first motions are modes with bonded cracks; further motions, the openings, open the cracks.
 
     Attributes
     ----------
@@ -487,11 +522,12 @@ class CyclicBasis:
         Lowest modes of each nodal diameter, together with static responses to the load and to
         forces on sides.
     opening_responses : (N, n_dofs, m)
-        Responses of all sectors to ``opening_shapes`` in sector 0, without the shapes themselves.
+        Displacements of all sectors by m openings of the crack in sector 0, without
+        ``opening_shapes`` themselves.
     opening_shapes : (n_dofs, m)
         Displacements of the upper crack face relative to the lower face.
     cracked_places : tuple of int
-        Places of the sectors with a crack.
+        Sectors with a crack, from 0.
     """
 
     cyclic_modes: CyclicModes
@@ -501,7 +537,10 @@ class CyclicBasis:
 
     @property
     def squared_omegas(self) -> np.ndarray:
-        """omega^2 [rad^2/s^2] of the modes, which are the first :meth:`sector_motions`."""
+        """Squared natural frequencies [rad^2/s^2] of the modes, the first motions of the basis.
+
+        Both modes of a pair have an entry.
+        """
         has_single_wave = self.cyclic_modes.sector.has_single_wave
         omegas_of_diameters = [
             np.tile(omegas, 1 if has_single_wave(n) else 2)
@@ -510,20 +549,21 @@ class CyclicBasis:
         return np.concatenate(omegas_of_diameters) ** 2
 
     def sector_motions(self, sector_index: Any, rows: Any = slice(None)) -> np.ndarray:
-        """Return a sector's displacement in all motions, a column for each.
+        """Return a sector's displacement in each motion of the basis, as columns of U_j.
 
-        The modes come first, then the openings for each crack.
+        The modes come first, then each crack's openings.
 
         Parameters
         ----------
         sector_index : int or (k,) int
             Place of the sector from 0, or a place for each row.
         rows : slice or (k,) int
-            Rows of the sector's dofs.
+            Rows among the sector's dofs.
 
         Returns
         -------
         (n_dofs, n) or (k, n)
+            Displacements of all dofs, or of ``rows``, in n motions.
         """
         sector, motion_blocks = self.cyclic_modes.sector, []
         for diameter, shapes in enumerate(self.cyclic_modes.shapes):
@@ -552,7 +592,11 @@ class CyclicBasis:
     def _yield_sector_projections(
         self, matrix: sparse.csr_matrix, column_range: slice
     ) -> Iterator[np.ndarray]:
-        """Yield U_j^T A U_j, restricted to a column range, for each sector j."""
+        """Yield the projection U_j^T A U_j for each sector j.
+
+        Only the columns in ``column_range`` are computed. ``matrix`` is A over a sector's dofs:
+        stiffness or mass.
+        """
         mapped_modes = replace(
             self.cyclic_modes, shapes=tuple(matrix @ shapes for shapes in self.cyclic_modes.shapes)
         )
@@ -571,7 +615,8 @@ class CyclicBasis:
     def tuned_mass_and_stiffness(self) -> tuple[np.ndarray, np.ndarray]:
         """U^T M U and U^T K U without mistuning: (n, n) each.
 
-        Both are diagonal for the modes. The openings have the bonds' stiffness on the upper faces.
+        Both are diagonal for the modes. The stiffness for the openings follows from the bond
+        forces on the upper crack faces.
         """
         sector, opening_columns = self.cyclic_modes.sector, slice(len(self.squared_omegas), None)
         mass_columns = sum(self._yield_sector_projections(sector.mass, opening_columns))
@@ -589,7 +634,10 @@ class CyclicBasis:
 
     @cached_property
     def sector_stiffnesses(self) -> np.ndarray:
-        """U_j^T K U_j of each sector with its stiffness at rest: (N, n, n)."""
+        """Stiffness at rest of each sector in the basis: (N, n, n).
+
+        U_j^T K U_j for sector j; mistuning multiplies each matrix.
+        """
         stiffness_at_rest = local_rows(self.cyclic_modes.sector.stiffness_at_rest)
         return np.array(
             [
@@ -602,9 +650,9 @@ class CyclicBasis:
 
 
 def solve_cyclic_modes(sector: Sector, families: int, comm: MPI.Comm) -> CyclicModes:
-    """Find the lowest modes of each nodal diameter (collective).
+    """Find the ``families`` lowest modes for each nodal diameter (collective).
 
-    The ranks share the nodal diameters.
+    The wheel is tuned, with bonded cracks. The ranks share the nodal diameters.
     """
     families, modes_by_diameter = min(families, len(sector.dof_numbering.own_members)), {}
     with sector.yield_zero_diameter_solver() as base_solver:
@@ -623,24 +671,23 @@ def make_cyclic_basis(
     cracked_places: tuple[int, ...],
     comm: MPI.Comm,
 ) -> CyclicBasis:
-    """Make a basis of motions for an engine order's loads (collective).
+    """Make a basis for a wheel with cracks under an engine order's load (collective).
 
-    The ranks share the nodal diameters. Each nodal diameter has modes and static responses. The
-    static responses belong to the loads, and to the forces (K - w^2 M) v that mistuning and cracks
-    leave on the right side. A few patterns approximate these forces for all modes.
+    The ranks share the nodal diameters. For each nodal diameter the basis has modes v, and static
+    responses to the load and to forces on the right side. If mistuning or cracks disturb a mode,
+    (K - w^2 M) v remains as force; a few patterns approximate the forces for all modes.
 
-    Contact-pair forces and bond forces open a crack. An opening's stiffness covers all face
-    displacements, and includes the response of the sides. The openings are real, sector by sector,
-    and the inside follows from the sides.
+    For each crack the basis has openings: the wheel's responses to contact forces, and to the
+    forces in the bonds of a closed crack, in modes and under the load.
 
     Parameters
     ----------
     families : int
         Number of modes for each nodal diameter.
     engine_order : int
-        Engine order of the loads.
+        The load's engine order.
     cracked_places : tuple of int
-        Places of the sectors with a crack.
+        Sectors with a crack, from 0.
     """
     families = min(families, len(sector.dof_numbering.own_members))
     loads_of_diameters, n_dofs = _make_diameter_loads(sector, engine_order), sector.structure.n_dofs
@@ -713,7 +760,9 @@ def _make_diameter_basis(
     load: np.ndarray,
     side_force_patterns: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Add static responses to the modes of a nodal diameter.
+    """Add static responses to the modes of a nodal diameter, as further Ritz modes.
+
+    Responses equal to combinations of the modes, but for rounding, are dropped.
 
     Parameters
     ----------
@@ -725,9 +774,9 @@ def _make_diameter_basis(
     Returns
     -------
     omega : (n,) [rad/s]
-        Frequencies of modes and static responses together.
+        Frequencies for modes and static responses together.
     shapes : (n_dofs, n)
-        Shapes of modes and static responses together.
+        Shapes for modes and static responses together.
     bond_forces : (n_upper, k) [(N/m)^(1/2)]
         Real bond forces, scaled as in :func:`_compute_bond_forces`.
     """
@@ -747,9 +796,10 @@ def _make_diameter_basis(
 
 
 def _make_diameter_loads(sector: Sector, engine_order: int) -> list[np.ndarray]:
-    """Return complex loads (n_dofs, m) [N] on sector 0, by nodal diameter.
+    """Return the complex loads (n_dofs, m) [N] on sector 0 for each nodal diameter.
 
-    The responses turn with the sectors as modes do. The load's harmonics are f - i g.
+    Harmonic k of the load, f - i g, excites the nodal diameter for the order k E. The load is
+    conjugated if the wave runs backwards, and split in real and imaginary part for n = 0 and N/2.
     """
     load_parts_of_diameters: list[list[np.ndarray]] = [[] for _ in sector.nodal_diameter_range]
     for harmonic, force in enumerate(to_complex(sector.structure.force)):
@@ -772,11 +822,11 @@ def _compute_bond_forces(
     load: np.ndarray,
     load_response: np.ndarray,
 ) -> np.ndarray:
-    """Return the scaled real bond forces on the upper face.
+    """Return scaled bond forces on the upper face of a closed crack.
 
-    The columns are (K - w^2 M) v / w for the m modes, and (K x - f) / sqrt(work) for the p loads f
-    with response x. An opening's compliance C and a column f give the relative change f^T C f of
-    w^2 or of work by this opening.
+    The columns are (K - w^2 M) v / w for the m modes v, and (K x - f) / sqrt(work) for the p loads
+    f with static response x. With an opening's compliance C, a column b gives the relative change
+    b^T C b of w^2, or of the load's work, if the crack opens.
 
     Returns
     -------
@@ -791,27 +841,28 @@ def _compute_bond_forces(
 
 
 MIN_OPENING_PATTERN_SIZE = 1e-5
-"""Minimum size of a kept bond-force pattern.
+"""Minimum size [-] of a kept bond-force pattern.
 
-The squared size is this opening's relative change of w^2 or work. Smaller patterns matter less than
-the mass that moves with the faces, which static patterns neglect: up to 6e-9 in frequencies.
+The squared size is the pattern's relative change of w^2 or the load's work, if the crack opens.
+Smaller patterns matter less than the neglected mass at the faces, up to 6e-9 in frequencies.
 """
 
 
 def _find_opening_shapes(
     sector: Sector, bond_forces: np.ndarray, relieved_stiffness: np.ndarray
 ) -> np.ndarray:
-    """Find upper-face displacements (n_upper, m) that open the crack.
+    """Find upper-face displacements D (n_upper, m) for opening the crack.
 
-    The displacements follow from contact-pair forces and bond forces. With the stiffness K of the
-    face, less the relieved stiffness, displacements D have D^T K D = 1.
+    D are the responses to contact forces and to bond forces, normalised to D^T K D = 1 with the
+    stiffness K of the upper face in the wheel. Patterns of bond forces smaller than
+    ``MIN_OPENING_PATTERN_SIZE`` are left out.
 
     Parameters
     ----------
     bond_forces : (n_upper, k) [(N/m)^(1/2)]
         Forces scaled as in :func:`_compute_bond_forces`.
     relieved_stiffness : (n_upper, n_upper) [N/m]
-        Part of the face's stiffness that the rest of the wheel relieves.
+        Decrease of the face's stiffness because the rest of the wheel gives way.
     """
     structure, upper_members = sector.structure, sector.dof_numbering.upper_members
     gap_matrices = [structure.gap] + (
@@ -840,7 +891,7 @@ def _find_opening_shapes(
 def _gather_results_by_diameter(
     results_by_diameter: dict[int, Any], comm: MPI.Comm
 ) -> dict[int, Any]:
-    """Gather all ranks' results by nodal diameter, ascending (collective)."""
+    """Gather all ranks' results by nodal diameter, ascending, on every rank (collective)."""
     results_by_rank = (
         comm.allgather(results_by_diameter) if comm.size > 1 else [results_by_diameter]
     )
@@ -854,18 +905,20 @@ def _gather_results_by_diameter(
 
 
 MIN_SIDE_PATTERN_SIZE = 0.5
-"""Minimum size of a kept side-force pattern, relative to the largest pattern."""
+"""Minimum singular value of a kept side-force pattern, relative to the largest value."""
 
 
 def _find_side_force_patterns(
     sector: Sector, omega_shapes_pairs: Sequence[tuple[np.ndarray, np.ndarray]]
 ) -> np.ndarray:
-    """Find orthonormal right-side patterns (n_dofs, p) of modal forces.
+    """Find orthonormal patterns (n_dofs, p) of the forces on the right side in modes.
+
+    The forces are (K - w^2 M) v / w^2 on the sector with free sides; all remaining dofs have zeros.
 
     Parameters
     ----------
     omega_shapes_pairs : sequence of (omega, shapes)
-        Frequencies [rad/s] and shapes (n_dofs, m) of nodal diameters.
+        Frequencies (m,) [rad/s] and shapes v (n_dofs, m), for a few nodal diameters.
     """
     scaled_force_parts, is_on_right_side = [], sector.dof_numbering.belongs_to_next_sector
     for omega, shapes in omega_shapes_pairs:

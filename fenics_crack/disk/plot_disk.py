@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INSTANTS_PER_PERIOD = 48
-"""Number of instants per period to find each node's largest displacement."""
+"""Instants per period for finding each node's largest displacement."""
 
 
 def draw_wheel(solution: PeriodicSolution, **picture_options: Unpack[PictureOptions]) -> Figure:
-    """Draw a bladed disk coloured by its vibration amplitude (collective).
+    """Draw a bladed disk coloured by the vibration amplitude (collective).
 
     The magnified shape belongs to the instant with the largest displacement. Colours show the
     largest displacement in the period. The mean displacement is left out. Blades of a plane disk
@@ -89,7 +89,7 @@ def draw_wheel(solution: PeriodicSolution, **picture_options: Unpack[PictureOpti
 
 
 def _write_blade_numbers(panel: Axes, wheel: Wheel) -> None:
-    """Write each blade's number on a circle outside all nodes, mid-sector."""
+    """Write each blade's number outside the disk, at mid-sector; cracked blades are orange."""
     sector, nodes = wheel.sector, wheel.sector.structure.nodes
     assert nodes is not None
     sector_middle = nodes.points.mean(axis=0) - sector.center
@@ -118,8 +118,8 @@ def draw_blades(
 ) -> Figure:
     """Draw the response of every blade along a curve.
 
-    Cracked blades are orange. The blade without a crack and with the largest response is blue; all
-    remaining blades are grey.
+    Cracked blades are orange. Among uncracked blades, the blade with the largest response is blue,
+    and all remaining blades are grey.
 
     Parameters
     ----------
@@ -191,9 +191,9 @@ def draw_nodal_diameters(
 ) -> Figure:
     """Draw natural frequencies over the nodal diameter (SAFE diagram).
 
-    Families are dots with lines (Singh et al. 1988). Rings mark the nodal diameter excited by the
-    load. For a rotor, crosses show each engine order's frequency at the excited nodal diameter,
-    which goes up and down between 0 and N/2.
+    Each family of modes is a line with dots (Singh et al. 1988). Rings mark the nodal diameter
+    excited by the load. For a rotor, crosses show each engine order's frequency over the nodal
+    diameter excited by this order; the line zigzags between 0 and N/2.
 
     Parameters
     ----------

@@ -27,9 +27,10 @@ from fenics_crack.scene.scene import Scene
 
 
 def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Comm) -> Wheel:
-    """Assemble the bladed disk from the sector (collective).
+    """Assemble a bladed disk from a meshed sector (collective).
 
-    Every rank has the whole sector.
+    ``dofs`` and ``structure`` describe this sector, complete on every rank. With a rotor speed
+    the sector gets the centrifugal load and the stiffness at this speed.
 
     Raises
     ------
@@ -73,9 +74,10 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
 
 
 def record_matched_side_nodes(scene: Scene, dofs: Dofs) -> None:
-    """Match a sector's left and right nodes, and record them in ``dofs``.
+    """Match the nodes on a sector's left and right side.
 
-    Displacements on the right side are then in the frame of the next sector.
+    ``dofs`` records the node pairs. Either direction of rotation about the axis may map left to
+    right. From then on, displacements on the right side are in the frame of the next sector.
 
     Raises
     ------
@@ -196,7 +198,7 @@ def _find_partners_and_largest_distance(
     int
         Index of the point with the largest distance.
     (n,) int
-        Partner of each point: the nearest candidate.
+        Index of each point's partner, the nearest candidate.
     """
     from scipy.spatial import cKDTree
 

@@ -59,7 +59,7 @@ from fenics_crack.numerics.fourier import from_complex, to_complex
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WheelBody(Body):
-    """Hold a wheel's body without matrices, with the fields of :class:`Wheel`."""
+    """Data for the attributes of a :class:`Wheel`; matrices are made on request."""
 
     sector: Sector
     cracked_places: tuple[int, ...]
@@ -71,7 +71,7 @@ class WheelBody(Body):
 
 
 class Wheel(Structure):
-    """Model the whole wheel, with all rows on rank 0.
+    """Structure of a whole bladed disk, with all matrix rows on rank 0.
 
     Displacements are in the frame of each blade: "x" is the first blade's x, turned with the blade.
     Nodes on a side between two sectors belong to the later sector.
@@ -81,17 +81,18 @@ class Wheel(Structure):
     sector : Sector
         Sector in the first blade's frame.
     cracked : tuple of int
-        Places of sectors with a crack, from 0.
+        Sectors with a crack, from 0.
     mistuning : (N,)
         Relative deviation of each sector's stiffness at rest.
     order : int
         The load's engine order.
     families : int
-        Number of kept modes for each nodal diameter, and for each blade.
+        Number of modes kept in a reduction, for each nodal diameter and for each blade.
     numbers : (N, n_sector) int
-        The wheel's dof for each dof of each sector.
+        The wheel's dof for each sector's dofs.
     places : (n,) int
-        Each dof's position among all ``numbers``: the position at the dof's owner.
+        For each dof, a position among all ``numbers``: the owner's sector, and the dof in this
+        sector.
     """
 
     body: WheelBody
@@ -128,11 +129,17 @@ class Wheel(Structure):
         cracked_sector_columns = np.eye(n_sectors)[:, list(cracked)]
 
         def assemble_forces(forces: np.ndarray) -> np.ndarray:
-            """Assemble forces (m, N, n_sector) on all sectors to the wheel: (m, n_local)."""
+            """Add up the sectors' forces at the wheel's dofs.
+
+            Shapes (m, N, n_sector) [N] and (m, n_local) [N].
+            """
             return np.asarray(forces.reshape(len(forces), -1) @ copy_matrix)[:, own_rows]
 
         def assemble_gap(gap: sparse.spmatrix) -> sparse.csr_matrix:
-            """Assemble B (n_local, n_pairs) for all cracks from a sector's B."""
+            """Assemble the gap matrix B of all cracks: (n_local, n_pairs).
+
+            ``gap`` is a sector's gap matrix, normal or tangential.
+            """
             return sparse.csr_matrix(copy_matrix.T @ sparse.kron(cracked_sector_columns, gap))[
                 own_rows
             ]
@@ -169,19 +176,19 @@ class Wheel(Structure):
 
     @property
     def sector_structure(self) -> Structure:
-        """The sector's structure."""
+        """Structure of a single sector, with free sides and an open crack."""
         return self.sector.structure
 
     @property
     def watched_sector_index(self) -> int:
-        """Place of the sector with the watched blade, from 0.
+        """Index, from 0, of the sector with the watched blade.
 
-        This is the first cracked sector; without a crack, sector 0.
+        This is the first cracked sector, or sector 0 without a crack.
         """
         return self.cracked[0] if self.cracked else 0
 
     def dof_of(self, blade: int, dof: int) -> int:
-        """Return the wheel's dof for a sector's dof.
+        """Return the wheel's dof for a dof in a blade's sector.
 
         Parameters
         ----------
@@ -203,12 +210,12 @@ class Wheel(Structure):
         return int(self.numbers[blade - 1, dof])
 
     def blade_of(self, dof: int) -> tuple[int, int]:
-        """Return sector number, from 1, and sector dof for a wheel's dof."""
+        """Return the sector's number, from 1, and the dof in this sector for a wheel's dof."""
         sector_index, sector_dof = divmod(int(self.places[dof]), self.sector.structure.n_dofs)
         return sector_index + 1, sector_dof
 
     def dofs_of_blades(self, dof: int) -> list[int]:
-        """Return the dofs on all blades at a dof's place, in order."""
+        """Return the dofs at the same place on all blades, from blade 1 to N."""
         return list(map(int, self.numbers[:, self.blade_of(dof)[1]]))
 
     def dof_name(self, dof: int) -> str:
@@ -217,20 +224,25 @@ class Wheel(Structure):
         return f"{self.sector.structure.dof_name(sector_dof)} of blade {blade}"
 
     def with_harmonics(self, harmonics: Mapping[int, tuple[Any, Any]]) -> Structure:
-        """Raise InputError, as the load's harmonics turn with the engine order."""
+        """Raise InputError: a bladed disk cannot get further load harmonics.
+
+        The harmonics must be in the scene: the engine order sets the phases on the blades.
+        """
         requirement = (
             "built from a scene with [[excitation.harmonics]]: a bladed disk cannot get them later"
         )
         raise InputError("structure", repr(self), requirement)
 
     def structure_in_few_coordinates(self) -> WheelInFewCoordinates:
-        """Return the wheel in the coordinates (q, d) used to solve (collective)."""
+        """Return the wheel in few coordinates: q of modes, d of crack openings (collective)."""
         return WheelInFewCoordinates(self, count_basis_families(self.families))
 
     def watched_sector_load_rows(self, structure: Structure, rows: slice) -> np.ndarray:
-        """Return load rows on the watched blade (:meth:`Structure.watched_sector_load_rows`).
+        """Return load rows with forces on the watched blade's sector only.
 
-        The rows (n_rows, structure.n_dofs) are in the coordinates of ``structure``.
+        ``rows`` are rows of ``force``: mean, then cosine and sine for each harmonic. The result
+        (n_rows, structure.n_dofs) [N] has the coordinates of ``structure``, the wheel itself or a
+        reduced structure.
         """
         is_own_dof = ~self.sector.dof_numbering.belongs_to_next_sector
         blade_dofs = np.unique(self.numbers[self.watched_sector_index, is_own_dof])
@@ -242,14 +254,14 @@ class Wheel(Structure):
 
     @shared_property
     def mass(self) -> Any:
-        """M: (n, n) [kg]; made at the first request (collective)."""
+        """Mass matrix M (n, n) [kg], made on request (collective)."""
         return self._assemble_wheel_matrix(
             sparse.kron(np.eye(self.sector.n_sectors), self.sector.mass)
         )
 
     @shared_property
     def stiffness(self) -> Any:
-        """K: (n, n) [N/m]; made at the first request (collective)."""
+        """Stiffness matrix K (n, n) [N/m] with mistuning, made on request (collective)."""
         tuned_stiffness = sparse.kron(np.eye(self.sector.n_sectors), self.sector.stiffness)
         stiffness_at_rest = local_rows(self.sector.stiffness_at_rest)
         return self._assemble_wheel_matrix(
@@ -257,7 +269,11 @@ class Wheel(Structure):
         )
 
     def _assemble_wheel_matrix(self, sector_block_matrix: sparse.spmatrix) -> Any:
-        """Assemble a wheel's matrix from the free sectors' block matrix (collective)."""
+        """Assemble a matrix of the wheel from the sectors' matrices (collective).
+
+        ``sector_block_matrix`` (N n_sector, N n_sector) has each sector's matrix, with free sides,
+        on the diagonal.
+        """
         copy_matrix = make_selection_matrix(self.numbers.ravel(), self.n_dofs)
         wheel_matrix = sparse.csr_matrix(copy_matrix.T @ sector_block_matrix @ copy_matrix)
         return make_matrix_from_local_rows(wheel_matrix[: self.n_local], self.comm)
@@ -267,10 +283,10 @@ class Wheel(Structure):
         return f"{self.sector.n_sectors} sectors, {self.n_dofs} dofs"
 
     def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return frequencies [rad/s] and shapes of the lowest modes (collective).
+        """Return frequencies (m,) [rad/s] and shapes (n_local, m) of the lowest modes (collective).
 
-        There are ``families`` modes for each sector, if the coordinates suffice. The modes are
-        solved in few coordinates and expanded to the wheel.
+        The number m is ``families`` times N, or less if the basis is smaller. Cracks are bonded or
+        open. The modes are solved in few coordinates and expanded to the wheel; never None.
         """
         wheel_structure = self.structure_in_few_coordinates()
         n_modes = min(
@@ -301,9 +317,9 @@ class Wheel(Structure):
         )
 
     def basis(self, families: int) -> CyclicBasis:
-        """Return the motions used to solve the wheel (collective).
+        """Return the basis of motions for solving the wheel (collective).
 
-        The motions are computed once for all mistuning patterns.
+        The basis does not depend on mistuning, and is computed once for all patterns.
 
         Parameters
         ----------
@@ -316,9 +332,10 @@ class Wheel(Structure):
         return bases_by_key[basis_key]
 
     def cyclic_modes(self, families: int | None = None) -> CyclicModes:
-        """Find the lowest modes of each nodal diameter (collective).
+        """Find the tuned wheel's lowest modes for each nodal diameter (collective).
 
-        The cracks are bonded, and there is no mistuning.
+        The cracks are bonded. ``families`` is the number of modes for each nodal diameter; default:
+        the wheel's.
         """
         n_families = self.families if families is None else families
         check_count("families", n_families, 1)
@@ -326,7 +343,10 @@ class Wheel(Structure):
 
 
 def _read_deviations(given_deviations: Any, n_sectors: int) -> np.ndarray:
-    """Return a stiffness deviation for each sector (N,), or raise InputError."""
+    """Return the relative stiffness deviation of each sector: (N,).
+
+    Raises InputError unless a number or N numbers are given, above -1 and below 1000.
+    """
     deviations = floats_or_nan(given_deviations)
     if (
         deviations.shape not in ((), (n_sectors,))
@@ -339,7 +359,11 @@ def _read_deviations(given_deviations: Any, n_sectors: int) -> np.ndarray:
 
 
 def _make_sector_loads(sector: Sector, engine_order: int) -> np.ndarray:
-    """Make the load on each sector's dofs: (2K+1, N, n_sector) [N]."""
+    """Return the load on each sector's dofs: (2K+1, N, n_sector) [N].
+
+    Rows are mean, then cosine and sine for harmonics 1 to K. On sector j, harmonic k leads sector 0
+    by 2 pi k E j / N, with the engine order E.
+    """
     complex_load_harmonics = to_complex(sector.structure.force)
     n_phase_steps = (
         np.multiply.outer(np.arange(len(complex_load_harmonics)), np.arange(sector.n_sectors))
@@ -352,14 +376,16 @@ def _make_sector_loads(sector: Sector, engine_order: int) -> np.ndarray:
 def _make_wheel_nodes(
     sector: Sector, cracked_places: tuple[int, ...], wheel_dof_numbers: np.ndarray, own_rows: slice
 ) -> Nodes:
-    """Make the wheel's nodes on one rank.
+    """Make the wheel's nodes: turned points, dofs, cells and frames.
 
     Parameters
     ----------
+    cracked_places : tuple of int
+        Sectors with a crack, from 0.
     wheel_dof_numbers : (N, n_sector) int
         The wheel's dof for each sector's dofs.
     own_rows : slice
-        All nodes on rank 0, none on other ranks.
+        All nodes on rank 0, none on all further ranks.
     """
     nodes = sector.structure.nodes
     assert nodes is not None
@@ -386,7 +412,10 @@ def _make_wheel_nodes(
 
 
 def _make_wheel_pairs(sector: Sector, cracked_places: tuple[int, ...]) -> Pairs:
-    """Make the contact pairs of all cracked sectors."""
+    """Make the contact pairs of all cracked sectors, sector by sector.
+
+    Empty pairs without a crack or a mesh. Place names state the blade if several are cracked.
+    """
     pairs, n_cracked_sectors = sector.structure.pairs, len(cracked_places)
     if not cracked_places or pairs.points is None or pairs.cracks is None:
         return Pairs()
@@ -414,20 +443,19 @@ def _make_wheel_pairs(sector: Sector, cracked_places: tuple[int, ...]) -> Pairs:
 
 
 N_REFERENCE_MODES = 16
-"""Number of a wheel's modes in the reference, beyond the kept modes.
+"""Number of modes in the reference for the reduction error, beyond the kept modes.
 
-On ten wheels these modes have a share of 0.53 to 0.99 in the remaining change. Eight modes have
-0.35 to 0.96. Then true errors in an opening, 0.7 and 0.9 %, and in the load's displacement, 1.5 %,
-were 1.8 times the stated errors.
+On ten wheels, 16 modes cover 0.53 to 0.99 of the change by all neglected modes; eight modes cover
+0.35 to 0.96. With eight, true errors of 0.7 to 1.5 % were 1.8 times the stated errors.
 """
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FewCoordinatesWheelBody(Body):
-    """Hold a wheel's body in few coordinates.
+    """Data of a :class:`WheelInFewCoordinates`.
 
-    ``ranked_omega_and_shapes`` are the wheel's frequencies [rad/s] and mode shapes in the order
-    made by :meth:`WheelInFewCoordinates.with_ranked_modes_and_share`.
+    ``ranked_omega_and_shapes`` are frequencies (m,) [rad/s] and mode shapes (n_dofs, m), ranked by
+    :meth:`WheelInFewCoordinates.with_ranked_modes_and_share`; None: all modes, ascending.
     """
 
     wheel: Wheel
@@ -436,7 +464,10 @@ class FewCoordinatesWheelBody(Body):
 
 
 class WheelInFewCoordinates(Structure):
-    """Model a wheel in the coordinates (q, d), equal on every rank.
+    """Bladed disk in few coordinates (q, d), equal on every rank.
+
+    The coordinates q belong to modes with bonded cracks and to static responses, d to openings of
+    the cracks.
 
     ``find_dof`` and ``values_at`` refer to the whole wheel's dofs.
 
@@ -470,7 +501,10 @@ class WheelInFewCoordinates(Structure):
         )
 
         def assemble_gap(gap: sparse.spmatrix) -> sparse.csr_matrix:
-            """Assemble U^T B (n, p) for all cracks from a sector's B."""
+            """Assemble the gap matrix U^T B of all cracks: (n_dofs, n_pairs).
+
+            ``gap`` is a sector's gap matrix B, normal or tangential.
+            """
             crack_columns = [
                 basis.sector_motions(sector_index).T @ gap for sector_index in wheel.cracked
             ]
@@ -487,16 +521,15 @@ class WheelInFewCoordinates(Structure):
 
     @cached_property
     def whole(self) -> Wheel:
-        """The whole wheel, in the same setting."""
+        """The wheel before reduction, with the same mistuning and settings."""
         return self._apply_setting(self.body.wheel)
 
     def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return frequencies [rad/s] and shapes of all modes, from dense matrices.
+        """Return frequencies (m,) [rad/s] and shapes (n_dofs, m) of all modes, ascending.
 
-        Equal sectors have modes in pairs, which Krylov's method would mix within the method's
-        error. The modes ascend; open modes may have the order of
-        :meth:`with_ranked_modes_and_share`. The bonded modes are computed in the space of the open
-        modes, with mass matrix 1.
+        Cracks are bonded or open. The matrices are dense, as a Krylov method would mix the mode
+        pairs of equal sectors. After :meth:`with_ranked_modes_and_share`, the open modes are the
+        ranked modes, in ranked order. The result is never None.
         """
         if is_bonded:
             return self.compute_once(_solve_bonded_modes)
@@ -509,19 +542,20 @@ class WheelInFewCoordinates(Structure):
     def with_ranked_modes_and_share(
         self, n_first: int, n_more: int
     ) -> tuple[WheelInFewCoordinates, float]:
-        """Order the wheel's modes for a reduction with a reference.
+        """Rank the wheel's modes for a reduction with a reference for the error.
 
-        The lowest ``n_first`` modes come first. The ``n_more`` modes that move the cracks most
-        follow, ascending, then the next N_REFERENCE_MODES modes in this rank. With the mode shapes
-        phi, the gap matrix B and psi = B^T phi, mode j has the part (psi_ij / w_j)^2 in the static
-        compliance of pair i. At frequency w, the mode's inertia changes this part by (w / w_j)^2.
+        Three groups follow in turn: the ``n_first`` lowest modes, the ``n_more`` modes with the
+        largest effect on the gaps, and the next N_REFERENCE_MODES modes by this effect. With mode
+        shapes phi and psi = B^T phi, mode j has the part (psi_ij / w_j)^2 of pair i's static
+        compliance. At frequency w, inertia changes this part by (w / w_j)^2. The effect is this
+        change relative to the pair's compliance, summed over the pairs.
 
         Returns
         -------
         WheelInFewCoordinates
-            This wheel with ordered modes.
+            This wheel with the ranked modes only.
         float
-            Share of the last group in the changes by all modes after both first groups.
+            Effect of the third group over the effect of all modes outside the first two groups.
         """
         omega, shapes = self.compute_once(_solve_all_modes)
         compliance_shares = ((self.gap.T @ shapes) / omega) ** 2
@@ -543,7 +577,7 @@ class WheelInFewCoordinates(Structure):
 
     @property
     def n_sectors(self) -> int:
-        """N, the number of the wheel's sectors."""
+        """N, the number of sectors."""
         return self.body.wheel.n_sectors
 
     @property
@@ -551,7 +585,10 @@ class WheelInFewCoordinates(Structure):
         return f"{self.n_dofs} coordinates of {self.whole._size_description}"
 
     def iterate_sector_displacements(self, displacement: np.ndarray) -> Iterator[np.ndarray]:
-        """Yield the displacement (m, n_sector) of each sector, from coordinates (m, n_dofs)."""
+        """Return an iterator over the displacement (m, n_sector) [m] of each sector.
+
+        ``displacement`` (m, n_dofs) are the coordinates (q, d).
+        """
         sector_indices = range(self.whole.sector.n_sectors)
         return (
             displacement @ self.basis.sector_motions(sector_index).T
@@ -559,7 +596,7 @@ class WheelInFewCoordinates(Structure):
         )
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
-        """Expand coordinates (m, n_dofs) to the wheel's displacements (m, wheel.n_local)."""
+        """Expand coordinates (m, n_dofs) to displacements (m, wheel.n_local) [m] of the wheel."""
         wheel = self.whole
         wheel_displacement = np.zeros((len(displacement), wheel.n_dofs))
         if wheel.comm.rank == 0:
@@ -570,9 +607,9 @@ class WheelInFewCoordinates(Structure):
         return wheel_displacement[:, : wheel.n_local]
 
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:
-        """Return displacements (m, k) at k dofs of the wheel (collective).
+        """Return displacements (m, k) [m] at k dofs of the wheel (collective).
 
-        ``displacement`` has the coordinates (m, n_dofs).
+        ``displacement`` (m, n_dofs) are the coordinates (q, d); a dof None is the watched dof.
         """
         wheel = self.whole
         owner_positions = wheel.places[wheel.as_dof_numbers(dofs)]
@@ -583,7 +620,7 @@ class WheelInFewCoordinates(Structure):
 
 
 def _solve_all_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
-    """Solve for all frequencies [rad/s] and mode shapes with open cracks."""
+    """Return all frequencies (n,) [rad/s] and mode shapes (n, n) with open cracks."""
     stiffness_and_mass = (
         local_rows(matrix).toarray() for matrix in (structure.stiffness, structure.mass)
     )
@@ -592,7 +629,10 @@ def _solve_all_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _solve_bonded_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
-    """Solve for all frequencies [rad/s] and mode shapes with bonded cracks."""
+    """Return all frequencies (m,) [rad/s] and mode shapes (n, m) with bonded cracks.
+
+    The bonded modes are combinations of the open modes, with all gaps zero.
+    """
     omega, shapes = structure.compute_once(_solve_all_modes)
     bonded_space = scipy.linalg.null_space(structure.gap.T @ shapes)
     squared_omegas, eigenvectors = scipy.linalg.eigh((bonded_space.T * omega**2) @ bonded_space)
@@ -600,13 +640,13 @@ def _solve_bonded_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
 
 
 def count_basis_families(families: int, n_more: int = 0) -> int:
-    """Return the number of modes for each nodal diameter in the basis.
+    """Return the number of modes in the basis for each nodal diameter.
 
-    The basis has four families more than kept, or eleven if further modes are selected from the
-    basis. With two more families, the stated error in a gap is 0.75 times the true error, with four
-    1.4 times: the next families need not open the crack. The highest modes in a small basis are not
-    modes of the wheel, but move the crack much. Selected from four families, 6 of 347 points on a
-    curve were undecided; from eight or more, none.
+    The number is ``families`` + 4, or + 11 if ``n_more`` further modes are selected by the effect
+    on the crack. With 2 more families the stated error in a gap is 0.75 times the true error, with
+    4 more 1.4 times. In a small basis the highest modes are not modes of the wheel, but open the
+    crack much: selecting among 4 more families left stability undecided at 6 of 347 curve points,
+    among 8 more at none.
     """
     return families + (11 if n_more else 4)
 
@@ -623,9 +663,9 @@ def reduce_wheel(
     - static responses to the load, and to forces by mistuning and cracks on the sides,
     - the opening of each crack, with the wheel's static response.
 
-    The mistuned wheel with open cracks has modes in these motions. The lowest are kept,
-    ``families`` for each sector, and ``more`` modes that move the cracks most. The next modes in
-    this rank form the reference, which estimates the reduction error
+    With all motions, the mistuned wheel's modes with open cracks are solved. Kept are the
+    lowest modes, ``families`` for each sector, and ``more`` modes with the largest effect on the
+    gaps. The next modes by this effect form a reference structure for the reduction error
     (``WheelInFewCoordinates.with_ranked_modes_and_share``).
 
     Parameters
@@ -637,7 +677,7 @@ def reduce_wheel(
     more : int
         Number of additional modes; without a crack, the next higher modes.
     reference : bool
-        Keep the reference, too.
+        Also make the reference structure for the reduction error.
 
     Returns
     -------

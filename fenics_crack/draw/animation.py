@@ -34,16 +34,16 @@ from fenics_crack.draw.vtk import PeriodFields
 from fenics_crack.scene.tables import Material
 
 CONTACT_BACKGROUND_COLOUR = "#f5d6c1"
-"""Background of the motion while the crack faces touch: light orange."""
+"""Background of the curve over time while crack faces touch: light orange."""
 UNSHADED_MESH_OPTIONS: dict[str, Any] = {"lighting": False, "reset_camera": False, "render": False}
-"""Options of pyvista's ``add_mesh``: no shading, no camera change, nothing drawn yet."""
+"""Options of pyvista's ``add_mesh``: no shading, no camera change, no immediate rendering."""
 PART_COLOURS_BY_NAME = {
     "lips": "#000000",
     "contact": COLOURS_BY_NAME["orange"],
     "load": COLOURS_BY_NAME["pink"],
     "rest": "#8a8a8a",
 }
-"""Colours of the drawn parts: crack faces (and moving edges), contact dots, load, rest position."""
+"""Colours of an animation: crack faces and moving edges, contact dots, load, rest position."""
 
 
 def animate_period(
@@ -54,11 +54,12 @@ def animate_period(
     magnification: float | None = None,
     material: Material | None = None,
 ) -> float:
-    """Draw one period of a vibration as an animated picture (collective).
+    """Draw one period of a vibration as an animated GIF (collective).
 
-    Below the plate is a crack's opening over time, tinted while the faces of this crack touch. The
-    opening is that at the watched pair that moves most, such as a mouth. Without a crack it is the
-    largest displacement. The caption and the comment of the file state the magnification.
+    A curve below the structure shows the opening of a crack over time, at the watched contact pair
+    that moves most. The background is tinted while the faces of this crack touch. Without a crack,
+    the curve shows the largest displacement. The caption and the file's comment state the
+    magnification.
 
     Parameters
     ----------
@@ -66,13 +67,18 @@ def animate_period(
         Result to show.
     path : str or Path
         A .gif file.
-    frames, magnification, material
-        See :func:`fenics_crack.write_period`; without a material the colours show displacement.
+    frames : int
+        Number of instants in the period.
+    magnification : float, optional
+        Factor by which drawn displacements are magnified; default: the largest displacement becomes
+        a tenth of the structure's size.
+    material : Material, optional
+        Material of the scene, for colours by von Mises stress; default: colours by displacement.
 
     Returns
     -------
     float
-        The magnification.
+        Factor by which drawn displacements are magnified.
 
     Raises
     ------
@@ -95,7 +101,7 @@ def animate_period(
 
 
 class _ColourScale:
-    """Colours in steps from 0 to the end of the scale, in a unit with a prefix.
+    """Colour scale in equal steps from 0, in a unit with a prefix.
 
     Attributes
     ----------
@@ -104,8 +110,9 @@ class _ColourScale:
     label : str
         Name and unit of the field.
     levels : (n_steps + 1,)
-        Borders of the steps in this unit.
+        Borders of the steps in the unit with a prefix.
     n_steps : int
+        Number of steps.
     has_values_beyond : bool
         True if some values exceed the last level.
     colour_map : ListedColormap
@@ -126,20 +133,20 @@ class _ColourScale:
 
 
 class _MovingMesh:
-    """A plate or a solid in a VTK picture, with parts that move from frame to frame.
+    """Plate or solid in a VTK picture, which moves from frame to frame.
 
     Attributes
     ----------
     line_height : float [m]
-        Distance of lines above a plate.
+        Distance of lines above a plate, so that the surface does not hide the lines.
     surface, moving_edge_lines, contact_dots, load_arrow
-        Moving parts, as pyvista's PolyData.
+        Moving objects, as pyvista's PolyData.
     unit_arrow_points : (n, 3)
         Points of an arrow of unit length along x.
     dot_offset_vector : (3,) [m]
-        Displacement of dots and arrow towards the viewer.
+        Shift of contact dots and load arrow towards the viewer of a plate; 0 in a solid.
     arrow_starts, arrow_vectors : (n_frames, d) [m]
-        Load arrow in each frame.
+        Start and vector of the load arrow in each frame.
     """
 
     def __init__(self, plotter: Any, fields: PeriodFields, colour_scale: _ColourScale) -> None:
@@ -184,7 +191,10 @@ class _MovingMesh:
         self._move_to_frame(0)
 
     def _draw_edges(self, edges: np.ndarray, part_name: str, line_width: float) -> Any:
-        """Add edges at rest to the picture in a part's colour, and return their lines."""
+        """Add lines along edges at rest to the picture, and return them as PolyData.
+
+        ``edges`` (m, k) are nodes; ``part_name`` is a key of ``PART_COLOURS_BY_NAME``.
+        """
         edge_lines = vtk.make_lines(self._lift_above_plate(self.fields.mesh.points), edges)
         if len(edges):
             self.plotter.add_mesh(
@@ -196,22 +206,25 @@ class _MovingMesh:
         return edge_lines
 
     def _lift_above_plate(self, points: np.ndarray) -> np.ndarray:
-        """Lift points (n, 2) by the height of lines above a plate; pad to (n, 3).
+        """Return a plate's points (n, 2) [m] in space, lifted by ``line_height``: (n, 3).
 
-        Points of a solid stay as they are.
+        Points of a solid (n, 3) are returned unchanged.
         """
         return vtk.pad_to_space(points) + (points.shape[1] == 2) * np.array(
             [0.0, 0.0, self.line_height]
         )
 
     def render_frame_image(self, frame_index: int) -> Image.Image:
-        """Render the image of a frame."""
+        """Return the image of the structure in a frame, in twice the final resolution."""
         self._move_to_frame(frame_index)
         self.plotter.render()
         return Image.fromarray(self.plotter.screenshot(None, return_img=True))
 
     def _move_to_frame(self, frame_index: int) -> None:
-        """Move all parts to their positions in a frame."""
+        """Move surface, lines, contact dots and load arrow to their positions in a frame.
+
+        Surface colours change, too. Only closed pairs have dots.
+        """
         fields = self.fields
         magnified_points = fields.magnified_points[frame_index]
         self.surface.points = vtk.pad_to_space(magnified_points)
@@ -241,10 +254,11 @@ class _MovingMesh:
 
 
 def _find_arrow_starts_and_vectors(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
-    """Return start and vector of the load arrow in each frame: (n_frames, d) [m] each.
+    """Return start and vector of the load arrow in each frame.
 
-    The arrow starts at the mean of the moving nodes, weighted by their loads over the period. The
-    longest arrow is an eighth of the plate.
+    Both are (n_frames, d) [m]. The arrow starts at the mean of the displaced nodes, weighted by
+    their loads in the period, and shows the total load. The longest arrow has an eighth of the
+    structure's size. Both arrays are zero without a total load.
     """
     total_loads = fields.nodal_loads.sum(axis=1)
     node_load_weights = np.abs(fields.nodal_loads).sum(axis=(0, 2))
@@ -261,7 +275,7 @@ def _find_arrow_starts_and_vectors(fields: PeriodFields) -> tuple[np.ndarray, np
 
 
 def _write_gif(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None:
-    """Draw all frames and write the GIF."""
+    """Draw all frames and write them as a GIF of about 3 s, repeated without end."""
     colour_scale = _ColourScale(fields)
     page = _AnimationPage(solution, fields, colour_scale)
     width, height = page.plate_size
@@ -296,7 +310,10 @@ def _write_gif(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> 
 
 
 def _make_palette(colour_scale: _ColourScale) -> Image.Image:
-    """Make a palette image of the drawn colours, their blends with black and white, and greys."""
+    """Return a palette image with at most 256 colours, for all frames of the GIF.
+
+    The colours are greys, the drawn colours, and blends of these with black and white.
+    """
     drawn_colours = [
         to_rgb(colour)
         for colour in (
@@ -320,10 +337,11 @@ def _make_palette(colour_scale: _ColourScale) -> Image.Image:
 
 
 def _fit_camera_and_find_width_ratio(plotter: Any, fields: PeriodFields) -> float:
-    """Set the camera to see the plate for the whole period, and return the plate's width.
+    """Fit the camera to the whole period.
 
-    The width is that over the period, relative to the height of the picture. A solid is seen from a
-    corner, and has the picture's width.
+    Returns the drawn width over the picture's height. A plate is seen from the front; the width is
+    that of all drawn points in the period. A solid is seen from a corner; the width is that of the
+    picture.
     """
     width, height = plotter.window_size
     plotter.camera_set = True
@@ -349,7 +367,7 @@ def _fit_camera_and_find_width_ratio(plotter: Any, fields: PeriodFields) -> floa
 
 
 def _draw_colour_bar(figure: Figure, colour_scale: _ColourScale) -> None:
-    """Draw the colour bar beside the plate."""
+    """Draw the colour bar beside the structure; an arrow at the end shows values beyond."""
     mappable = ScalarMappable(
         BoundaryNorm(colour_scale.levels, colour_scale.n_steps), colour_scale.colour_map
     )
@@ -366,20 +384,20 @@ def _draw_colour_bar(figure: Figure, colour_scale: _ColourScale) -> None:
 
 
 class _AnimationPage:
-    """Page around the plate: caption, colour bar, legend, and a wave with a moving dot.
+    """Page of an animation: caption, legend, colour bar, and a curve with a moving dot.
 
     Attributes
     ----------
     frame_load_periods, frame_values : (n_frames,)
-        Time in load periods, and opening or displacement [m], of the dot in each frame.
+        Position of the dot in each frame: time in load periods, and opening or displacement [m].
     plate_size, plate_corner : (int, int)
-        Width and height of the plate's image, and the image's left and top edge [pixels].
+        Width and height of the structure's image, and left and top edge of this image [pixels].
     caption_without_phase : str
-        Frequency and magnification.
+        Caption with frequency and magnification, without the frame's phase.
     caption_artist, time_line, wave_dot
         Matplotlib's artists that change from frame to frame.
     background_pixels
-        Pixels of all other artists.
+        Pixels of everything that does not change.
     """
 
     def __init__(
@@ -408,7 +426,11 @@ class _AnimationPage:
         self.background_pixels = self.canvas.copy_from_bbox(self.figure.bbox)
 
     def compose_frame_image(self, frame_index: int, plate_image: Image.Image) -> Image.Image:
-        """Draw the moving artists over the background, and add the plate's halved image."""
+        """Return the image of a frame: page and structure.
+
+        The structure's image is pasted in half its size. ``plate_image`` comes from
+        ``_MovingMesh.render_frame_image``.
+        """
         self.canvas.restore_region(self.background_pixels)
         load_periods = self.frame_load_periods[frame_index]
         self.wave_dot.set_data([load_periods], [self.frame_values[frame_index]])
@@ -427,7 +449,7 @@ class _AnimationPage:
         return page_image
 
     def _draw_legend(self, fields: PeriodFields) -> None:
-        """Draw the legend of the parts that the plate has."""
+        """Draw the legend, with entries for what the structure has: clamp, load, crack faces."""
         legend_rows = (
             ("at rest", True, "rest", 1.5, None),
             ("clamped", fields.mesh.is_clamped.any(), "rest", 6, None),
@@ -455,7 +477,10 @@ class _AnimationPage:
         )
 
     def _draw_displacement_curve(self, solution: PeriodicSolution, fields: PeriodFields) -> None:
-        """Draw the opening or the largest displacement over a period, with dot and time line."""
+        """Draw the opening, or without a crack the largest displacement, over a period.
+
+        Also sets ``frame_values``, and makes the moving dot and the vertical time line.
+        """
         axes = self.figure.add_axes((0.16, 0.085, 0.81, 0.16))
         time = np.linspace(0.0, solution.period, 401)
         load_periods, is_closed = time * solution.omega / (2.0 * np.pi), np.zeros(len(time), bool)

@@ -38,20 +38,24 @@ from fenics_crack.basics.tables import (
 
 COLOURS_BY_NAME = {"blue": "#0072B2", "orange": "#D55E00", "green": "#009E73", "pink": "#CC79A7"}
 COLOURS_BY_NAME["grey"] = "#5C5C5C"
-"""Okabe and Ito's palette, which colour-blind readers can distinguish, and a grey, by name."""
+"""Colours by name: Okabe and Ito's palette for colour-blind readers, and a grey."""
 FIGURE_STYLE = rc_params_from_file(
     Path(__file__).with_name("fenics_crack.mplstyle"), use_default_template=False
 )
-"""Settings of Matplotlib for new figures, legends and files."""
+"""Matplotlib's settings (rcParams) for new figures, legends and files."""
 MAX_LETTERS_PER_LINE = 42
-"""Maximum letters in a line of an axis label along a panel's height, and of a narrow legend."""
+"""Maximum number of letters in a line of a vertical axis's label, or of a narrow legend."""
 FIRST_IN_LEGEND_GID = "first in the legend"
-"""Group id (``gid``) of lines that come first in a legend, before lines that explain styles."""
+"""Matplotlib's ``gid`` for lines whose entries come first in a legend."""
 SUPERSCRIPT_TRANSLATION = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 class PictureOptions(TypedDict, total=False):
-    """Keywords of every ``draw_*``: target, title and legend; ``ax`` is short for ``axes``."""
+    """Keywords of every ``draw_*`` function.
+
+    ``axes`` or ``ax``: axes to draw on, default: a new figure; ``path``: file for a new figure;
+    ``title``: title of the picture; ``legend``: False for none.
+    """
 
     axes: Any
     ax: Any
@@ -63,8 +67,7 @@ class PictureOptions(TypedDict, total=False):
 class NotebookFigure(Figure):
     """Figure that notebooks show as the value of a cell.
 
-    The notebook need not have loaded pyplot. Pyplot does not know the figure and shows no second
-    copy.
+    Pyplot need not be loaded, and does not know the figure, so that no second copy is shown.
     """
 
     def _repr_png_(self) -> bytes:
@@ -72,9 +75,9 @@ class NotebookFigure(Figure):
 
 
 class Picture:
-    """Panels of a picture, and the figure that holds them.
+    """Target of a drawing: panels, their figure, and the options for title and file.
 
-    The panels are the given axes, or a new figure's.
+    The panels are the given axes, or axes in a new figure.
 
     Parameters
     ----------
@@ -142,7 +145,10 @@ class Picture:
         return iter(self.panels)
 
     def finish(self) -> Figure:
-        """Draw grids and legends, set the title, save and return the figure (collective)."""
+        """Draw grids and legends, set the title, save the figure if wanted (collective).
+
+        Returns the figure, which is saved if the options have a path.
+        """
         for panel in self:
             with rc_context(FIGURE_STYLE):
                 panel.grid(alpha=FIGURE_STYLE["grid.alpha"])
@@ -151,7 +157,10 @@ class Picture:
         return self.save_with_title()
 
     def save_with_title(self) -> Figure:
-        """Set the title, save the figure if there is a path, and return it (collective)."""
+        """Set the title, save the figure if the options have a path (collective).
+
+        Returns the figure.
+        """
         if self._title is not None and len(self.panels) > 1:
             self.figure.suptitle(self._title, fontsize="large")
         elif self._title is not None:  # makes way for axes on the top
@@ -177,7 +186,10 @@ class Picture:
 
 
 def render_png(figure: Figure) -> bytes:
-    """Render a figure once and return the bytes of a PNG; ``savefig`` would draw it twice."""
+    """Return a figure as the bytes of a PNG file.
+
+    The figure is drawn once; Matplotlib's ``savefig`` would draw twice.
+    """
     canvas, png_stream = FigureCanvasAgg(figure), BytesIO()
     canvas.draw()
     copy_canvas_image(canvas).save(
@@ -187,21 +199,24 @@ def render_png(figure: Figure) -> bytes:
 
 
 def copy_canvas_image(canvas: FigureCanvasAgg) -> Image.Image:
-    """Copy the image on a canvas, without its alpha channel."""
+    """Return a copy of the image on a canvas, without transparency."""
     return Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
 
 def magnification_to_tenth(vectors: np.ndarray, size: float) -> float:
-    """Return the factor that makes the longest vector (..., d) a tenth of a size.
+    """Return the factor that makes the longest vector a tenth of ``size``.
 
-    The factor is 1 if all vectors are zero.
+    ``vectors`` are (..., d), in any unit. The factor is 1 if all vectors are zero.
     """
     largest_norm = np.linalg.norm(vectors, axis=-1).max()
     return float(0.1 * size / largest_norm) if largest_norm > 0.0 else 1.0
 
 
 def read_axes_option(picture_options: PictureOptions) -> Any:
-    """Return the option ``axes`` or ``ax``, or None; InputError if both are given."""
+    """Return the option ``axes`` or ``ax``; None if neither is given.
+
+    Raises InputError if both are given.
+    """
     axes, ax = picture_options.get("axes"), picture_options.get("ax")
     if axes is not None and ax is not None:
         raise InputError("ax", "axes", "left out with axes: one of the two")
@@ -209,25 +224,28 @@ def read_axes_option(picture_options: PictureOptions) -> Any:
 
 
 def distinct_colours(n_colours: int) -> list[str]:
-    """Return colours of some lines: from :data:`COLOURS_BY_NAME`, or from dark to light if more."""
+    """Return different colours for a number of lines.
+
+    Up to five are those of :data:`COLOURS_BY_NAME`; more go from dark to light.
+    """
     if n_colours <= len(COLOURS_BY_NAME):
         return list(COLOURS_BY_NAME.values())[:n_colours]
     return [to_hex(colour) for colour in colormaps["viridis"](np.linspace(0.0, 0.95, n_colours))]
 
 
 def wrap_upright_label(label: str) -> str:
-    """Break a label that is read upwards into lines that fit a panel's height.
+    """Break the label of a vertical axis into lines of at most 42 letters.
 
-    A label with its own line breaks stays as it is.
+    A label with line breaks stays unchanged.
     """
     return label if "\n" in label else fill(label, MAX_LETTERS_PER_LINE)
 
 
 def label_axis(axis: Axis, quantity: str, unit: str) -> None:
-    """Label an axis, and show its SI values in a unit with a prefix.
+    """Label an axis, and show its SI values in the unit with a suitable prefix.
 
-    All lines are drawn before, since the data choose the prefix. A logarithmic axis over more than
-    five decades has powers of ten as labels, a shorter one plain numbers.
+    Call this after all lines are drawn, since the largest value chooses the prefix. A logarithmic
+    axis over more than five decades has powers of ten as tick labels, otherwise plain numbers.
     """
     unit_factor, prefixed_unit = 1.0, unit
     if unit not in UNITS_WITHOUT_PREFIX:
@@ -254,7 +272,10 @@ def label_axis(axis: Axis, quantity: str, unit: str) -> None:
 
 
 def label_count_axis(axis: Axis, plural_noun: str) -> None:
-    """Label a linear axis of counts after all lines are drawn: "10⁶ load cycles"."""
+    """Label a linear axis of counts with a power of ten: "10⁶ load cycles".
+
+    Call this after all lines are drawn, since the largest count chooses the power.
+    """
     power_factor, _ = choose_factor_and_prefixed_unit(float(axis.get_data_interval()[1]), "")
     axis.set_label_text(
         plural_noun
@@ -267,14 +288,20 @@ def label_count_axis(axis: Axis, plural_noun: str) -> None:
 
 
 class _ScaledLogFormatter(LogFormatter):
-    """Formatter of logarithmic axes: plain numbers, 0.1, 1, 10, times the factor of a unit."""
+    """Formatter of logarithmic axes: plain numbers, 0.1, 1, 10, in a unit with a prefix.
+
+    ``unit_factor`` converts from the SI unit.
+    """
 
     def __init__(self, unit_factor: float, **options: Any) -> None:
         super().__init__(**options)
         self.unit_factor = unit_factor
 
     def __call__(self, x: float, pos: int | None = None) -> str:
-        """Return the label of a tick at x, or an empty text."""
+        """Return the label of a tick; empty for a tick without a label.
+
+        ``x`` is the tick's value in SI units, ``pos`` its number.
+        """
         return _format_number(self.unit_factor * x) if super().__call__(x, pos) else ""
 
 
@@ -287,11 +314,12 @@ def _format_power_of_ten(value: float) -> str:
 
 
 def _draw_legend(axes: Axes) -> None:
-    """Draw the legend of a panel, if the panel has labels.
+    """Draw the legend of a panel, if any line has a label.
 
-    With a constrained layout the legend stands below the panel, in lines up to 0.9 of the figure's
-    width, or as wide as one of several panels. A figure with a single panel grows by the rows of a
-    long legend. Without such a layout the legend stands at matplotlib's best place.
+    If the figure has a layout engine, the legend stands below the panel, in columns. Its width is
+    at most 0.9 of the figure's width, or the width of one of several panels; a figure with a single
+    panel grows in height for more than two rows. Without a layout engine, matplotlib chooses the
+    place.
     """
     handles, labels = axes.get_legend_handles_labels()
     is_first_in_legend = [

@@ -44,28 +44,28 @@ if TYPE_CHECKING:  # which loads DOLFINx
     from fenics_crack.runs.stress_intensity import StressIntensity
 
 DOUBTFUL_LABEL = f"not stable, or estimated error above {100 * LARGE_ERROR:g} %"
-"""Legend entry of doubtful points and cells."""
+"""Legend entry of doubtful points of a curve or cells of a map, with the limit of 5 %."""
 HATCH_COLOUR = "#ffffff"
-"""White lines across doubtful cells of a map."""
+"""Colour of the lines that hatch doubtful cells of a map: white."""
 MISSING_COLOUR, OPEN_COLOUR = "#b5b5b5", "#e8e8e8"
-"""Colours of cells without a value, and of an open crack."""
+"""Greys of a map's cells without a value, and of times and places where a crack is open."""
 
 
 @dataclass(frozen=True)
 class Wave:
-    """A displacement over time.
+    """Curve of a displacement over time, for :func:`draw_waves`.
 
     Attributes
     ----------
     label, colour, style : str
-        Legend entry; "blue", "orange", "green", "pink", "grey" or a colour of matplotlib; line
+        Legend entry; colour "blue", "orange", "green", "pink", "grey" or any of matplotlib; line
         style of matplotlib.
     time, values : (n,) [s], (n,) [m]
         Instants and displacements.
     spread : (n,) [m] or None
         Half-width of a band around the curve, for example the standard deviation of a mean wave.
     width : float [points]
-        Line width; wide lines show below thin ones.
+        Line width; a wide line stays visible below a thin line.
     """
 
     label: str
@@ -90,13 +90,14 @@ def draw_waves(
     Parameters
     ----------
     waves : sequence of Wave
-        The curves.
+        Curves to draw.
     quantity : str
-        Label of the vertical axis without its unit.
+        Label of the vertical axis, without the unit.
     period : float [s], optional
-        Unit of the time axis; default: seconds.
+        Load period; the time axis then shows time over this period, otherwise seconds.
     zero : str, optional
-        Legend entry of a line at zero, for example "crack faces touch".
+        Legend entry of a horizontal line at zero, for example "crack faces touch"; default: no
+        line.
     **picture_options
         ``axes`` or ``ax``: axes to draw on, by default those of a new figure; ``path``: file for
         the new figure; ``title`` of the picture; ``legend=False``: no legend.
@@ -135,14 +136,14 @@ def draw_waves(
 def draw_laws(
     laws: Mapping[str, ContactLaw], closing: np.ndarray, **picture_options: Unpack[PictureOptions]
 ) -> Figure:
-    """Draw the contact force [N] of contact laws over the closing of a pair [m].
+    """Draw contact forces [N] over the gap [m] for several contact laws.
 
     Parameters
     ----------
     laws : mapping of str to ContactLaw
         Laws by the labels of their lines.
     closing : (n,) [m]
-        Gaps, positive in penetration.
+        Gaps of the pair, > 0 in penetration.
     **picture_options
         ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
@@ -171,10 +172,10 @@ def draw_contact_map(
 ) -> Figure:
     """Draw contact along the crack and over the period.
 
-    Colours show the contact pressure if contact is rigid or its stiffness is given per area,
-    otherwise the force of each pair; grey is open. Several cracks stand one above the other, with a
-    line between them. Each crack of a solid has two panels instead: the largest contact in the
-    period, and the closed share of the period.
+    Colours show the contact pressure if contact is rigid or the contact stiffness is given per
+    area, otherwise the force of each pair; open pairs are grey. Several cracks stand one above the
+    other, with a line between them. In a solid, each crack has two panels instead: the largest
+    pressure or force in the period, and the part of the period in which the pair is closed.
 
     Parameters
     ----------
@@ -240,12 +241,14 @@ def draw_contact_map(
 def _draw_crack_surfaces(
     structure: Structure, values_by_label: Mapping[str, np.ndarray], picture_options: PictureOptions
 ) -> Figure:
-    """Draw values of a solid's contact pairs on each crack surface, a panel for each label.
+    """Draw values of a solid's contact pairs on each crack surface.
+
+    Each crack has a row of panels, one for each label.
 
     Parameters
     ----------
     values_by_label : mapping of str to (n_pairs,)
-        Values of the pairs.
+        Values of the contact pairs, by the labels of their colour bars.
     """
     from scipy.spatial import cKDTree
 
@@ -281,16 +284,20 @@ def _draw_crack_surfaces(
 def _draw_crack_surface(
     axes: Axes, points: np.ndarray, triangles: np.ndarray, values: np.ndarray, label: str
 ) -> None:
-    """Draw nodal values on a crack surface, seen along the axis in which it extends least.
+    """Draw nodal values on a solid's crack surface.
+
+    The view is along the coordinate axis in which the surface extends least.
 
     Parameters
     ----------
     points : (n, 3) [m]
         Nodes of the crack.
     triangles : (m, 3) int
-        Their triangles.
+        Three nodes of each triangle, as positions in ``points``.
     values : (n,)
-        Values at the nodes, from 0.
+        Values at the nodes, >= 0; the colour scale begins at 0.
+    label : str
+        Label of the colour bar.
     """
     normal_axis_index = int(np.argmin(np.ptp(points, axis=0)))
     horizontal_axis_index, vertical_axis_index = (
@@ -312,14 +319,14 @@ def _draw_crack_surface(
 
 
 def _stack_crack_distances_and_borders(pairs: Pairs) -> tuple[np.ndarray, list[float]]:
-    """Return the pairs' distances along the cracks, laid one after the other.
+    """Place contact pairs on an axis with all cracks in a row.
 
     Returns
     -------
     distances : (n_pairs,) [m]
-        Each crack follows the one before, with some space between them.
+        Distance along the crack, plus the lengths of the cracks before and a space after each.
     crack_borders : list of float [m]
-        Middles of these spaces.
+        Middles of the spaces between cracks; empty for a single crack.
     """
     assert pairs.cracks is not None and pairs.positions is not None
     distances = pairs.positions.copy()
@@ -340,26 +347,27 @@ def draw_response(
     unit: str = "m",
     **picture_options: Unpack[PictureOptions],
 ) -> Figure:
-    """Draw amplitudes [m] or other quantities over the load frequency [rad/s] or other values.
+    """Draw amplitudes [m] or other quantities over the load frequency or another parameter.
 
-    The scale is logarithmic if all values are positive, and are lengths or span a decade or more. A
-    curve has a dot at each of few values, a gap at nan, and rings at doubtful values. Curves drawn
-    on the axes before have other colours.
+    The vertical scale is logarithmic if all values are positive, and are lengths or span a decade
+    or more. A curve has dots if there are at most 60 values, gaps at nan, and rings at doubtful
+    values. Repeated calls on the same axes choose new colours.
 
     Parameters
     ----------
     values : (n,)
-        Load frequencies [rad/s], or the quantity of ``over``.
+        Values on the horizontal axis: load frequencies [rad/s], or what ``over`` names.
     curves : mapping of str to (n,) arrays
-        Curves by the labels of their lines.
-    quantity
-        See :func:`draw_waves`.
+        Quantities to draw, by the labels of their lines.
+    quantity : str
+        Label of the vertical axis, without the unit.
     over : str
         Label of the horizontal axis, with its unit.
     doubtful : mapping of str to (n,) bool, optional
-        True at the values with rings, by the labels of ``curves``.
+        True where a ring marks the value as not stable, or as inexact: estimated error above 5 %.
+        By the labels of ``curves``.
     unit : str
-        Unit of the curves; the axis shows it with a prefix.
+        SI unit of the curves; the axis shows the unit with a prefix, such as mm.
     **picture_options
         ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
@@ -439,11 +447,11 @@ def draw_map(
     x, y : (n,), (m,)
         Two or more ascending values of each swept quantity.
     values : (m, n)
-        Cells with nan, not converged, are grey and crossed.
+        Values to draw; nan marks a case that has not converged, a grey cell with a cross.
     x_label, y_label, value_label : str
         Labels with units.
     doubtful : (m, n) bool, optional
-        True for hatched cells: not stable, or with a large estimated error.
+        True for hatched cells: not stable, or estimated error above 5 %.
     **picture_options
         ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
@@ -525,7 +533,11 @@ def _draw_coloured_cells(
     masked_colour: str,
     **mesh_options: Any,
 ) -> None:
-    """Draw values (len(y), len(x)) as coloured cells; masked cells have ``masked_colour``."""
+    """Draw a masked array (len(y), len(x)) as coloured cells, with a colour bar.
+
+    Masked cells have ``masked_colour``. ``label`` is the colour bar's label; ``mesh_options`` go to
+    matplotlib's ``pcolormesh``.
+    """
     axes.set_facecolor(masked_colour)
     cell_mesh = axes.pcolormesh(x, y, values, cmap="viridis", shading="nearest", **mesh_options)
     axes.figure.colorbar(cell_mesh, ax=axes, label=wrap_upright_label(label)).minorticks_off()
@@ -539,17 +551,17 @@ def draw_spectrum(
 ) -> Figure:
     """Draw the amplitudes of the harmonics over their orders (collective).
 
-    The upper panel shows the gap of the pair that moves most and the displacement of a dof. The
-    lower panel shows the contact force, summed over the pairs. Order 1 is the load's, 0 the mean;
-    the orders of a subharmonic response are fractions. The harmonics suffice if the last amplitudes
-    are small.
+    The upper panel shows the gap of the contact pair that moves most, and the displacement of a
+    dof. The lower panel shows the contact force, summed over the pairs. Order 0 is the mean, order
+    1 the load frequency; a subharmonic response also has fractions. Enough harmonics were kept if
+    the last amplitudes are small.
 
     Parameters
     ----------
     solution : PeriodicSolution
         Result to draw.
     dof : int, optional
-        Dof whose displacement is drawn.
+        Dof whose displacement is drawn; default: no displacement.
     **picture_options
         ``axes`` (one, or two with the force), ``path``, ``title``; see :func:`draw_waves`.
 
@@ -600,16 +612,19 @@ def _draw_stems(
     quantity: str,
     unit: str,
 ) -> None:
-    """Draw Fourier amplitudes over their orders, as stems side by side.
+    """Draw the Fourier amplitudes of some series over the order, as stems side by side.
 
-    More than 150 harmonics are points.
+    The scale is logarithmic; amplitudes below 1e-9 of the largest are left out as rounding. More
+    than 150 harmonics are drawn as points without stems.
 
     Parameters
     ----------
     n_load_periods : int
-        Load periods in a series' period.
+        Number of load periods in a period of the series, by which orders are divided.
     coefficients_by_label : mapping of str to (2H+1,)
-        Mean, cosine and sine coefficients for each series.
+        Mean, then cosine and sine coefficients for harmonics 1 to H of each series.
+    quantity, unit : str
+        What the series are, and their SI unit, for the vertical axis.
     """
     amplitudes_by_label = {
         label: np.abs(to_complex(column)) for label, column in coefficients_by_label.items()
@@ -656,16 +671,19 @@ def draw_orbits(
 ) -> Figure:
     """Draw the motion in the phase plane, velocity over displacement (collective).
 
-    One panel shows the gap at the first crack's mouth, or in the middle of a crack inside. Another
-    shows the displacement of a dof. The gap's orbit is thick while this pair is closed, the dof's
-    while any pair is. A dot marks the beginning of each load period; the motion runs clockwise.
+    One panel shows the gap at the first crack's mouth, or in the middle of an internal crack.
+    Another panel shows the displacement of a dof. The gap's orbit is thick while this contact pair
+    is closed, the dof's orbit while any pair is closed. A dot marks the beginning of each load
+    period; the motion runs clockwise.
 
     Parameters
     ----------
-    solution, dof
-        See :func:`draw_spectrum`.
+    solution : PeriodicSolution
+        Result to draw.
+    dof : int, optional
+        Dof whose displacement is drawn; default: no displacement.
     instants : int
-        Number of points of the orbit.
+        Number of drawn points in a period.
     **picture_options
         ``axes``, one or two, ``path`` and ``title``; see :func:`draw_waves`.
 
@@ -715,7 +733,7 @@ def draw_orbits(
 
 
 DisplacementFunction = Callable[[np.ndarray], np.ndarray]
-"""Function of instants (n,) [s] that returns a displacement [m], with the kinks of contact."""
+"""Function of instants (n,) [s] that returns the displacement of a dof or a gap [m]."""
 
 
 def _draw_orbit(
@@ -728,10 +746,14 @@ def _draw_orbit(
 ) -> None:
     """Draw the orbit of one displacement, thick while the crack is closed.
 
+    Velocities are central differences of ``displacement_function``.
+
     Parameters
     ----------
     is_closed : (n,) bool
-        At n equally spaced instants from 0 to the end of the period.
+        True while the crack is closed, at n equally spaced instants from 0 to the period's end.
+    quantity, closed_label : str
+        Name of the displacement for the axis, and legend entry of the thick part.
     """
     time_step = CENTRAL_DIFFERENCE_STEP * solution.period
 
@@ -761,16 +783,16 @@ def _draw_orbit(
 
 
 MAX_DRAWN_LOOPS = 4
-"""Maximum number of drawn loops, of the pairs with the largest friction losses."""
+"""Maximum number of drawn friction loops, for the pairs with the largest friction losses."""
 
 
 def draw_friction_loops(
     solution: PeriodicSolution, **picture_options: Unpack[PictureOptions]
 ) -> Figure:
-    """Draw friction force over tangential gap of a few pairs (collective).
+    """Draw the friction force over the tangential gap of contact pairs (collective).
 
-    They are the pairs with the largest friction losses, at most four. A loop is thick while its
-    pair slips, and its area is the loss in a period.
+    Drawn are the pairs with the largest friction losses, at most four. A loop is thick while the
+    pair slips, and the loop's area is the friction loss [J] in a period.
 
     Parameters
     ----------
@@ -831,11 +853,12 @@ def draw_friction_loops(
 def draw_stress_intensity(
     found: StressIntensity, **picture_options: Unpack[PictureOptions]
 ) -> Figure:
-    """Draw K_I and K_II at each crack tip over time, or those of a solid with K_III.
+    """Draw stress intensity factors at crack tips or along crack fronts.
 
-    K_I is grey and thick while the tip is closed, and K_II is dashed. A solid has two panels: the
-    largest sizes of all three along its fronts, and all three over time at the front station with
-    the largest effective range.
+    In a plate, K_I and K_II of each tip are drawn over time, K_II dashed; K_I is grey and thick
+    while the tip is closed. A solid has two panels. The first panel shows the largest |K_I|, |K_II|
+    and |K_III| along the fronts. The second panel shows all three over time, at the front station
+    with the largest effective range of K_I.
 
     Parameters
     ----------
@@ -852,7 +875,7 @@ def draw_stress_intensity(
     Raises
     ------
     InputError
-        There are several axes.
+        There is not one axes object for each panel.
 
     Examples
     --------
@@ -871,7 +894,11 @@ def draw_stress_intensity(
 
 
 def _draw_intensity_over_time(intensity: StressIntensity, panel: Axes) -> None:
-    """Draw K_I and K_II of each tip, or all K at the leading front station, over time."""
+    """Draw stress intensity factors over time.
+
+    In a plate K_I and K_II at each tip; in a solid all three at the front station with the largest
+    effective range of K_I.
+    """
     time = intensity.time - intensity.time[0]
     if intensity.three is not None:
         component_curves = zip(
@@ -911,7 +938,10 @@ def _draw_intensity_over_time(intensity: StressIntensity, panel: Axes) -> None:
 
 
 def _draw_intensity_along_fronts(intensity: StressIntensity, panel: Axes) -> None:
-    """Draw the largest sizes of K_I, K_II and K_III over the distance along each front."""
+    """Draw the largest stress intensity factors along each crack front.
+
+    These are the largest |K_I|, |K_II| and |K_III| in time at each front station.
+    """
     assert intensity.three is not None
     component_curves = zip(
         ("K_I", "K_II", "K_III"), (intensity.one, intensity.two, intensity.three), strict=True

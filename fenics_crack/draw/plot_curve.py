@@ -31,7 +31,7 @@ from fenics_crack.draw.figure import (
 from fenics_crack.numerics.fourier import to_complex
 
 BACKGROUND_COLOURS = ("#8f8f8f", "#cc8fb1", "#6fb59a")
-"""Colours of other curves that are drawn behind a curve."""
+"""Colours of curves drawn behind for comparison (``behind`` of :func:`draw_curve`)."""
 MARKERS_BY_BIFURCATION_KIND = {
     "fold": "v",
     "branch_point": "s",
@@ -42,9 +42,9 @@ MARKERS_BY_BIFURCATION_KIND = {
 LINE_STYLES_BY_VERDICT = {"stable": "-", "unstable": "--", "irregular": "-.", "undecided": ":"}
 """Line styles of matplotlib by verdict on stability."""
 STABILITY_NOT_EXAMINED_LABEL = "stability not examined"
-"""Legend entry of a curve without multipliers."""
+"""Legend entry of a curve without Floquet multipliers."""
 LARGE_ERROR_LABEL = f"faint: estimated error above {100 * LARGE_ERROR:g} %"
-"""Legend entry of faint parts."""
+"""Legend entry of faint parts of a curve, with an estimated error above 5 %."""
 
 
 def draw_curve(
@@ -61,11 +61,11 @@ def draw_curve(
     """Draw half the peak-to-peak displacement of a dof along a response curve.
 
     Stable parts are solid, unstable parts dashed, irregular parts dash-dotted and undecided parts
-    dotted. Without multipliers the curve is solid, and the legend says that stability was not
-    examined. Parts with a large estimated displacement error are faint. A ring marks the largest
-    response inside the curve; the legend has its position and size. Bifurcations have marks, only
-    some if many are in one place, and the legend counts them. Superharmonic peaks have the order of
-    their largest harmonic.
+    dotted. Without Floquet multipliers the curve is solid, and the legend says that stability was
+    not examined. Parts with an estimated displacement error above 5 % are faint. A ring marks the
+    largest response unless this is an end of the curve; the legend states frequency and amplitude.
+    Marks show bifurcations, counted in the legend; among many at one place only some are marked. A
+    number at each superharmonic peak is the order of the largest harmonic.
 
     Parameters
     ----------
@@ -77,7 +77,8 @@ def draw_curve(
         "blue", "orange", "green", "pink", "grey" or a colour of matplotlib, and the legend entry
         for one among several curves. With a label, bifurcations have the curve's colour.
     behind, points : mapping, optional
-        Other curves, and single points, by their labels: parameter values, amplitudes [m].
+        Curves and single points for comparison, by legend entry: (parameter values, amplitudes
+        [m]).
     in_hertz : bool
         Show load frequencies in Hz and speeds in rpm, also those of ``behind`` and ``points``,
         which are given in rad/s.
@@ -133,12 +134,14 @@ def draw_curve(
 def _draw_curve_parts(
     axes: Axes, curve: ResponseCurve, x: np.ndarray, y: np.ndarray, line_colour: str, label: str
 ) -> None:
-    """Draw the parts of a curve in styles for their stability and estimated error.
+    """Draw a curve in pieces, with line styles for stability and faint where inexact.
+
+    Inexact are points with an estimated displacement error above 5 %.
 
     Parameters
     ----------
     x, y : (n,)
-        Parameter in the shown unit, amplitude [m].
+        Parameter in the shown unit, and amplitude [m], at the curve's points.
     label : str
         Legend entry if there are several curves, otherwise empty.
     """
@@ -169,12 +172,13 @@ def _draw_curve_parts(
 def _mark_peak(
     axes: Axes, curve: ResponseCurve, dof: int | None, in_hertz: bool, curve_colour: str
 ) -> None:
-    """Mark the largest response with a ring, unless it is an end of the curve.
+    """Mark the largest response with a ring, unless this is an end of the curve.
 
     Parameters
     ----------
     curve_colour : str
-        The curve's colour if there are several, otherwise empty for a ring with a legend entry.
+        Colour of the curve if there are several curves; empty for a single curve, whose ring is
+        blue and has a legend entry.
     """
     peak = curve.top(dof)
     (unit_factor, _, unit) = axis_factor_name_and_unit(curve.parameter, in_hertz)
@@ -204,14 +208,15 @@ def _mark_peak(
 def _mark_bifurcations(
     axes: Axes, curve: ResponseCurve, dof: int | None, unit_factor: float, curve_colour: str
 ) -> None:
-    """Mark the bifurcations of a curve.
+    """Mark a curve's bifurcations by their kinds, for example folds.
 
     Parameters
     ----------
     unit_factor : float
         Factor from the parameter's SI unit to the shown unit.
     curve_colour : str
-        The curve's colour if there are several, otherwise empty for a legend with counts.
+        Colour of the curve if there are several curves; empty for a single curve, whose legend
+        states how many bifurcations were found and marked.
     """
     if not curve.bifurcations:
         return
@@ -251,9 +256,10 @@ def _mark_bifurcations(
 
 
 def _choose_spread_marks(axes: Axes, x: np.ndarray, y: np.ndarray, kinds: np.ndarray) -> np.ndarray:
-    """Choose points to mark, so that marks do not pile up: (n,) bool.
+    """Return True for bifurcations to mark, so that marks do not pile up: (n,) bool.
 
-    Each kind has at most one mark in a cell, 3 % of the panel's width and height.
+    In each cell, 3 % of the panel's width by 3 % of its height, only one bifurcation of each kind
+    is marked.
 
     Parameters
     ----------
@@ -272,7 +278,11 @@ def _choose_spread_marks(axes: Axes, x: np.ndarray, y: np.ndarray, kinds: np.nda
 def _mark_superharmonics(
     axes: Axes, curve: ResponseCurve, dof: int | None, amplitudes: np.ndarray, unit_factor: float
 ) -> None:
-    """Write the order of the largest harmonic at each superharmonic peak."""
+    """Write the order of the largest harmonic, "3ω", at each superharmonic peak.
+
+    At a superharmonic peak of ``amplitudes`` (n,) [m], the largest harmonic of the displacement has
+    a multiple of the load frequency above 1.
+    """
     largest_harmonic = np.argmax(_harmonic_amplitudes(curve, dof), axis=1) + 1
     load_order, remainder = np.divmod(largest_harmonic, curve.subharmonic)
     is_superharmonic = (load_order > 1) & (remainder == 0)
@@ -294,9 +304,10 @@ def _mark_superharmonics(
 
 
 def _label_parameter_axis(axes: Axes, curve: ResponseCurve, in_hertz: bool) -> None:
-    """Label the axis of a curve's parameter after all lines are drawn.
+    """Label the horizontal axis with a curve's parameter, after all lines are drawn.
 
-    A curve over the speed also has its engine order's frequency above.
+    A curve over the rotor speed also gets an axis on top with the load frequency, the engine order
+    times the speed. Curves with different engine orders on the same axes get no top axis.
     """
     unit_factor, parameter_name, unit = axis_factor_name_and_unit(curve.parameter, in_hertz)
     if curve.parameter == "speed":
@@ -338,14 +349,18 @@ def draw_content(
     in_hertz: bool = False,
     **picture_options: Unpack[PictureOptions],
 ) -> Figure:
-    """Draw the lowest harmonics' amplitudes at a dof over the parameter.
+    """Draw the amplitudes of a displacement's lowest harmonics along a response curve.
 
     Parameters
     ----------
-    curve, dof, in_hertz
-        See :func:`draw_curve`.
+    curve : ResponseCurve
+        Result to draw.
+    dof : int, optional
+        Dof of the displacement; default: the watched dof.
     highest : int
-        Highest drawn harmonic, in multiples of the load's frequency.
+        Highest drawn harmonic, in multiples of the load frequency.
+    in_hertz : bool
+        Show load frequencies in Hz and speeds in rpm, otherwise in rad/s.
     **picture_options
         ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
@@ -391,15 +406,16 @@ def draw_multipliers(
 
     An orbit is stable if the modulus is below 1. Colours show the kind of multiplier. A real
     multiplier leaves the unit circle at +1 (folds, branch points) or -1 (period doublings), a
-    complex pair anywhere else (Neimark-Sacker). Irregular points have the growth of a small
-    disturbance. Undecided points are crosses, at 1 if their multipliers are unknown.
+    complex pair anywhere else (Neimark-Sacker). For irregular motions, the value is the growth of a
+    small disturbance. Crosses are points with undecided stability, at 1 if the multipliers are
+    unknown.
 
     Parameters
     ----------
     curve : ResponseCurve
         Curve followed with ``stability=True``.
-    in_hertz
-        See :func:`draw_curve`.
+    in_hertz : bool
+        Show load frequencies in Hz and speeds in rpm, otherwise in rad/s.
     **picture_options
         ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 

@@ -34,10 +34,10 @@ from fenics_crack.model.structure import Structure
 def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -> Figure:
     """Draw the mesh of a structure at rest with its named parts (collective).
 
-    The parts are clamped edges, crack faces, contact pairs, and the load. Arrows along the load's
-    mean, cosine and sine parts have a scale for each part. Among further harmonics, only the
-    largest cosine or sine part has arrows. In a solid each part of the load has one arrow, and
-    contact pairs are not drawn.
+    Drawn are clamped edges, crack faces, contact pairs, and the load. Arrows show the mean, cosine
+    and sine part of the load, each on its own scale. Among further harmonics, only the largest
+    cosine or sine part has arrows. In a solid each part of the load has one arrow, and contact
+    pairs are not drawn.
 
     Parameters
     ----------
@@ -109,14 +109,14 @@ def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -
 
 
 LOAD_PART_NAMES = ("mean", "cosine part", "sine part", "largest further harmonic")
-"""Legend entries of the load's parts."""
+"""Legend entries of the load's arrows: the rows of the load that are drawn."""
 LOAD_PART_COLOURS = (
     COLOURS_BY_NAME["grey"],
     COLOURS_BY_NAME["blue"],
     COLOURS_BY_NAME["pink"],
     "black",
 )
-"""Colours of their arrows, if there are several parts."""
+"""Colours of the load's arrows, by part, if several parts of the load act."""
 
 
 def _draw_load_arrows(
@@ -124,7 +124,8 @@ def _draw_load_arrows(
 ) -> None:
     """Draw nodal forces (n_nodes, 2) [N] as arrows that begin at their nodes.
 
-    The largest force is a tenth of the mesh's size. At most 40 arrows are drawn.
+    The longest arrow has a tenth of the mesh's size. At most 40 loaded nodes have arrows, chosen at
+    equal steps of the node number.
     """
     force_sizes = np.linalg.norm(nodal_forces, axis=1)
     arrow_nodes = np.flatnonzero(force_sizes > 1e-9 * force_sizes.max())
@@ -210,22 +211,24 @@ def draw_displaced_mesh(
     *,
     is_wheel: bool = False,
 ) -> Any:
-    """Draw a displaced mesh with coloured nodal values.
+    """Draw a displaced mesh, coloured by nodal values.
 
-    The boundary or the sharp edges are drawn, too. Without ``is_wheel``, the edges at rest follow,
-    and in a plate the edges of all cells.
+    Black lines are the boundary of a plate, or the sharp edges of a solid. Unless ``is_wheel``,
+    grey lines show them at rest, and in a plate the edges of all cells.
 
     Parameters
     ----------
     displacement : (n_nodes, d) [m]
-        Displacement, magnified as drawn.
+        Displacement, already magnified for drawing.
     values : (n_nodes,)
-        Nodal values of the colours.
+        Nodal values that the colours show.
+    is_wheel : bool
+        True for a bladed disk, whose many blades need fewer lines.
 
     Returns
     -------
     ScalarMappable
-        Colours and their scale, for a colour bar.
+        Colour map and scale, for a colour bar.
     """
     displaced_points = mesh.points + displacement
     if mesh.dimension == 2:
@@ -265,18 +268,18 @@ def draw_numbered_faces(
     triangles: np.ndarray, triangle_faces: np.ndarray, face_tags: Sequence[int],
     number_positions: np.ndarray, **picture_options: Unpack[PictureOptions],
 ) -> Figure:  # fmt: skip
-    """Draw a part's faces from two sides, with their numbers from 1.
+    """Draw the numbered faces of a CAD part from two sides.
 
     Parameters
     ----------
     triangles : (m, 3, 3) [m]
-        Corners of each triangle on the faces.
+        Three corners of each triangle on the faces.
     triangle_faces : (m,) int
-        Tag of each triangle's face.
+        Gmsh tag of each triangle's face.
     face_tags : sequence of int
-        Tags of the drawn faces, in their numbers' order.
+        Gmsh tags of the drawn faces; the first face has the number 1.
     number_positions : (n, 3) [m]
-        Position of each number, for at least all drawn faces.
+        Position of each face's number, in the order of ``face_tags``; surplus rows are ignored.
     """
     from fenics_crack.draw import vtk
 
@@ -312,7 +315,8 @@ def _draw_solid(picture: Picture, mesh: NodalMesh, load_parts: np.ndarray) -> No
     Parameters
     ----------
     load_parts : (2K+1, n_nodes, 3) [N]
-        Mean, cosine and sine parts of the nodal forces. Each has one arrow, of one length.
+        Mean, then cosine and sine parts of the nodal forces. An arrow for each shows the direction
+        of the total force; all arrows are equally long.
     """
     from fenics_crack.draw import vtk
 

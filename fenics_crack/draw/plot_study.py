@@ -50,13 +50,13 @@ if TYPE_CHECKING:  # which load SciPy's interpolation, and DOLFINx
     from fenics_crack.study.campbell import Campbell
 
 CONTOUR_PROBABILITIES = (0.5, 0.95, 0.999)
-"""Probabilities within the contours of a posterior."""
+"""Probabilities of the regions that a posterior's contours enclose."""
 MARKER_LETTERS = "osD^v<>ph*"
-"""Markers of matplotlib for the quantities of a verification."""
+"""Matplotlib's markers for quantities in the picture of a verification, in all colours."""
 LABELS_BY_CAUSE = {"shift": "mesh, shift of the resonance"}
-"""Legend entries of causes that have another name."""
+"""Legend entries of error causes whose names need more words; others are shown by name."""
 StylesByQuantity = dict[str, dict[str, Any]]
-"""Options of a quantity's line (marker, colour, size) by the quantity's name."""
+"""Matplotlib's options for a line (marker, colour, size), by the name of the quantity."""
 
 
 def draw_posterior(
@@ -67,16 +67,16 @@ def draw_posterior(
 ) -> Figure:
     """Draw the posterior probability of one or two unknowns.
 
-    Regions hold 50, 95 and 99.9 % of the probability of two unknowns. One unknown has its density
-    and its 95 % interval. The other unknowns are integrated out. Each choice of an unknown that is
-    a word, such as the crack's edge, has its own colour.
+    For two unknowns, contours enclose 50, 95 and 99.9 % of the probability. For one unknown, a line
+    shows the density, and a band the 95 % interval. All other unknowns are integrated out. If an
+    unknown is a word, such as the crack's edge, each word has its own colour.
 
     Parameters
     ----------
     found : Identification
         Result of :func:`identify`.
     x, y : str, optional
-        One or two unknowns; default: the first two, or the only unknown.
+        Keys of one or two unknowns; default: the first two, or the only unknown.
     **picture_options
         ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
@@ -143,7 +143,10 @@ def draw_posterior(
 
 
 def _draw_density(panel: Axes, identification: Identification, key: str) -> None:
-    """Draw the probability density of one unknown, a line for each branch of the posterior."""
+    """Draw the probability density of the unknown ``key``, with estimate and 95 % interval.
+
+    Each combination of words, such as the crack's edge, has its own line.
+    """
     key_index, posterior = identification.unknown.index(key), identification.posterior
     interval_start, interval_end = identification.intervals[key]
     lines_by_branch = {}
@@ -180,12 +183,15 @@ def _draw_density(panel: Axes, identification: Identification, key: str) -> None
 
 
 def _contour_log_levels(branch_grids: list[tuple[np.ndarray, ...]]) -> list[float]:
-    """Return the log density at the region borders, outermost first.
+    """Return the log densities on the contours for 99.9, 95 and 50 % of the probability.
+
+    The values are strictly ascending.
 
     Parameters
     ----------
     branch_grids : list of (x, y, mass, density)
-        Grid axes, probability of each grid point, and density, of each branch.
+        For each combination of words: grid values of both unknowns, and probability and density at
+        each grid point.
     """
     probability_masses = np.concatenate([branch_grid[2].ravel() for branch_grid in branch_grids])
     log_densities = _log_density(
@@ -203,14 +209,16 @@ def _contour_log_levels(branch_grids: list[tuple[np.ndarray, ...]]) -> list[floa
 
 
 def _log_density(density: np.ndarray) -> np.ndarray:
-    """Return the logarithm of a density, finite also at zero."""
+    """Return the natural logarithm of a density; zeros count as 2.2e-308."""
     return np.log(np.maximum(density, np.finfo(float).tiny))
 
 
 def _set_limits(
     panel: Any, shown_points: np.ndarray, branch_axes: tuple[np.ndarray, np.ndarray]
 ) -> None:
-    """Limit a panel to some points and a margin, within the bounds of both unknowns.
+    """Limit a panel's axes to the shown points and a margin.
+
+    The limits stay within the ranges of both unknowns.
 
     Parameters
     ----------
@@ -230,13 +238,13 @@ def _set_limits(
 
 
 def draw_verification(found: Verification, **picture_options: Unpack[PictureOptions]) -> Figure:
-    """Draw the convergence of each quantity, and its uncertainty by causes.
+    """Draw the convergence of each quantity, and its uncertainty by cause.
 
-    The first panel shows the difference from the extrapolated value over the element size, or over
-    the first other varied cause. Quantities outside the asymptotic range have no line. The second
-    panel has a row for each quantity with each cause's contribution, the quantity's marker from the
-    first panel, and the observed order, its line's slope. Hollow marks stand for a safety factor of
-    3, black bars for the root of the sum of squares.
+    The first panel shows differences from the extrapolated value over the element size, or over the
+    first varied cause if the mesh is not varied. Quantities that do not converge regularly have no
+    line. The second panel has a row for each quantity: contributions of the causes, the marker of
+    the first panel, and the observed order of convergence, the slope of its line. Hollow marks
+    stand for a safety factor of 3, black bars for the root of the sum of squares.
 
     Parameters
     ----------
@@ -269,10 +277,12 @@ def draw_verification(found: Verification, **picture_options: Unpack[PictureOpti
 def _draw_convergence_lines(
     panel: Axes, verification: Verification, cause: str, styles_by_quantity: StylesByQuantity
 ) -> None:
-    """Draw |f_i - f| in percent over the element sizes h_i, relative to the scene's.
+    """Draw the differences |f_i - f| over the relative element size h_i.
 
-    The values f_i are those of the first cause, and f is their extrapolation. Another cause has its
-    inverse number, such as that of harmonics, for h_i.
+    The differences are in percent of the quantity. The values f_i are from solutions in which
+    ``cause`` was varied, and f is their extrapolation. Sizes are relative to the largest, mostly
+    the scene's. For causes other than the mesh, h_i is the inverse number, for example of
+    harmonics.
     """
     relative_sizes, largest_difference = np.ones(1), 100.0 * MIN_REPORTED_ERROR
     for quantity_name, line_options in styles_by_quantity.items():
@@ -306,7 +316,11 @@ def _draw_convergence_lines(
 
 
 def _choose_line_styles(verification: Verification, cause: str) -> StylesByQuantity:
-    """Return line styles by name for the quantities with a line in the convergence panel."""
+    """Choose line styles for the quantities with a line in the convergence panel.
+
+    Left out are quantities that are zero, or for which no error follows from the extrapolation over
+    ``cause``.
+    """
     drawn_quantities = [
         quantity_name
         for quantity_name, convergence in verification.parts[cause].items()
@@ -326,10 +340,10 @@ def _choose_line_styles(verification: Verification, cause: str) -> StylesByQuant
 def _draw_contributions(
     panel: Axes, verification: Verification, styles_by_quantity: StylesByQuantity
 ) -> None:
-    """Draw relative uncertainties by quantity and cause.
+    """Draw relative uncertainties in percent, with a row for each quantity.
 
-    Each quantity has its marker of the convergence panel on the left, and its observed order on the
-    right.
+    Coloured marks are causes, black bars the total. To the left is the quantity's marker of the
+    convergence panel, to the right the observed order of convergence, or its behaviour in words.
     """
     quantity_names, axis_transform = list(verification.values)[::-1], panel.get_yaxis_transform()
     colours = dict(zip(ERROR_CAUSES, distinct_colours(len(ERROR_CAUSES)), strict=True))
@@ -412,7 +426,8 @@ def draw_growth(
 ) -> Figure:
     """Draw a crack's length, frequencies and stress intensity over the load cycles.
 
-    Dots are solved lengths. A half-ellipse has its depth and length, without dots.
+    Dots are the crack lengths at which the vibration was solved. For a half-ellipse, depth and
+    length are drawn, without dots.
 
     Parameters
     ----------
@@ -500,17 +515,17 @@ def draw_campbell(
 ) -> Figure:
     """Draw a Campbell diagram: natural frequencies and engine orders over the rotor speed.
 
-    A mode's line belongs to the crack's state at each speed: held open, shut or partly open, or
-    breathing. A band goes from the open to the bonded crack. Engine orders are grey lines with
-    numbers, and circles mark their crossings with the modes. Modes above all engine orders are left
-    out, except the first mode.
+    The mean load holds the crack open, shut or partly open, or the crack breathes; at each speed a
+    mode's line shows the frequency in this state. A band goes from the open to the bonded crack.
+    Engine orders are grey lines with numbers, and circles mark their crossings with the modes.
+    Modes above all engine orders are left out, except the first mode.
 
     Parameters
     ----------
     diagram : Campbell
         Result to draw.
     orders : sequence of int
-        Engine orders.
+        Engine orders to draw.
     in_hertz, in_rpm : bool
         Show frequencies in Hz, otherwise in rad/s; speeds in revolutions per minute, otherwise in
         rad/s.
@@ -598,14 +613,16 @@ def _draw_engine_order(
     speed_range: tuple[float, float],
     upper_limit: float,
 ) -> None:
-    """Draw the line of an engine order, and its number at the panel's right or upper edge.
+    """Draw the line of an engine order, and its number at an edge.
+
+    The edge is the panel's right or upper edge, at which the line ends.
 
     Parameters
     ----------
     frequency_per_speed : float
-        Slope of the line in the shown units.
+        Slope of the line, in the units of the panel.
     speed_range, upper_limit
-        First and last speed, and largest frequency, of the panel.
+        First and last speed, and largest frequency, of the panel, in its units.
     """
     end_speeds = np.array(speed_range)
     panel.plot(
@@ -632,14 +649,16 @@ def _write_engine_order(
     point_offset: tuple[int, int],
     **text_options: Any,
 ) -> None:
-    """Write an engine order next to a position, also outside the panel.
+    """Write the number of an engine order next to a position, even outside the panel.
 
     Parameters
     ----------
     position : (float, float)
-        Position in data coordinates, or in those of ``xycoords``.
+        Position in data coordinates, or in the coordinates of ``xycoords`` in ``text_options``.
     point_offset : (int, int) [points]
-        Distance of the text from it.
+        Offset of the text from the position.
+    text_options
+        Options of matplotlib's ``annotate``.
     """
     text_options |= {"textcoords": "offset points", "fontsize": 8, "color": COLOURS_BY_NAME["grey"]}
     panel.annotate(
@@ -652,8 +671,9 @@ def draw_arrivals(
 ) -> Figure:
     """Draw blade tip displacements from arrivals, for each probe.
 
-    The abscissa has the revolutions, or the speed of a run-up. Each probe sees one instant in a
-    revolution: a vibration at an engine order appears constant, any other vibration slow.
+    The horizontal axis has the revolutions, or the rotor speed if it varies. A probe sees the tip
+    once in a revolution: a vibration at a whole engine order appears constant, any other vibration
+    slow.
 
     Parameters
     ----------
@@ -679,7 +699,10 @@ def draw_arrivals(
 
 
 def _draw_displacements(panel: Axes, arrivals: ArrivalTimes, in_rpm: bool) -> None:
-    """Draw each probe's displacements over the revolutions, or over the speed of a run-up."""
+    """Draw each probe's tip displacements over the revolutions, or over a varying speed.
+
+    ``in_rpm``: speeds in revolutions per minute, otherwise in rad/s.
+    """
     speed_factor, *speed_name_and_unit = choose_speed_factor_name_unit(in_rpm)
     is_steady, revolutions = arrivals.steady, arrivals.first + np.arange(len(arrivals))
     abscissa = revolutions if is_steady else speed_factor * arrivals.speed
@@ -707,17 +730,18 @@ def _draw_displacements(panel: Axes, arrivals: ArrivalTimes, in_rpm: bool) -> No
 def draw_tip_fit(
     fit: TipFit, arrivals: ArrivalTimes, **picture_options: Unpack[PictureOptions]
 ) -> Figure:
-    """Draw a fitted vibration with its arrivals, and the residuals of all engine orders.
+    """Draw a vibration fitted to tip arrivals, and residuals by engine order.
 
-    The first panel shows a period. If only one order was tried, the second panel shows the
-    amplitudes of its harmonics with their standard errors.
+    The first panel shows a period of the vibration, with the displacements from arrivals. If only
+    one engine order was tried, the second panel shows the amplitudes of its harmonics with their
+    standard errors.
 
     Parameters
     ----------
     fit : TipFit
         Fitted vibration.
     arrivals : ArrivalTimes
-        Arrivals that it was fitted to.
+        Arrivals to which the vibration was fitted.
     **picture_options
         ``axes``, two of them, ``path`` and ``title``; see :func:`draw_waves`.
 
@@ -769,7 +793,10 @@ def draw_tip_fit(
 
 
 def _draw_candidates(axes: Axes, candidates: Candidates, best_order: float) -> None:
-    """Draw residuals over engine orders; mark equivalent, hidden and best orders."""
+    """Draw fit residuals [m] over the tried engine orders.
+
+    Marked are the best order, orders that fit as well, and orders that the probes cannot measure.
+    """
     axis_bottom = 0.5 * float(
         np.nanmin(candidates.residuals[candidates.residuals > 0.0], initial=np.inf)
     )
@@ -840,7 +867,9 @@ def _draw_fitted_harmonics(axes: Axes, fit: TipFit) -> None:
 def draw_tip_track(
     track: TipTrack, *, in_hertz: bool = False, **picture_options: Unpack[PictureOptions]
 ) -> Figure:
-    """Draw a run-up's amplitudes with standard errors over the load frequency.
+    """Draw blade tip amplitudes in a run-up over the load frequency.
+
+    Bands are standard errors. Each harmonic of the load frequency has a line.
 
     Parameters
     ----------
@@ -885,17 +914,18 @@ def draw_passages(
     arrivals: ArrivalTimes,
     **picture_options: Unpack[PictureOptions],
 ) -> Figure:
-    """Draw a record over the rotor speed with its resonances, and the clearest resonance.
+    """Draw a record of tip displacements over the rotor speed, and its resonances.
 
-    The second panel shows, for each passage through the clearest resonance, the displacements at
-    one probe without drift, and the fit.
+    The second panel shows the first resonance of ``passages``: for each passage in the record, the
+    displacements at the probe with the largest fitted motion, without drift, and the fit.
 
     Parameters
     ----------
     passages : sequence of PassageFit
-        Resonances from :func:`find_passages`, the clearest first.
+        Resonances from :func:`find_passages`, about the largest first; without resonances the
+        second panel stays empty.
     arrivals : ArrivalTimes
-        Record in which they were found.
+        Record in which the resonances were found.
     **picture_options
         ``axes``, two of them, ``path`` and ``title``; see :func:`draw_waves`.
 
@@ -934,7 +964,11 @@ def draw_passages(
 
 
 def _draw_passage_fit(axes: Axes, passage: PassageFit, arrivals: ArrivalTimes) -> None:
-    """Draw each passage as measured by the probe with the largest fitted motion, and the fit."""
+    """Draw measured and fitted displacements for each passage through a resonance.
+
+    Only the probe with the largest fitted motion is shown. The title states engine order,
+    frequency and probe.
+    """
     measured_and_fitted_runs = passage.compared(arrivals)
     probe_index = int(
         np.argmax(

@@ -48,12 +48,15 @@ if TYPE_CHECKING:
 
 
 def pad_to_space(vectors: np.ndarray) -> np.ndarray:
-    """Pad vectors (n, d) with zeros to VTK's three components: (n, 3)."""
+    """Return vectors (n, 2) with z = 0 added: (n, 3); vectors (n, 3) stay unchanged."""
     return np.pad(vectors, ((0, 0), (0, 3 - vectors.shape[1])))
 
 
 def set_parallel_camera(renderer: Any) -> Any:
-    """Set a white background and a parallel projection, and return the renderer's camera."""
+    """Set a white background and a parallel projection for a VTK renderer.
+
+    Returns the renderer's camera.
+    """
     renderer.SetBackground(1.0, 1.0, 1.0)
     camera = renderer.GetActiveCamera()
     camera.ParallelProjectionOn()
@@ -61,13 +64,15 @@ def set_parallel_camera(renderer: Any) -> Any:
 
 
 def look_from_corner(renderer: Any, points: np.ndarray) -> None:
-    """Set the camera to see a whole solid and its deflection, with y upwards.
+    """Set a VTK renderer's camera to show a solid from a corner.
 
-    The camera looks from the side, from above, and mostly along the thinnest horizontal axis.
+    y is upwards, and the whole solid is visible. The camera looks from above and from the side,
+    mostly along the horizontal axis in which the solid is thinnest.
 
     Parameters
     ----------
     renderer : vtkRenderer
+        Renderer that shows the solid.
     points : (n, 3) [m]
         Nodes of the solid.
     """
@@ -85,9 +90,9 @@ def look_from_corner(renderer: Any, points: np.ndarray) -> None:
 
 
 def import_pyvista() -> Any:
-    """Import pyvista without its plugin of mypy, and return the package.
+    """Import pyvista without its mypy plugin, and return the package.
 
-    With mypy installed, the plugin takes a third of the loading time.
+    Where mypy is installed, the plugin would take a third of the loading time.
     """
     module_table: dict[str, Any] = sys.modules
     is_mypy_absent = module_table.setdefault("mypy", None) is None
@@ -100,7 +105,10 @@ def import_pyvista() -> Any:
 
 
 def off_screen_plotter(window_size: tuple[int, int] = (900, 1000)) -> Any:
-    """Return a pyvista plotter that draws into memory, also without a screen."""
+    """Return a pyvista plotter that draws into memory, also without a screen.
+
+    ``window_size`` is the image's width and height [pixels].
+    """
     if not os.environ.get("DISPLAY"):
         os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
         os.environ.setdefault("ALLOW_PLOTTING", "true")  # pyvista would try a window
@@ -108,7 +116,10 @@ def off_screen_plotter(window_size: tuple[int, int] = (900, 1000)) -> Any:
 
 
 def _make_grid(points: np.ndarray, cells: np.ndarray, vtk_type: int) -> Any:
-    """Make an unstructured grid from points (n, d) [m] and cells (m, k) of one VTK type."""
+    """Return pyvista's unstructured grid from points (n, d) [m] and cells (m, k).
+
+    Each cell is k positions in ``points``; all cells have the number ``vtk_type``.
+    """
     cells_with_size = np.insert(cells, 0, cells.shape[1], axis=1)
     cell_types = np.full(len(cells), vtk_type)
     return import_pyvista().UnstructuredGrid(
@@ -117,18 +128,27 @@ def _make_grid(points: np.ndarray, cells: np.ndarray, vtk_type: int) -> Any:
 
 
 def make_surface(points: np.ndarray, facets: np.ndarray) -> Any:
-    """Make the surface of facets (m, k) between points (n, d) [m], as pyvista's PolyData."""
+    """Return a surface as pyvista's PolyData, from points (n, d) [m] and facets (m, k).
+
+    Each facet is k positions in ``points``.
+    """
     return import_pyvista().PolyData.from_regular_faces(pad_to_space(points), facets)
 
 
 def make_lines(points: np.ndarray, edges: np.ndarray) -> Any:
-    """Make the lines of edges (m, k) between points (n, d) [m], as pyvista's PolyData."""
+    """Return lines as pyvista's PolyData, from points (n, d) [m] and edges (m, k).
+
+    Each edge is a line through k points, given by positions in ``points``.
+    """
     edges_with_size = np.insert(edges, 0, edges.shape[1], axis=1)
     return import_pyvista().PolyData(pad_to_space(points), lines=edges_with_size.ravel())
 
 
 def find_sharp_edge_nodes(mesh: NodalMesh) -> np.ndarray:
-    """Find the edges at which the surface of a solid at rest bends: (n, 2) nodes."""
+    """Return the sharp edges of a solid's surface: (n, 2) nodes.
+
+    At a sharp edge the surface bends by more than 25 degrees.
+    """
     boundary_surface = make_surface(mesh.points, mesh.boundary_sides)
     boundary_surface["node"] = np.arange(len(mesh.points))
     other_kinds = dict.fromkeys(("boundary_edges", "non_manifold_edges", "manifold_edges"), False)
@@ -137,11 +157,12 @@ def find_sharp_edge_nodes(mesh: NodalMesh) -> np.ndarray:
 
 
 def render_cropped_image(plotter: Any, points: np.ndarray) -> np.ndarray:
-    """Render a solid from a corner without white margins, and close the plotter.
+    """Render a solid from a corner, without white margins, and close the plotter.
 
     Parameters
     ----------
     plotter : pyvista.Plotter
+        Plotter with everything that is to be drawn.
     points : (n, 3) [m]
         Nodes of the solid.
 
@@ -169,22 +190,26 @@ STRESS_COMPONENTS_BY_DIMENSION = {2: ("xx", "yy", "xy"), 3: ("xx", "yy", "zz", "
 
 
 def make_grid_at_rest(mesh: NodalMesh) -> Any:
-    """Make VTK's grid from the cells of a mesh at rest."""
+    """Return a mesh at rest as pyvista's unstructured grid, without fields."""
     return _make_grid(mesh.points, mesh.cells, mesh.vtk_type)
 
 
 def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) -> np.ndarray:
-    """Compute the stress at the nodes, plane stress in a plate.
+    """Compute the stress at the nodes, in a plate as plane stress.
+
+    The displacement gradient at a node is the mean over the cells at the node.
 
     Parameters
     ----------
     displacement : (..., n_nodes, d) [m]
         Nodal displacements.
+    material : Material
+        Young's modulus and Poisson's ratio.
 
     Returns
     -------
     (..., n_nodes, 3) or (..., n_nodes, 6) [Pa]
-        Components of :data:`STRESS_COMPONENTS_BY_DIMENSION`, of a plate or a solid.
+        Components xx, yy, xy in a plate; xx, yy, zz, xy, yz, xz in a solid.
     """
     displacement_by_node = np.moveaxis(displacement, -2, 0)
     flat_displacement = displacement_by_node.reshape(len(displacement_by_node), -1)
@@ -204,17 +229,16 @@ def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) 
 
 
 def _make_derivative_matrices(mesh: NodalMesh) -> list[csr_matrix]:
-    """Make matrices that differentiate a nodal field at the nodes: d/dx, d/dy (and d/dz).
+    """Return matrices that differentiate a nodal field at the nodes.
 
     A derivative at a node is the mean over the cells at the node. VTK differentiates the shape
-    functions N at the nodes of its unit cell, X. A cell x(X) in the mesh then has dN/dx = dN/dX
-    (dx/dX)^-1. (In the mesh's cells VTK would search for the nodes, which fails in slim tetrahedra
-    of ten nodes.)
+    functions N at the nodes X of its unit cell; dN/dx = dN/dX (dx/dX)^-1 then follows for each cell
+    x(X). In cells of the mesh itself, VTK would search for the nodes, and fail in slim tetrahedra.
 
     Returns
     -------
     list of (n_nodes, n_nodes) [1/m]
-        A matrix for each axis.
+        Matrices for d/dx, d/dy and, in a solid, d/dz.
     """
     n_cell_nodes = mesh.cells.shape[1]
     node_coordinates = np.reshape(
@@ -242,7 +266,10 @@ def _make_derivative_matrices(mesh: NodalMesh) -> list[csr_matrix]:
 
 
 def von_mises(stress: np.ndarray) -> np.ndarray:
-    """Return the von Mises stress (...) [Pa] of components from :func:`nodal_stress`."""
+    """Return the von Mises stress (...) [Pa] for stress components (..., 3) or (..., 6) [Pa].
+
+    Three components are xx, yy, xy in plane stress; six are xx, yy, zz, xy, yz, xz.
+    """
     if stress.shape[-1] == 3:  # plane stress
         stress = np.insert(stress, (2, 3, 3), 0.0, axis=-1)
     xx, yy, zz, xy, yz, xz = np.moveaxis(stress, -1, 0)
@@ -255,9 +282,10 @@ def stress_at(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find stresses at some points over time (collective).
 
-    A stress at a node is the mean over the cells at the node, but not across a crack. Between the
-    nodes it is interpolated as displacements are. At a crack tip and under a point force, stresses
-    grow without bound as the mesh is refined: ask for :func:`stress_intensity` there.
+    The stress at a node is the mean over the cells at the node, on one side of a crack only.
+    Between nodes the stress is interpolated by the shape functions of displacements. At a crack tip
+    and under a point force, stresses grow without bound as the mesh is refined; use
+    :func:`stress_intensity` at a tip.
 
     Parameters
     ----------
@@ -269,7 +297,7 @@ def stress_at(
     Returns
     -------
     time : (n,) [s]
-        128 instants in a period, or the recorded instants.
+        For :func:`solve` 128 instants in a period, for :func:`integrate` the recorded instants.
     stress : (n, m, 3) or (n, m, 6) [Pa]
         xx, yy, xy in a plate; xx, yy, zz, xy, yz, xz in a solid.
 
@@ -316,9 +344,9 @@ def stress_at(
 def write_modes(modes: Modes, path: str | Path) -> None:
     """Write mode shapes as vector fields of one .vtu file (collective).
 
-    The fields have names such as ``mode 1: 2302.9 rad/s``. Their largest displacement is a tenth
-    of the structure's size, ready for ParaView's Warp By Vector. The field data ``magnification of
-    mode 1`` is the written displacement over the mode shape.
+    The fields have names such as ``mode 1: 2302.9 rad/s``. Each shape is scaled so that the largest
+    displacement is a tenth of the structure's size, for ParaView's Warp By Vector. The field data
+    ``magnification of mode 1`` is the scaled over the original displacement.
 
     Parameters
     ----------
@@ -368,8 +396,8 @@ def write_fronts(found: StressIntensity, path: str | Path) -> None:
 
     Notes
     -----
-    Each front station has :attr:`StressIntensity.numbers`, ``K_I while closed`` [Pa m^0.5], and
-    ``ahead``, the direction in which the crack would grow straight on.
+    Each front station has the values of :attr:`StressIntensity.numbers`, ``K_I while closed``
+    [Pa m^0.5], and ``ahead``, the direction in which the crack would grow straight on.
 
     Examples
     --------
@@ -393,10 +421,10 @@ def write_fronts(found: StressIntensity, path: str | Path) -> None:
 
 
 class PeriodFields:
-    """Nodal fields of a vibration at n instants of one period.
+    """Nodal fields of a vibration at n instants in a period, complete on every rank.
 
-    Making them is collective, and every rank has all of them. Parameters are those of
-    :func:`write_period`, ``n_frames`` its ``frames``.
+    Construction is collective. The parameters are as in :func:`write_period`, where ``n_frames`` is
+    called ``frames``.
 
     Attributes
     ----------
@@ -405,22 +433,23 @@ class PeriodFields:
     time : (n,) [s]
         Instants, equally spaced from 0, without the end of the period.
     displacement, nodal_loads : (n, n_nodes, d) [m], [N]
-        Displacements, not magnified, and loads at the nodes.
+        Displacements, not magnified, and load forces at the nodes.
     contact_forces, pair_areas : (n, n_pairs) [N], (n_pairs,) [m^2]
         Normal forces on the contact pairs, and the pairs' areas on one crack face.
     nodal_force_per_pair_force : (n_nodes, n_pairs)
-        Force at each node by a unit force on each pair: 1 at the pair's two nodes, or at the two
-        nodes in the middle of a solid's patch.
+        Force size at each node for a unit contact force on each pair: 1 at the pair's two
+        nodes, or at the two nodes in the middle of a solid's patch.
     pressure_weights : (n_nodes, n_pairs)
-        Weight of each pair's pressure in each node's pressure.
+        Weight of each pair's pressure in the pressure drawn at each node.
     magnification : float
         Factor by which pictures magnify the displacement.
     material : Material or None
-        Material for stresses.
+        Material for stresses; None: no stresses are computed.
     has_load_arrow : bool
-        True if there is a load that one arrow can show, not a load on each blade.
+        True if one arrow can show the load; False without a load and for a bladed disk.
     colour_name_and_unit : (str, str)
-        Field of the colours: von Mises stress with a material, otherwise displacement.
+        Name and unit of the field that colours show: von Mises stress with a material, otherwise
+        displacement.
     """
 
     def __init__(
@@ -478,17 +507,21 @@ class PeriodFields:
 
     @cached_property
     def colour_values(self) -> np.ndarray:
-        """Von Mises stress [Pa], or size of the displacement [m]: (n, n_nodes)."""
+        """Values that colours show: (n, n_nodes).
+
+        Von Mises stress [Pa] with a material, otherwise the size of the displacement [m].
+        """
         if self.material is None:
             return np.linalg.norm(self.displacement, axis=2)
         return von_mises(self.stress)
 
     @property
     def colour_scale_end(self) -> float:
-        """End of the colour scale for the whole period, [Pa] or [m]; the scale begins at 0.
+        """End of the colour scale for the whole period, [Pa] or [m].
 
-        The largest stresses of one node in 50 lie beyond it, since stresses are unbounded at the
-        tip and under the load.
+        The scale begins at 0. For displacements it is the largest value, for stresses the 98 %
+        quantile of the nodes' largest stresses, since stresses are unbounded at the tip and under
+        the load.
         """
         largest_nodal_values = self.colour_values.max(axis=0)
         scale_end = (
@@ -500,12 +533,18 @@ class PeriodFields:
 
     @cached_property
     def stress(self) -> np.ndarray:
-        """Stresses from :func:`nodal_stress`: (n, n_nodes, 3), or of a solid (..., 6), [Pa]."""
+        """Stress components at the nodes [Pa]: (n, n_nodes, 3), in a solid (n, n_nodes, 6).
+
+        Computed by :func:`nodal_stress`; requires a material.
+        """
         assert self.material is not None
         return nodal_stress(self.mesh, self.displacement, self.material)
 
     def make_frame_grid(self, frame_index: int) -> Any:
-        """Make the grid at rest with the point fields of :func:`write_period` in a frame."""
+        """Return the grid at rest with all point fields for one frame.
+
+        :func:`write_period` lists the fields.
+        """
         pair_forces, displacement = self.contact_forces[frame_index], self.displacement[frame_index]
         grid = make_grid_at_rest(self.mesh)
         # A node half-way between two pairs is closed if both are closed.
@@ -540,11 +579,10 @@ def write_period(
 ) -> float:
     """Write one period of a vibration as a time series for ParaView (collective).
 
-    The points of all frames are those at rest: ParaView's Warp By Vector moves them by
-    ``displacement``. A script in the same folder, ``paraview --script=NAME_paraview.py``, does so
-    with the magnification. It shows a plate from the front and a solid from a corner, coloured by
-    stress or displacement, and plays the period once. Each frame has the ``magnification`` in its
-    field data.
+    The nodes of all frames are at rest; ParaView's Warp By Vector moves them by the field
+    ``displacement``. A script is written, too: ``paraview --script=NAME_paraview.py`` magnifies the
+    displacement, colours by stress or displacement, and plays the period once. Each frame has the
+    ``magnification`` in its field data.
 
     Parameters
     ----------
@@ -563,7 +601,7 @@ def write_period(
     Returns
     -------
     float
-        The magnification.
+        Displacement scale factor in the script.
 
     Raises
     ------
@@ -639,7 +677,10 @@ VIEW_COMMANDS_BY_DIMENSION = {
 
 
 def _format_vtu(grid: Any) -> str:
-    """Return the text of a .vtu file; VTK would not report a file that it cannot finish."""
+    """Return a grid as the text for a .vtu file.
+
+    VTK does not write the file itself, since it would not report a failure such as a full disk.
+    """
     point_data, writer = grid.GetPointData(), vtkXMLUnstructuredGridWriter()
     point_data.SetActiveScalars(point_data.GetArrayName(0))  # ParaView's first colours
     writer.SetInputData(grid)
@@ -651,12 +692,12 @@ def _format_vtu(grid: Any) -> str:
 
 
 def _find_nodal_force_per_pair_force(structure: Structure) -> np.ndarray:
-    """Return the size of the force at each node by a unit force on each pair (collective).
+    """Return nodal force sizes for a unit contact force on each pair (collective).
 
     Returns
     -------
     (n_nodes, n_pairs)
-        The same on every rank.
+        Size of the nodal force [-], complete on every rank.
     """
     assert structure.nodes is not None
     dofs, gap_matrix = structure.nodes.dofs, structure.gap

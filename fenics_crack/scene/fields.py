@@ -29,7 +29,7 @@ from fenics_crack.basics.tables import RAD_PER_TURN
 
 Pair = tuple[float, float]
 Vector = tuple[float, ...]
-"""Two numbers in a plane, three in space."""
+"""Vector with two components in a plane, three in space."""
 MIN_ALLOWED_MAGNITUDE, MAX_ALLOWED_MAGNITUDE = 1e-30, 1e30
 """Limits for nonzero numbers in a scene; products and squares neither overflow nor underflow."""
 ALLOWED_MAGNITUDES_TEXT = f"{MIN_ALLOWED_MAGNITUDE:g} to {MAX_ALLOWED_MAGNITUDE:g}"
@@ -52,32 +52,32 @@ class Axis:
     values: tuple[Any, ...]
 
     def as_toml(self) -> str:
-        """Return the axis as a line in a file."""
+        """Return the axis as a line of TOML: "crack.length" = [0.02, 0.03]."""
         return f"{_value_as_toml(self.key)} = {_value_as_toml(self.values)}"
 
 
 class NamedPoint(Axis):
-    """Named point.
+    """Point in ``[output.points]``, whose motion is watched.
 
     ``key`` is the name, ``values`` are x, y and, in a solid, z [m].
     """
 
 
 class FacePoints(Axis):
-    """Named face of a part.
+    """Face of a CAD part in ``[geometry.faces]``.
 
     ``key`` is the name, ``values`` are points (x, y, z) on the face [m].
     """
 
 
 class MeshFile(Axis):
-    """Mesh file with the parameters of the mesh.
+    """Mesh file in ``[identify.meshes]``, with the values of the unknowns in this mesh.
 
     ``key`` is the path, ``values`` are names and numbers: ``(("crack.length", 0.005),)``.
     """
 
     def as_toml(self) -> str:
-        """Return the mesh file as a line in a file."""
+        """Return the mesh file as a line of TOML: "a.msh" = { "crack.length" = 0.005 }."""
         parameters_text = ", ".join(
             f"{_value_as_toml(parameter_name)} = {_value_as_toml(parameter_value)}"
             for parameter_name, parameter_value in self.values
@@ -92,7 +92,7 @@ class Harmonic:
     Attributes
     ----------
     order : int
-        k.
+        k, the multiple of the load frequency.
     cos, sin : tuple of float
         Components of a vector, or the one number of a pressure.
     """
@@ -106,14 +106,17 @@ class Harmonic:
 
 
 def _require_instance(allowed_type: Any, value: object) -> Any:
-    """Return the value; raise TypeError unless it has an allowed type."""
+    """Return ``value`` unchanged; raise TypeError unless it is an instance of the type."""
     if not isinstance(value, allowed_type):
         raise TypeError
     return value
 
 
 def _read_float(value: object) -> float:
-    """Read a finite number; raise OverflowError if its magnitude is not allowed."""
+    """Return a finite number as float, 0 or of magnitude 1e-30 to 1e30.
+
+    Raises TypeError for other types, OverflowError for other magnitudes.
+    """
     if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
         raise TypeError
     number = float(value)
@@ -123,7 +126,7 @@ def _read_float(value: object) -> float:
 
 
 def _read_int(value: object) -> int:
-    """Read a whole number with a magnitude below 2^31."""
+    """Return a whole number as int; raise InputError from a magnitude of 2^31 on."""
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError
     number = int(value)
@@ -133,22 +136,22 @@ def _read_int(value: object) -> int:
 
 
 def _read_string(value: object) -> str:
-    """Read a string that UTF-8 can encode."""
+    """Return a string; raise TypeError for other types, or if UTF-8 cannot encode it."""
     if not isinstance(value, str) or any("\ud800" <= character <= "\udfff" for character in value):
         raise TypeError
     return value
 
 
 def _read_floats(value: object) -> tuple[float, ...]:
-    """Read a list of numbers."""
+    """Convert a list with finite numbers to a tuple of floats."""
     return tuple(map(_read_float, _require_instance(list | tuple, value)))
 
 
 def _read_vector(value: object, lengths: tuple[int, ...] = (2, 3)) -> Vector:
-    """Read a vector with one of the given lengths.
+    """Return a list of numbers as a vector; raise TypeError unless its length is allowed.
 
-    Two and three components are both read here. :meth:`Table.with_dimension` compares them with the
-    scene.
+    By default both 2 and 3 components are allowed; :meth:`Table.with_dimension` later compares the
+    number with the scene's dimension.
     """
     if len(_require_instance(list | tuple, value)) not in lengths:
         raise TypeError
@@ -156,12 +159,15 @@ def _read_vector(value: object, lengths: tuple[int, ...] = (2, 3)) -> Vector:
 
 
 def _read_space_vector(value: object) -> Vector:
-    """Read a vector with three components."""
+    """Return a list of three numbers as a vector; raise TypeError for another length."""
     return _read_vector(value, (3,))
 
 
 def _read_number_or_numbers(value: object) -> float | tuple[float, ...]:
-    """Read a number, or a list with at least one number."""
+    """Return a number as float, or a list of numbers as a tuple.
+
+    Raises TypeError for an empty list.
+    """
     if not isinstance(value, list | tuple):
         return _read_float(value)
     if not value:
@@ -172,7 +178,11 @@ def _read_number_or_numbers(value: object) -> float | tuple[float, ...]:
 def _make_axes_read_function(
     axis_class: type[Axis], read_axis_values: Callable[[str, object], tuple[Any, ...]]
 ) -> Callable[[object], tuple[Axis, ...]]:
-    """Return a function that reads axes from a mapping: names to values."""
+    """Return a function that converts a mapping to a tuple of ``axis_class`` objects.
+
+    ``read_axis_values(name, raw_values)`` converts the values of one name. A tuple of
+    ``axis_class`` objects is returned unchanged.
+    """
 
     def read_axes(value: object) -> tuple[Axis, ...]:
         if isinstance(value, tuple) and all(isinstance(axis, axis_class) for axis in value):
@@ -189,7 +199,10 @@ def _make_axes_read_function(
 def _read_mesh_parameter_pairs(
     file_name: str, parameter_by_name: object
 ) -> tuple[tuple[str, float], ...]:
-    """Read the named numbers of a mesh file."""
+    """Return (name, number) pairs from the table of a mesh file: ("crack.length", 0.005).
+
+    ``file_name`` is not used.
+    """
     return tuple(
         (_read_string(parameter_name), _read_float(parameter_value))
         for parameter_name, parameter_value in _require_instance(Mapping, parameter_by_name).items()
@@ -197,7 +210,10 @@ def _read_mesh_parameter_pairs(
 
 
 def _read_harmonics(value: object) -> tuple[Harmonic, ...]:
-    """Read harmonics with distinct orders."""
+    """Convert a list of harmonic tables to a tuple of harmonics.
+
+    Raises TypeError if two orders are equal.
+    """
     harmonic_tables = _require_instance(list | tuple, value)
     harmonics = tuple(
         harmonic if isinstance(harmonic, Harmonic) else _read_harmonic(harmonic)
@@ -208,7 +224,11 @@ def _read_harmonics(value: object) -> tuple[Harmonic, ...]:
 
 
 def _read_harmonic(harmonic_table: object) -> Harmonic:
-    """Read a harmonic with cosine and sine, or with amplitude and phase."""
+    """Return a harmonic from a table with cosine and sine, or with amplitude and phase.
+
+    The phase is the lag [degrees]. A missing cosine or sine is zero. Raises TypeError for other
+    keys, unequal lengths, or an order outside 1 to MAX_HARMONIC_ORDER.
+    """
     if not isinstance(harmonic_table, Mapping) or "order" not in harmonic_table:
         raise TypeError
     order, component_keys = _read_int(harmonic_table["order"]), harmonic_table.keys() - {"order"}
@@ -238,28 +258,29 @@ def _read_harmonic(harmonic_table: object) -> Harmonic:
 
 
 def _read_load_components(value: object) -> tuple[float, ...]:
-    """Read a vector, or the one number of a pressure."""
+    """Return a vector of 1 to 3 numbers; a single number, for a pressure, becomes a tuple."""
     return _read_vector(value if isinstance(value, list | tuple) else [value], (1, 2, 3))
 
 
 def _read_distinct_ints(value: object) -> tuple[int, ...]:
-    """Read a whole number, or a list with distinct whole numbers."""
+    """Return a whole number, or a list of distinct whole numbers, as a tuple."""
     return tuple(
         map(_read_int, _require_distinct(value if isinstance(value, list | tuple) else [value]))
     )
 
 
 def _require_distinct(values: Any) -> Any:
-    """Return the values; raise TypeError if two are equal."""
+    """Return ``values`` unchanged; raise TypeError if two values are equal."""
     if len(set(values)) != len(values):
         raise TypeError
     return values
 
 
 def _read_axis_values(name: str, values_or_range: object) -> tuple[Any, ...]:
-    """Read the values of an axis, from a list or a range.
+    """Return the values of an axis from a list or a range table.
 
-    A range has start, stop, count and spacing.
+    A range table has start, stop, count and optionally spacing, "linear" or "logarithmic".
+    ``name`` is the axis's key, for errors. Raises InputError for anything else.
     """
     if isinstance(values_or_range, list | tuple) and values_or_range:
         return tuple(values_or_range)
@@ -324,7 +345,7 @@ _READ_FUNCTION_BY_TYPE_NAME: dict[str, Callable[[object], Any]] = {
         map(_read_string, _require_distinct(_require_instance(list | tuple, value)))
     ),
 }
-"""Functions that read a value, by the type of the field without "| None"."""
+"""Functions that check and convert a raw value, by the field's type without "| None"."""
 
 
 _MAPPING_TYPE_NAMES = (
@@ -334,13 +355,13 @@ _MAPPING_TYPE_NAMES = (
     "tuple[NamedPoint, ...]",
 )
 _JSON_TYPE_BY_TYPE_NAME = {"bool": "boolean", "float": "number", "int": "integer", "str": "string"}
-"""JSON types by Python types; all other types are arrays."""
+"""JSON types by Python types of single values."""
 _JSON_TYPE_BY_TYPE_NAME |= dict.fromkeys(_MAPPING_TYPE_NAMES, "object")
-"""JSON's words for types; all others are arrays."""
+"""JSON types by Python types; tables of names are objects, all other types arrays."""
 
 
 def _find_read_function(key_field: Field[Any]) -> Callable[[object], Any]:
-    """Return the function that reads a key's value, by the field's type."""
+    """Return the function that checks and converts raw values for a field."""
     return _READ_FUNCTION_BY_TYPE_NAME[str(key_field.type).removesuffix(" | None")]
 
 
@@ -354,20 +375,20 @@ def value_field(
     unit: str = "",
     **more_metadata: Any,
 ) -> Any:
-    """Return a field for values that a function allows.
+    """Return a dataclass field for a key, whose values a function allows.
 
     Parameters
     ----------
     requirement : str
         Text in errors: what is allowed.
     is_allowed : callable
-        True for allowed values, after reading.
+        Returns True for an allowed value, after conversion to the field's type.
     default
         Default value; MISSING if the key is required.
     unit : str
         Unit, empty without one.
     more_metadata
-        Further metadata of the field.
+        Further metadata of the field, such as ``path=True`` for a file's path.
     """
     allowed_text = f"{requirement} [{unit}]".removesuffix(" []")
     metadata = {"allowed": allowed_text, "accepts": is_allowed, "unit": unit} | more_metadata
@@ -375,26 +396,29 @@ def value_field(
 
 
 def number_field(default: Any = MISSING, unit: str = "") -> Any:
-    """Return a field for a finite number."""
+    """Return a field for a finite number, 0 or of magnitude 1e-30 to 1e30."""
     return value_field(f"a finite number {ZERO_OR_MAGNITUDE_TEXT}", default=default, unit=unit)
 
 
 def positive_field(default: Any = MISSING, unit: str = "") -> Any:
-    """Return a field for a number > 0."""
+    """Return a field for a number > 0, from 1e-30 to 1e30."""
     return value_field(
         f"a finite number > 0 ({ALLOWED_MAGNITUDES_TEXT})", lambda value: value > 0, default, unit
     )
 
 
 def nonnegative_field(default: Any = MISSING, unit: str = "") -> Any:
-    """Return a field for a number >= 0."""
+    """Return a field for a number >= 0, at most 1e30."""
     return value_field(
         f"a finite number >= 0 {ZERO_OR_MAGNITUDE_TEXT}", lambda value: value >= 0, default, unit
     )
 
 
 def bounded_field(lower_text: str, upper_text: str, default: Any, unit: str = "") -> Any:
-    """Return a field for a number between two bounds, written as in errors."""
+    """Return a field for a number between two bounds, which are allowed values, too.
+
+    The bounds are texts, which errors show as written: "1e-6".
+    """
     lower_bound, upper_bound = float(lower_text), float(upper_text)
     requirement = f"a number from {lower_text} to {upper_text}"
     return value_field(
@@ -405,9 +429,10 @@ def bounded_field(lower_text: str, upper_text: str, default: Any, unit: str = ""
 def vector_value_field(
     component_letter: str, default: Any = None, unit: str = "", *, of_solid: bool = False
 ) -> Any:
-    """Return a field for a vector.
+    """Return a field for a vector with 2 or 3 components.
 
-    Errors name components by a letter with x, y and z. With ``of_solid`` only solids have the key.
+    Errors name the components by ``component_letter`` and x, y, z: "fx". With ``of_solid`` only
+    solids have the key, and errors ask for three components.
     """
     requirement = describe_components(component_letter, 3 if of_solid else 2)
     if not of_solid:
@@ -416,7 +441,7 @@ def vector_value_field(
 
 
 def describe_components(component_letter: str, dimension: int) -> str:
-    """Describe the allowed components of a vector."""
+    """Describe an allowed vector in 2 or 3 dimensions: "[fx, fy], two finite numbers"."""
     count_word = ("two", "three")[dimension - 2]
     names_text = _format_component_names(component_letter, dimension)
     return f"{names_text}, {count_word} finite numbers {ZERO_OR_MAGNITUDE_TEXT}"
@@ -428,7 +453,7 @@ def _format_component_names(component_letter: str, dimension: int) -> str:
 
 
 def harmonics_field() -> Any:
-    """Return a field for the harmonics of a load."""
+    """Return a field for a load's list of harmonics; the default is empty."""
     requirement = (
         f"a list of tables: each has a different order from 1 to {MAX_HARMONIC_ORDER}, and cos or"
         " sin or both, or amplitude and, optionally, phase (the lag in degrees)"
@@ -437,7 +462,7 @@ def harmonics_field() -> Any:
 
 
 def harmonic_order_field(default: int) -> Any:
-    """Return a field for the order of a load's harmonic."""
+    """Return a field for a whole number from 1 to MAX_HARMONIC_ORDER."""
     requirement = f"a whole number from 1 to {MAX_HARMONIC_ORDER}"
     return value_field(requirement, lambda value: 1 <= value <= MAX_HARMONIC_ORDER, default)
 
@@ -457,23 +482,29 @@ def hertz_field(
     requirement: str = "a finite number > 0 (up to 1e29)",
     is_allowed: Callable[[Any], bool] = lambda value: 0 < value <= 1e29,
 ) -> Any:
-    """Return a field for frequencies [Hz], the twin of a key in rad/s."""
+    """Return a field for frequencies in Hz.
+
+    The same quantity in rad/s is the key ``omega_key``, which a given value also sets.
+    """
     return twin_field(omega_key, RAD_PER_TURN, requirement, is_allowed, "Hz")
 
 
 def twin_field(
     si_key: str, factor: float, requirement: str, is_allowed: Callable[[Any], bool], unit: str
 ) -> Any:
-    """Return a field for the quantity of an SI key in another unit.
+    """Return a field for a twin key: the quantity of ``si_key`` in another unit.
 
-    The SI value is ``factor`` times the twin's value. One of the two keys may be given; a given
-    twin sets the SI key, too.
+    The SI value is ``factor`` times the twin's value. Only one of the two keys may be given; a
+    given twin also sets the SI key.
     """
     return value_field(requirement, is_allowed, None, unit, twin=si_key, factor=factor)
 
 
 def path_field(requirement: str, default: Any = None, unit: str = "") -> Any:
-    """Return a field for a file's path, relative to the scene's folder."""
+    """Return a field for a file's path, not empty and relative to the scene's folder.
+
+    Depending on the field's type, a number may stand in place of a path.
+    """
     return value_field(requirement, lambda value: value != "", default, unit, path=True)
 
 
@@ -485,7 +516,7 @@ def scale_numbers(number_or_tuple: Any, factor: float) -> Any:
 
 
 def _value_as_toml(value: object) -> str:
-    """Return a value as TOML: JSON except for DEL and inline tables."""
+    """Return a value as TOML text; a harmonic becomes an inline table."""
     if isinstance(value, Harmonic):
         pairs_text = ", ".join(
             f"{attribute_name} = {_value_as_toml(attribute_value)}"
@@ -499,7 +530,7 @@ def _value_as_toml(value: object) -> str:
 
 @contextmanager
 def use_table_name_in_errors(table_name: str) -> Iterator[None]:
-    """Use a table's name in the file for errors: "cracks.1" for a Crack."""
+    """Replace the table's name in InputErrors raised inside: "cracks.1" for "crack"."""
     try:
         yield
     except InputError as error:
@@ -512,17 +543,21 @@ def use_table_name_in_errors(table_name: str) -> Iterator[None]:
 
 
 class Table:
-    """Table in a scene: checks the value of each key when it is made."""
+    """Base class for a scene's tables, with checks of all values.
+
+    A wrong value raises InputError when the table is made. Subclasses are frozen dataclasses with
+    one field for each key.
+    """
 
     FIRST_TABLE_NAME: ClassVar[str | None] = None
     """Name of the first table, "loads.1", if all tables of the class stand in a list."""
     SHORTHAND_KEY: ClassVar[str | None] = None
-    """Key whose word may stand for the whole table: ``reduction = "off"``."""
+    """Key whose value may replace the whole table: ``reduction = "off"``; None if not allowed."""
     _ADVICE_TEXT_BY_MISTAKE: ClassVar[Mapping[str, str]] = {}
-    """Advice by unknown key, "name", or by refused value, "edge = top"."""
+    """Advice for errors, by an unknown key, "name", or by a wrong value, "edge = top"."""
 
     def with_dimension(self, dimension: int) -> Any:
-        """Return the table for a plane or space: zero vectors get the right length.
+        """Return the table for 2 or 3 dimensions, where zero vectors get that many components.
 
         Raises
         ------
@@ -538,7 +573,7 @@ class Table:
         return self.with_unchecked_values(**zero_vector_by_key)
 
     def with_unchecked_values(self, **value_by_key: Any) -> Self:
-        """Return a copy with other values, which are not checked."""
+        """Return a copy with other values by key, without checking the values."""
         table = copy(self)
         vars(table).update(value_by_key)
         return table
@@ -562,7 +597,7 @@ class Table:
 
     @classmethod
     def convert_value(cls, key: str, value: object) -> Any:
-        """Convert a value to its stored form; raise InputError if not allowed."""
+        """Convert a key's raw value to its stored type; raise InputError if not allowed."""
         key_field = cls.field_by_key()[key]
         try:
             field_value = _find_read_function(key_field)(value)
@@ -580,7 +615,7 @@ class Table:
 
     @classmethod
     def _make_value_suggestion_text(cls, key: str, value: object) -> str:
-        """Return a text that suggests an allowed value; empty without a suggestion."""
+        """Return advice or an allowed value similar to a refused value; empty without any."""
         key_field = cls.field_by_key()[key]
         value_suggestions: list[Any] = []
         if isinstance(value, str):
@@ -600,12 +635,12 @@ class Table:
 
     @classmethod
     def field_by_key(cls) -> dict[str, Field[Any]]:
-        """Return the dataclass fields by key."""
+        """Return the dataclass field of each key."""
         return {key_field.name: key_field for key_field in fields(cls)}  # type: ignore[arg-type]
 
     @classmethod
     def schema(cls) -> dict[str, Any]:
-        """Return the table as a JSON schema."""
+        """Return a JSON schema of the table's keys: types, choices, defaults, descriptions."""
         schema_by_key: dict[str, Any] = {}
         for key, key_field in cls.field_by_key().items():
             type_names = str(key_field.type).removesuffix(" | None").split(" | ")
@@ -640,7 +675,7 @@ class Table:
 
     @classmethod
     def si_key_by_twin(cls) -> dict[str, str]:
-        """Return the SI keys by the keys in Hz and similar units."""
+        """Return the SI key of each twin key: "omega" for "frequency", "speed" for "rpm"."""
         metadata_by_key = {key: key_field.metadata for key, key_field in cls.field_by_key().items()}
         return {
             key: metadata["twin"] for key, metadata in metadata_by_key.items() if "twin" in metadata
@@ -648,7 +683,10 @@ class Table:
 
     @property
     def derived_keys(self) -> set[str]:
-        """Keys whose values were inferred from other keys, or chosen as defaults."""
+        """Keys whose values were not given: inferred from a twin key, or chosen as defaults.
+
+        :meth:`as_toml` leaves them out.
+        """
         replaced_si_keys = {
             si_key
             for twin_key, si_key in self.si_key_by_twin().items()
@@ -658,8 +696,10 @@ class Table:
 
     @classmethod
     def full_key(cls, key: str = "") -> str:
-        """Return a key as written in a scene, ``harmonic_balance.samples``; without a key the
-        table's name."""
+        """Return a key with the table's name: "harmonic_balance.samples".
+
+        Without a key, the table's name alone.
+        """
         table_name = "".join(
             "_" + character.lower() if character.isupper() else character
             for character in cls.__name__
@@ -668,9 +708,9 @@ class Table:
 
     @classmethod
     def full_key_to_suggest(cls, key: str) -> str:
-        """Return a key as errors suggest it.
+        """Return a full key as errors suggest it: "excitation.omega".
 
-        For a list of tables it is the first table's key.
+        If the tables stand in a list, the first table is named: "loads.1.point".
         """
         return f"{cls.FIRST_TABLE_NAME}.{key}" if cls.FIRST_TABLE_NAME else cls.full_key(key)
 
@@ -695,12 +735,18 @@ class Table:
         return "\n".join([*toml_lines, *axes_lines, ""])
 
     def require(self, condition: bool, key: str, requirement: str) -> None:
-        """Raise InputError for a key unless a condition holds."""
+        """Raise InputError for a key unless ``condition`` is true.
+
+        ``requirement`` completes "must be" in the error.
+        """
         if not condition:
             raise InputError(self.full_key(key), getattr(self, key), requirement)
 
     def given(self, key: str, requirement: str = "") -> Any:
-        """Return the value of a key; raise InputError if it is None."""
+        """Return the value of a key; raise InputError if it is None.
+
+        ``requirement`` replaces the error's text about allowed values.
+        """
         requirement = requirement or f"given: {self.field_by_key()[key].metadata['allowed']}"
         self.require(getattr(self, key) is not None, key, requirement)
         return getattr(self, key)
@@ -708,7 +754,8 @@ class Table:
     def forbid_keys(self, keys: Iterable[str], circumstance: str) -> None:
         """Raise InputError if a key is neither None nor the default.
 
-        In the error, the circumstance follows "with" or begins with "without".
+        The error says "left out with" and the circumstance; a circumstance may also begin with
+        "without".
         """
         preposition = "" if circumstance.startswith("without ") else "with "
         for key in keys:
@@ -717,9 +764,10 @@ class Table:
 
     @classmethod
     def suggest_keys(cls, key: str) -> list[str]:
-        """Suggest keys for a key that the table does not have.
+        """Return full keys to suggest for an unknown key; empty without a similar key.
 
-        The key is misspelt or belongs to another table.
+        Tried in turn: similar keys of this table, the same key in other tables, similar keys in
+        other tables.
         """
         table_classes = [
             cls,
@@ -743,7 +791,7 @@ class Table:
 
     @classmethod
     def unknown_key_text(cls, key: str) -> str:
-        """Return the error text for an unknown key: suggested keys and all known keys."""
+        """Return the requirement for an unknown key: advice or suggestions, and all keys."""
         advice_text = (
             cls._ADVICE_TEXT_BY_MISTAKE.get(key) or did_you_mean_text(cls.suggest_keys(key)).strip()
         )
@@ -755,7 +803,10 @@ class Table:
     def make_changes_with_twins_removed(
         cls, changes: Mapping[str, object], _current_values: Mapping[str, object]
     ) -> dict[str, Any]:
-        """Return changes that also set the twins of changed keys to None."""
+        """Return changes by key that also set the twins of changed keys to None.
+
+        The twin is the same quantity in another unit. Raises InputError if both are changed.
+        """
         cls.forbid_both_twins(changes)
         twin_key_by_key = {
             key: twin_key
@@ -771,7 +822,7 @@ class Table:
 
     @classmethod
     def forbid_both_twins(cls, value_by_key: Mapping[str, object]) -> None:
-        """Raise InputError if a key and its twin in another unit are given."""
+        """Raise InputError if both a key and its twin in another unit have a value."""
         for twin_key, si_key in cls.si_key_by_twin().items():
             if value_by_key.get(twin_key) is not None and value_by_key.get(si_key) is not None:
                 requirement = (
@@ -782,7 +833,10 @@ class Table:
 
     @classmethod
     def from_mapping(cls, raw_table: object) -> Any:
-        """Make the table from a mapping that a file holds."""
+        """Make the table from a mapping of keys to values, as read from TOML.
+
+        Raises InputError for an unknown, missing or wrong key.
+        """
         field_by_key = cls.field_by_key()
         keys_text = ", ".join(field_by_key)
         if cls.SHORTHAND_KEY is not None and isinstance(raw_table, str):
@@ -800,7 +854,10 @@ class Table:
 
 
 def find_full_keys(key: str, table_classes: Iterable[type[Table]]) -> list[str]:
-    """Return a key's full names in all tables; list keys (default ``()``) come last."""
+    """Return the full key for each table class that has the key.
+
+    Classes in which the key holds a list (default ``()``) come last.
+    """
     classes_with_key = [
         table_class for table_class in table_classes if key in table_class.field_by_key()
     ]

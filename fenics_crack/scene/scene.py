@@ -48,16 +48,16 @@ from fenics_crack.scene.fields import (
 )
 
 MANY_SOLUTION_TABLE_NAMES = ("curve", "sweep", "growth", "identify")
-"""Tables by which a command solves a scene many times."""
+"""Settings tables for the commands that solve a scene many times."""
 RESULT_TABLE_NAMES = ("curve", "integration", "sweep", "growth", "identify", "tip_timing", "output")
 """Tables that only choose results and do not change the structure or its load."""
 
 PLATE_TABLE_NAMES = (
     "geometry", "material", "mesh", "crack", "cracks", "loads", "base", "rotation", "disk",
 )  # fmt: skip
-"""Tables of a plate or solid; matrices in ``structure`` replace them."""
+"""Tables for a plate or solid; forbidden with [structure], whose matrices replace them."""
 MAX_ALLOWED_SIDE_RATIO = 1e4
-"""Maximum allowed ratio between a plate's sides, either way."""
+"""Maximum ratio of width or thickness to the height, or of the height to either side."""
 
 
 @with_old_names(
@@ -95,7 +95,7 @@ class Scene:
     contact: kinds.Contact | None = None
     crack: kinds.Crack | None = None
     cracks: tuple[kinds.Crack, ...] = ()
-    """Further cracks."""
+    """Cracks in addition to ``crack``."""
     loads: tuple[kinds.Load, ...] = ()
     """Loads in addition to the excitation's force."""
     base: kinds.Base | None = None
@@ -203,8 +203,9 @@ class Scene:
     ) -> Scene:
         """Make a scene from nested mappings.
 
-        A relative ``mesh.file`` lies in ``folder``. ``changes`` are keys and values as in
-        :meth:`replace`; they apply before any check. Paths in ``changes`` stay as they are.
+        ``tables`` holds tables by name, as read from TOML. Relative paths in the tables are taken
+        from ``folder``. ``changes`` are full keys and values as in :meth:`replace`, applied before
+        any check; paths in ``changes`` stay unchanged.
         """
         changes = changes or {}
         tables = _with_changed_keys(tables, changes)
@@ -248,7 +249,11 @@ class Scene:
         folder: Path = Path(),
         changes: Mapping[str, object] | None = None,
     ) -> Scene:
-        """Make a scene from TOML text, which errors call ``name``."""
+        """Make a scene from TOML text.
+
+        Errors name the text by ``name``. Relative paths in the text are taken from ``folder``.
+        ``changes`` are full keys and values as in :meth:`replace`.
+        """
         with report_read_errors("scene", name, "a TOML file"):
             try:
                 raw_table_by_name = tomllib.loads(text)
@@ -283,22 +288,26 @@ class Scene:
 
     @property
     def dimension(self) -> int:
-        """3 for a solid and for a model from another program, otherwise 2."""
+        """Number of space dimensions: 2 or 3.
+
+        3 for a solid and for matrices with another program's model; 2 for a plate and for matrices
+        without a model.
+        """
         if self.structure is not None:
             return 2 if self.structure.model is None else 3
         return 2 if self.geometry is None else self.geometry.dimension
 
     @property
     def has_graded_lengths(self) -> bool:
-        """True if distances to crack tips and corners set the element lengths.
+        """True if element lengths follow from the distances to crack tips and corners.
 
-        This holds for a solid and for a graded sector.
+        This holds for a solid, and for a bladed disk's sector with ``mesh.layout = "graded"``.
         """
         return self.dimension == 3 or (self.disk is not None and self.mesh.layout == "graded")
 
     @property
     def has_friction(self) -> bool:
-        """True if crack faces have friction, at least in one case of the sweep."""
+        """True if ``contact.friction`` is above 0, also in a swept case only."""
         contact_has_friction = self.contact is not None and bool(self.contact.friction)
         return contact_has_friction or any(self.swept_values_by_key.get("contact.friction", ()))
 
@@ -318,7 +327,11 @@ class Scene:
         return bool(self.loads) or self.base is not None or self.structure is not None
 
     def given(self, name: str) -> Any:
-        """Return a table for a command; raise InputError if the table is missing."""
+        """Return the table ``name`` for a command that needs the table.
+
+        Raises InputError if the table is missing, or if ``harmonic_balance.form`` is "block" and
+        the command solves many times (:data:`MANY_SOLUTION_TABLE_NAMES`).
+        """
         if getattr(self, name) is None:
             raise missing_table_error(name, ", which this command needs")
         has_condensed_form = self.harmonic_balance.form == "condensed"
@@ -330,11 +343,11 @@ class Scene:
 
     @property
     def speed(self) -> float:
-        """Rotor speed [rad/s]; 0 without a rotor."""
+        """Rotor speed [rad/s]; 0 without [rotation]."""
         return 0.0 if self.rotation is None else self.rotation.speed
 
     def _is_key_given_or_varied(self, full_key: str) -> bool:
-        """Return True if a key is given, followed by a curve, or swept."""
+        """Return True if a full key is given, or varied by [curve] or [sweep]."""
         table_name, key_in_table = full_key.split(".")
         is_given = getattr(getattr(self, table_name), key_in_table, None) is not None
         is_curve_parameter = self.curve is not None and self.curve.parameter == key_in_table
@@ -342,31 +355,35 @@ class Scene:
 
     @property
     def is_speed_in_rpm(self) -> bool:
-        """True if the rotor speed is given or swept in revolutions per minute."""
+        """True if results show the rotor speed in revolutions per minute.
+
+        The speed is given, swept or followed by a curve as ``rpm``.
+        """
         return self._is_key_given_or_varied("rotation.rpm")
 
     @property
     def is_frequency_in_hertz(self) -> bool:
         """True if results show the load frequency in Hz.
 
-        The frequency is given, followed or swept in Hz, or follows from an order and rpm.
+        The frequency is given, swept or followed by a curve in Hz, or it follows from an engine
+        order and a speed in rpm.
         """
         has_order_and_rpm = self.excitation.order is not None and self.is_speed_in_rpm
         return has_order_and_rpm or self._is_key_given_or_varied("excitation.frequency")
 
     @property
     def quantities(self) -> tuple[str, ...] | None:
-        """Quantities in ``[output]``; None if it does not choose."""
+        """Names in ``output.quantities``; None if the scene does not choose quantities."""
         return None if self.output is None else self.output.quantities
 
     @property
     def output_points(self) -> tuple[NamedPoint, ...]:
-        """Points in ``[output.points]``."""
+        """Points in ``[output.points]``; empty without such points."""
         return () if self.output is None else self.output.points
 
     @property
     def label_by_point_name(self) -> dict[str, str]:
-        """Labels by point and direction: "tip.ux", "tip.uy"."""
+        """Labels for output points: "x displacement of tip" for the name "tip.ux"."""
         return {
             f"{point.key}.u{axis_letter}": f"{axis_letter} displacement of {point.key}"
             for point in self.output_points
@@ -374,7 +391,11 @@ class Scene:
         }
 
     def without_rotation(self) -> Scene:
-        """Return the scene without rotation, with the same load frequency."""
+        """Return the scene at rest, with the same load frequency.
+
+        The tables [rotation], [curve] and [sweep] are removed. A bladed disk keeps the engine
+        order, which sets the load's phase on each blade.
+        """
         value_by_changed_key: dict[str, object] = {"rotation": None, "curve": None, "sweep": None}
         if self.excitation.order is not None:
             value_by_changed_key["excitation.omega"] = self.excitation.omega
@@ -384,14 +405,14 @@ class Scene:
 
     @property
     def swept_values_by_key(self) -> dict[str, tuple[Any, ...]]:
-        """Values by key of the sweep."""
+        """Values on each axis in the sweep, by full key; empty without a sweep."""
         return {} if self.sweep is None else {axis.key: axis.values for axis in self.sweep.over}
 
     @property
     def swept_omegas(self) -> tuple[float, ...]:
-        """Load frequencies in a sweep [rad/s].
+        """Load frequencies in all cases of the sweep [rad/s].
 
-        If the sweep does not change the frequency, the excitation's frequency alone.
+        Without a sweep, or if the sweep keeps the frequency, only the excitation's frequency.
         """
         swept_values_by_key = self.swept_values_by_key
         if "excitation.frequency" in swept_values_by_key:
@@ -410,7 +431,10 @@ class Scene:
 
     @property
     def axis_point_and_direction(self) -> tuple[np.ndarray, np.ndarray]:
-        """Point on the rotor axis [m] and unit direction, (3,) each."""
+        """Point on the rotor axis [m] and the axis's unit vector, (3,) each.
+
+        The scene has [rotation] or [disk].
+        """
         if self.disk is None:
             assert self.rotation is not None
             geometry_sides = self.geometry.sides
@@ -434,12 +458,12 @@ class Scene:
 
     @property
     def modes_key(self) -> str:
-        """Key that sets the number of modes."""
+        """Key for the number of modes: "reduction.modes", or with [disk] "disk.families"."""
         return "reduction.modes" if self.disk is None else "disk.families"
 
     @property
     def n_damped_modes(self) -> int | str:
-        """``damping.modes``; "all" if the damping is a matrix."""
+        """Number of damped modes; "all" for every mode and for a damping matrix."""
         return "all" if self.damping is None else self.damping.modes
 
     @partial(check_calls, find_scene_keys=lambda misspelt_name: suggest_full_keys(misspelt_name))
@@ -447,8 +471,8 @@ class Scene:
         """Return a scene with some keys changed: ``scene.replace({"contact.stiffness": 1e9})``.
 
         A missing optional table is made; ``{"crack": None}`` removes a table. Tables of a list are
-        counted from 1, ``{"cracks.1.length": 0.02}``; the next one is made. A frequency in Hz
-        replaces the frequency in rad/s, and vice versa.
+        counted from 1, ``{"cracks.1.length": 0.02}``; the number after the last makes a new table.
+        A frequency in Hz replaces the frequency in rad/s, and vice versa.
         """
         table_by_name = {
             scene_field.name: getattr(self, scene_field.name) for scene_field in fields(self)
@@ -479,7 +503,7 @@ class Scene:
 
 
 def _describe_table_type(table_name: str, table: object) -> str:
-    """Describe the required type of a table."""
+    """Return the requirement on a table's type, for an error about ``table``."""
     type_text = "a tuple of" if table_name in _LIST_TABLE_NAMES else "of the class"
     advice_text = "; to read the file of a scene, use Scene.load(path)"
     class_name = _TABLE_CLASS_BY_NAME[table_name].__name__
@@ -487,14 +511,20 @@ def _describe_table_type(table_name: str, table: object) -> str:
 
 
 def missing_table_error(table_name: str, circumstance: str = "") -> InputError:
-    """Return the error for a missing table, with the required keys."""
+    """Return the error for a missing table, which names the table's required keys.
+
+    ``circumstance`` is appended to the requirement: ", which this command needs".
+    """
     keys_text = ", ".join(_TABLE_CLASS_BY_NAME[table_name].required_keys())
     requirement = f"given: a table [{table_name}]{' with ' * bool(keys_text)}{keys_text}"
     return InputError(table_name, None, requirement + circumstance)
 
 
 def _is_replaced_by_matrices(scene: Scene, table_name: str) -> bool:
-    """Return True if matrices replace a table that a plate needs."""
+    """Return True if [structure] replaces a table, which may then be None.
+
+    ``structure.damping`` replaces the table [damping].
+    """
     if scene.structure is None:
         return False
     return table_name in PLATE_TABLE_NAMES or (
@@ -503,7 +533,7 @@ def _is_replaced_by_matrices(scene: Scene, table_name: str) -> bool:
 
 
 def reason_without_stress_intensity(scene: Scene) -> str:
-    """Return why a scene has no stress intensities; empty for a mesh with a crack."""
+    """Return why stress intensity factors cannot be computed; empty if they can."""
     if scene.structure is not None:
         return "with [structure]: stress intensities need a mesh"
     if scene.disk is not None:
@@ -518,14 +548,14 @@ def reason_without_stress_intensity(scene: Scene) -> str:
 
 
 def reason_without_elliptical_growth(scene: Scene) -> str:
-    """Return why a scene's crack does not grow as an ellipse; empty if it does."""
+    """Return why a scene's crack cannot grow as an ellipse; empty if it can."""
     if scene.crack is None or not scene.crack.is_elliptical or scene.cracks:
         return "without a single crack that has crack.front = 'elliptical' or crack.point"
     return reason_without_stress_intensity(scene)
 
 
 def reason_without_clamp_forces(scene: Scene) -> str:
-    """Return why clamp forces are unknown; empty if they are known."""
+    """Return why the forces on the clamp cannot be computed; empty if they can."""
     if scene.structure is not None:
         return "with [structure]: clamp forces need a mesh"
     if scene.disk is not None:
@@ -536,13 +566,16 @@ def reason_without_clamp_forces(scene: Scene) -> str:
 
 
 def refuse_for_reason(reason: str, key: str, value: object = None) -> None:
-    """Raise InputError for a key and value if the reason is not empty."""
+    """Raise InputError for a key and value unless ``reason`` is an empty text.
+
+    The reason begins with "with" or "without", as it follows "left out" in the error.
+    """
     if reason:
         raise InputError(key, value, f"left out {reason}")
 
 
 def _reason_without_observable(scene: Scene, observable: Observable) -> str:
-    """Return why a scene lacks an observable; empty if it has the observable."""
+    """Return why a scene cannot give an observable; an empty text if the scene can."""
     if ObservableFlag.REQUIRES_FRICTION in observable.flags and not scene.has_friction:
         return "without contact.friction"
     if ObservableFlag.REQUIRES_GROWTH_LAW in observable.flags and scene.growth is None:
@@ -559,7 +592,10 @@ def _reason_without_observable(scene: Scene, observable: Observable) -> str:
 
 
 def list_requested_extra_quantities(scene: Scene) -> tuple[str, ...]:
-    """Return the ``output.quantities`` at places that are computed only on request."""
+    """Return the names in ``output.quantities`` that are computed only on request.
+
+    The observable's place determines this (``Place.is_made_on_request``).
+    """
     return tuple(
         quantity_name
         for quantity_name in scene.quantities or ()
@@ -572,11 +608,15 @@ _REASON_FUNCTION_BY_PLACE: dict[Place, Callable[[Scene], str]] = {
     Place.ELLIPSE: reason_without_elliptical_growth,
     Place.CLAMP: reason_without_clamp_forces,
 }
-"""Functions by place: the reason why a scene lacks observables there, or an empty text."""
+"""Functions by place of an observable: why a scene cannot give it, or an empty text."""
 
 
 def file_keys_and_paths(scene: Scene) -> list[tuple[str, str]]:
-    """Return keys and paths of mesh and matrix files, in the scene and its sweep."""
+    """Return (full key, path) for each file that defines the structure or its load.
+
+    Paths in the sweep are included. Files in tables that only choose results
+    (:data:`RESULT_TABLE_NAMES`) are left out.
+    """
     keys_and_paths = [
         key_and_path
         for key_and_path in _path_by_key(scene).items()
@@ -589,7 +629,10 @@ def file_keys_and_paths(scene: Scene) -> list[tuple[str, str]]:
 
 
 def _path_by_key(scene: Scene) -> dict[str, str]:
-    """Return the paths of a scene's files by key, without sweep and meshes."""
+    """Return a scene's file paths by full key.
+
+    Paths in ``sweep.over``, ``identify.unknown`` and ``identify.meshes`` are left out.
+    """
     split_keys = ((full_key, *full_key.split(".")) for full_key in _PATH_KEYS)
     path_or_none_by_key = {
         full_key: getattr(getattr(scene, table_name), key_in_table, None)
@@ -603,7 +646,10 @@ def _path_by_key(scene: Scene) -> dict[str, str]:
 
 
 def with_file_paths(scene: Scene, change_path: Callable[[str], str]) -> Scene:
-    """Return the scene with changed paths."""
+    """Return the scene with every file path replaced by ``change_path(path)``.
+
+    Paths in ``sweep.over``, ``identify.unknown`` and ``identify.meshes`` change, too.
+    """
     path_by_key = _path_by_key(scene)
     if not path_by_key:
         return scene
@@ -654,9 +700,10 @@ def _describe_scene(scene: Scene) -> str:
 
 
 def _make_line_fix_text(toml_text: str, error_text: str) -> str:
-    """Return a text that suggests a value for the line that a TOML error names.
+    """Return a suggested correction for the line number in a TOML error.
 
-    The value is a number in SI units or a quoted word. Empty without a suggestion.
+    ``error_text`` contains "at line 3". The correction is a number in SI units, for "5 mm", or a
+    word in quotes; the text is empty without a correction.
     """
     toml_lines, line_match = toml_text.splitlines(), re.search(r"at line (\d+)", error_text)
     if line_match is None or int(line_match[1]) > len(toml_lines):
@@ -679,7 +726,10 @@ def _make_line_fix_text(toml_text: str, error_text: str) -> str:
 
 
 def known_keys() -> list[str]:
-    """Return every full key; for lists of tables those of the first table."""
+    """Return every full key that a scene may have.
+
+    Keys in lists of tables are named for the first table: "cracks.1.length".
+    """
     named_table_classes = [
         (f"{table_name}.1" if table_name in _LIST_TABLE_NAMES else table_name, table_class)
         for table_name, table_class in _TABLE_CLASS_BY_NAME.items()
@@ -706,7 +756,11 @@ def unit_of_key(full_key: str) -> str:
 
 
 def _check_tables_beside_matrices(scene: Scene, structure: kinds.Structure) -> None:
-    """Raise InputError if tables contradict matrices from files."""
+    """Check a scene's tables against the matrices in [structure].
+
+    Vectors get the scene's dimension. Raises InputError for tables of a plate, for a missing load
+    or contact table, and for keys that need contact pairs or a model.
+    """
     _forbid_tables(scene, PLATE_TABLE_NAMES, "[structure]")
     if structure.damping is not None:
         _forbid_tables(scene, ("damping",), "structure.damping")
@@ -755,7 +809,10 @@ def _check_tables_beside_matrices(scene: Scene, structure: kinds.Structure) -> N
 
 
 def _forbid_tables(scene: Scene, table_names: Iterable[str], circumstance: str) -> None:
-    """Raise InputError for the first named table that is present."""
+    """Raise InputError for the first named table that the scene has.
+
+    ``circumstance`` follows "left out with" in the error.
+    """
     for table_name in table_names:
         if getattr(scene, table_name):
             requirement = f"left out with {circumstance}: remove the table [{table_name}]"
@@ -763,7 +820,11 @@ def _forbid_tables(scene: Scene, table_names: Iterable[str], circumstance: str) 
 
 
 def _set_vector_dimension(scene: Scene) -> None:
-    """Give vectors in all tables the scene's dimension; raise InputError if they do not fit."""
+    """Give zero vectors in all tables the scene's dimension.
+
+    Changes the scene in place. Raises InputError if a nonzero vector or an output point has another
+    number of components.
+    """
     dimension = scene.dimension
     for table_name in _TABLE_CLASS_BY_NAME:
         tables = getattr(scene, table_name)
@@ -783,7 +844,10 @@ def _set_vector_dimension(scene: Scene) -> None:
 
 
 def _check_dimension(scene: Scene) -> None:
-    """Raise InputError if a table does not fit a plate, or a solid."""
+    """Check keys that depend on plate or solid, and set vector lengths.
+
+    Raises InputError for keys that a plate, or a solid, cannot have, and for wrong vectors.
+    """
     geometry, dimension = scene.geometry, scene.dimension
     if dimension == 2 and scene.rotation is not None:
         scene.rotation.forbid_keys(
@@ -815,7 +879,11 @@ def _check_dimension(scene: Scene) -> None:
 
 
 def _check_disk(scene: Scene, disk: kinds.Disk) -> None:
-    """Raise InputError if a bladed disk excludes a table, or the rim is wrong."""
+    """Raise InputError if a scene does not fit a bladed disk.
+
+    Checked are excluded tables and keys, the load's engine order and frequency, and the rim's
+    radii: blades must not overlap.
+    """
     _forbid_tables(scene, ("base", "growth", "identify", "reduction"), "[disk]")
     scene.excitation.given(
         "order", "given: the engine order of the load on [disk], a whole number >= 1"
@@ -859,7 +927,7 @@ def _check_disk(scene: Scene, disk: kinds.Disk) -> None:
 
 
 def _check_plate(scene: Scene) -> None:
-    """Raise InputError if a plate's sides or points of load are wrong."""
+    """Raise InputError if sides, load points or cracks of a plate or box are wrong."""
     geometry = scene.geometry
     _, height = (geometry.given(side_key) for side_key in ("width", "height"))
     for side_key in ("width", "thickness")[: scene.dimension - 1]:
@@ -898,7 +966,10 @@ def _check_plate(scene: Scene) -> None:
 
 
 def _check_cad_part(scene: Scene) -> None:
-    """Raise InputError if a part from a CAD file cannot be meshed as requested."""
+    """Raise InputError if tables do not fit a part from a CAD file.
+
+    Required are a graded mesh without [disk], a load, and for each crack its plane.
+    """
     scene.mesh.require(scene.mesh.layout == "graded", "layout", "'graded' with geometry.file")
     _forbid_tables(scene, ("disk",), "geometry.file")
     if not scene.has_other_loads:
@@ -916,7 +987,7 @@ def _check_cad_part(scene: Scene) -> None:
 
 
 def _forbid_keys_of_mesh_file(scene: Scene) -> None:
-    """Raise InputError if keys repeat what the mesh file defines."""
+    """Raise InputError for sides and crack shapes, which the mesh file defines."""
     keys_in_file = ("width", "height", "thickness")[: scene.dimension]
     scene.geometry.forbid_keys(keys_in_file, "mesh.layout = 'file'")
     for crack_name, crack in scene.crack_by_name.items():
@@ -929,13 +1000,17 @@ def _forbid_keys_of_mesh_file(scene: Scene) -> None:
 LIP_ELEMENTS_TEXT = "given: a whole number >= 1, the elements along each crack face"
 """Error text for a missing ``mesh.lip_elements``."""
 MIN_ALLOWED_RELATIVE_DISTANCE = 1e-4
-"""Minimum distance between cracks, tips and edges, relative to the side."""
+"""Minimum distance between cracks, tips and edges, relative to the side along the distance."""
 _CRACK_SHAPE_KEYS = (*kinds.BOX_CRACK_KEYS, "length", "depth", "front", *kinds.PLANE_CRACK_KEYS)
-"""Keys of a crack that a mesh file defines itself."""
+"""Keys for a crack's position and shape; forbidden with a mesh file, which has the cracks."""
 
 
 def _check_cracks(scene: Scene) -> None:
-    """Raise InputError if a plate cannot have a crack at its position."""
+    """Raise InputError if a crack of a plate or box has wrong keys.
+
+    Checked are position, length, depth and the distances to edges and other cracks. Cracks around
+    ``crack.point`` are only checked for consistent keys.
+    """
     crack_by_name, geometry, mesh = scene.crack_by_name, scene.geometry, scene.mesh
     for crack_name, crack in crack_by_name.items():
         with use_table_name_in_errors(crack_name):
@@ -959,7 +1034,10 @@ def _check_cracks(scene: Scene) -> None:
 
 
 def _check_crack(crack: kinds.Crack, geometry: kinds.Geometry, crack_names: list[str]) -> None:
-    """Raise InputError if a crack's keys are inconsistent, or outside the plate."""
+    """Raise InputError if a crack's keys contradict, or the crack leaves the plate.
+
+    ``crack_names`` are the names of all cracks: only a single crack may have ``first_omega``.
+    """
     width, height, *_ = geometry.sides
     geometry_kind = geometry.kind
     margin_text = f"and at least {MIN_ALLOWED_RELATIVE_DISTANCE:g} of this length from both"
@@ -1006,7 +1084,7 @@ def _check_crack(crack: kinds.Crack, geometry: kinds.Geometry, crack_names: list
 
 
 def _check_crack_front(crack: kinds.Crack, geometry: kinds.Geometry) -> None:
-    """Raise InputError if depth and front of a crack do not fit the geometry."""
+    """Raise InputError if a crack's ``depth`` and ``front`` do not fit the geometry."""
     if geometry.dimension == 2:
         crack.forbid_keys(("depth", "front"), "geometry.kind = 'plate'")
     elif crack.depth is None:
@@ -1021,7 +1099,10 @@ def _check_crack_front(crack: kinds.Crack, geometry: kinds.Geometry) -> None:
 
 
 def _check_crack_on_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kinds.Mesh) -> None:
-    """Raise InputError unless crack and tips are on lines of the grid."""
+    """Raise InputError unless a crack lies on a grid line and ends at grid lines.
+
+    The tolerance is 1e-9 of the side. A crack keeps at least one cell from each end of a side.
+    """
     crack.given("length", "given: a finite number > 0 [m]; a grid cannot have crack.first_omega")
     (width, height), n_columns = geometry.sides, mesh.given("columns")
     extent_and_cells_by_key = {"length": (width, n_columns), "height": (height, mesh.given("rows"))}
@@ -1045,7 +1126,11 @@ def _check_crack_on_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kin
 
 
 def _check_crack_distance(scene: Scene, first_name: str, second_name: str) -> None:
-    """Raise InputError if two cracks are too close."""
+    """Raise InputError if two cracks are closer than 1e-4 of a side.
+
+    Cracks at the same height need this distance, relative to the width, between their tips; other
+    cracks need it in height.
+    """
     first_crack, second_crack = (
         scene.crack_by_name[crack_name] for crack_name in (first_name, second_name)
     )
@@ -1070,7 +1155,10 @@ def _check_crack_distance(scene: Scene, first_name: str, second_name: str) -> No
 
 
 def _is_inside_with_margin(coordinate: float, extent: float) -> bool:
-    """Return True if a coordinate is between 0 and an extent, with a margin."""
+    """Return True if a coordinate is inside the interval from 0 to ``extent``.
+
+    The distance to both ends must be at least 1e-4 of the extent.
+    """
     return (
         MIN_ALLOWED_RELATIVE_DISTANCE * extent
         <= coordinate
@@ -1084,9 +1172,11 @@ def _is_inside_with_margin(coordinate: float, extent: float) -> bool:
 def _check_and_convert_axes(
     scene: Scene, axes_key: str, axes: tuple[Axis, ...]
 ) -> tuple[Axis, ...]:
-    """Check the keys of axes, and read the values by these keys.
+    """Return axes with values as the scene stores them.
 
-    Later, each case checks combinations of values.
+    ``axes_key`` names the axes in errors: "sweep.over". Raises InputError for a key that is
+    unknown, repeated or not sweepable, and for wrong or equal values. Combinations of values are
+    checked later, in each case.
     """
     checked_axes, seen_keys = [], set()
     for axis in axes:
@@ -1150,9 +1240,9 @@ def _split_key(full_key: str) -> tuple[str, int | None, str]:
 
 
 def _make_table_or_tuple(table_name: str, raw_tables: object) -> Any:
-    """Make a table, or the tuple for a list of tables, from a file's value.
+    """Return a table, or a tuple of tables for a list, from raw values.
 
-    Finished tables stay as they are.
+    Raw values are mappings as read from TOML; tables that are objects already stay unchanged.
     """
     table_class = _TABLE_CLASS_BY_NAME[table_name]
     if table_name not in _LIST_TABLE_NAMES:
@@ -1175,9 +1265,10 @@ def _make_table_or_tuple(table_name: str, raw_tables: object) -> Any:
 
 
 def _split_changed_key(full_key: str, value: object) -> tuple[str, int | None, str]:
-    """Split a changed key into table, position in a list (or None), and key.
+    """Split the full key of a change into table, position from 1 and key.
 
-    Raises InputError for an unknown key. The key is empty if the change removes the table.
+    The position is None for a table outside lists. The key is empty if the change, with the value
+    None, removes the table. Raises InputError for an unknown key or a wrong removal.
     """
     table_name, list_position, key_in_table = _split_key(full_key)
     table_class = _TABLE_CLASS_BY_NAME.get(table_name)
@@ -1216,7 +1307,10 @@ def _split_changed_key(full_key: str, value: object) -> tuple[str, int | None, s
 def _with_changed_keys(
     table_by_name: Mapping[str, Any], value_by_full_key: Mapping[str, object]
 ) -> dict[str, Any]:
-    """Return tables, or their mappings, with changed keys."""
+    """Return tables by name, with values changed by full key.
+
+    Changed tables are mappings, or tuples of them, without check of the values.
+    """
     changed_tables = dict(table_by_name)
     changes_by_table: dict[tuple[str, int], dict[str, object]] = {}
     for full_key, raw_value in value_by_full_key.items():
@@ -1242,7 +1336,13 @@ def _with_changed_keys(
 
 
 def _merge_table_changes(table_name: str, table: Any, value_by_key: dict[str, object]) -> Any:
-    """Return a mapping for a table, with changed values."""
+    """Return a table as a mapping, with changed values.
+
+    If a changed quantity also has a key in another unit, this key becomes None.
+
+    ``table`` is a Table, a mapping, a shorthand word or None; anything else is returned unchanged
+    and refused later.
+    """
     table_class = _TABLE_CLASS_BY_NAME[table_name]
     if isinstance(table, table_class):
         table = {
@@ -1261,7 +1361,10 @@ def _merge_table_changes(table_name: str, table: Any, value_by_key: dict[str, ob
 def _merge_list_changes(
     table_name: str, tables: Any, list_position: int, value_by_key: dict[str, object]
 ) -> tuple[Any, ...]:
-    """Return a list of tables with changes to one, or with a next table."""
+    """Return a list of tables with one table changed or appended.
+
+    ``list_position`` counts from 1; one more than the length appends a table.
+    """
     if not isinstance(tables, list | tuple):
         raise InputError(table_name, tables, f"a list of tables headed [[{table_name}]]")
     if list_position > len(tables) + 1:
@@ -1281,7 +1384,7 @@ def _merge_list_changes(
 
 
 def _suggest_keys(misspelt_name: str) -> list[str]:
-    """Suggest keys and tables for a misspelt name."""
+    """Return known keys and tables similar to a misspelt name; empty without any."""
     table_name, _, key_in_table = misspelt_name.partition(".")
     if table_name in _TABLE_CLASS_BY_NAME:
         return _TABLE_CLASS_BY_NAME[table_name].suggest_keys(key_in_table) if key_in_table else []
@@ -1300,7 +1403,10 @@ def _suggest_keys(misspelt_name: str) -> list[str]:
 
 
 def suggest_full_keys(misspelt_name: str) -> list[str]:
-    """Suggest full keys for a misspelt name, or a key without its table."""
+    """Return full keys similar to a misspelt name or to a key without its table.
+
+    Empty if no key is similar.
+    """
     full_key_by_short_key = {key.rpartition(".")[2]: key for key in reversed(known_keys())}
     suggested_full_keys = _suggest_keys(misspelt_name) or [
         full_key_by_short_key[key]
@@ -1310,7 +1416,7 @@ def suggest_full_keys(misspelt_name: str) -> list[str]:
 
 
 def _unknown_table_text(table_name: str) -> str:
-    """Return the error text for an unknown table."""
+    """Return the requirement for an unknown table: suggestions and all table names."""
     suggestion_text = did_you_mean_text(_suggest_keys(table_name))
     return f"left out; {suggestion_text}known tables: {', '.join(_TABLE_CLASS_BY_NAME)}"
 
@@ -1331,15 +1437,15 @@ _PATH_KEYS = tuple(
     for key, item in kind.field_by_key().items()
     if "path" in item.metadata
 )
-"""Full keys that hold a path."""
+"""Full keys whose value is a file's path."""
 _AXES_TABLE_KEY_PAIRS = ("sweep", "over"), ("identify", "unknown")
-"""Tables and keys that hold axes."""
+"""(table, key) pairs whose value is a tuple of :class:`Axis`."""
 _KEYS_WITH_PATHS = (
     *_PATH_KEYS,
     *(f"{name}.{key}" for name, key in _AXES_TABLE_KEY_PAIRS),
     "identify.meshes",
 )
-"""Full keys that may hold paths, in axes too."""
+"""Full keys whose values may contain paths: single paths, axes and mesh files."""
 _SWEEPABLE_TABLE_NAMES = tuple(
     name for name in _TABLE_CLASS_BY_NAME if name not in RESULT_TABLE_NAMES
 )

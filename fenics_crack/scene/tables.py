@@ -50,13 +50,13 @@ from fenics_crack.scene.fields import (
 FORCE_KEYS = ("force_mean", "force_cos", "force_sin")
 """Keys for the parts of the excitation's force."""
 LOAD_KINDS = ("force", "pressure", "traction")
-"""Kinds of loads: at a point, or on an edge."""
+"""Kinds of [[loads]]: a force acts at a point, pressure and traction on an edge."""
 MAX_ALLOWED_OUTPUT_POINTS = 100
 """Maximum number of points in ``[output.points]``: each is computed, printed and written."""
 MAX_ALLOWED_FACE_POINTS = 200
 """Maximum number of points in ``[geometry.faces]``."""
 MIN_ALLOWED_VALUES_PER_UNKNOWN = 4
-"""Minimum number of values for an unknown; interpolation needs as many."""
+"""Minimum number of values for an unknown in [identify], for interpolation between them."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Geometry(Table):
         lambda faces: sum(len(face.values) for face in faces) <= MAX_ALLOWED_FACE_POINTS,
         (),
     )
-    """Faces of a part: points on, or near, each face."""
+    """Names of a part's faces, each with points [m] on the face or near it."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -113,13 +113,16 @@ class Geometry(Table):
 
     @property
     def sides(self) -> Vector:
-        """Width, height and, for a solid, thickness [m], if given."""
+        """Width, height and, for a solid, thickness [m]; keys left out are omitted."""
         side_lengths = (self.width, self.height, self.thickness)[: self.dimension]
         return tuple(side_length for side_length in side_lengths if side_length is not None)
 
     @property
     def circumferential_width(self) -> float:
-        """Width of a plate or thickness of a box [m]; for a blade, along the circumference."""
+        """Width of a plate, or thickness of a box [m].
+
+        In a bladed disk this side lies along the circumference.
+        """
         return self.sides[0 if self.dimension == 2 else 2]
 
 
@@ -149,9 +152,9 @@ class Crack(Table):
     center: float | None = positive_field(None, unit="m")
     """x of the middle, for a crack inside the plate."""
     height: float | None = positive_field(None, unit="m")
-    """y of the crack."""
+    """Coordinate y of the crack."""
     length: float | None = positive_field(None, unit="m")
-    """Length; or ``first_omega`` determines the length."""
+    """Length of the crack; computed if ``first_omega`` is given instead."""
     depth: float | None = positive_field(None, unit="m")
     """Depth of a crack that does not go through a solid."""
     front: str | None = choice_field("straight", "elliptical", "through", default=None)
@@ -179,7 +182,7 @@ class Crack(Table):
     Or give ``length``, twice the first radius, and ``depth``, the second radius.
     """
     first_omega: float | None = positive_field(None, unit="rad/s")
-    """First natural frequency with the crack open; determines the length."""
+    """First natural frequency with the crack open, from which the length is computed."""
     first_frequency: float | None = hertz_field("first_omega")
     """``first_omega`` in Hz."""
     clearance: float = number_field(0.0, unit="m")
@@ -218,7 +221,7 @@ class Crack(Table):
 
     @property
     def half_axes(self) -> Pair:
-        """Radii of the ellipse around a point [m]."""
+        """Radii of the ellipse around ``point`` [m]: along ``direction``, and across."""
         return self.radii or (0.5 * self.given("length"), self.given("depth"))
 
     @property
@@ -228,7 +231,11 @@ class Crack(Table):
 
     @property
     def frame(self) -> np.ndarray:
-        """Unit vectors as rows (3, 3): direction, second direction in the plane, normal."""
+        """Unit vectors of the crack as rows (3, 3): two in the plane, and the normal.
+
+        The first row is ``direction`` projected into the plane. Without ``direction`` it is the
+        projection of the coordinate axis farthest from the normal.
+        """
         normal = np.array(self.given("normal"), dtype=float)
         normal /= np.linalg.norm(normal)
         first_axis = np.array(self.direction or np.eye(3)[np.abs(normal).argmin()], dtype=float)
@@ -237,7 +244,10 @@ class Crack(Table):
         return np.array([first_axis, np.cross(normal, first_axis), normal])
 
     def span(self, width: float) -> tuple[float, float]:
-        """Return x at the left and right end [m], in a plate with the given width [m]."""
+        """Return x at the crack's left and right end [m].
+
+        ``width`` [m] is the plate's width, needed for a crack from the right edge.
+        """
         crack_length = self.given("length")
         if self.edge is None:
             crack_center = self.given("center")
@@ -284,7 +294,7 @@ class Damping(Table):
     modes: int | str = value_field(
         "'all' or a whole number >= 1", lambda value: value == "all" or value >= 1, "all"
     )
-    """Number of damped modes, from the lowest."""
+    """Number of damped modes, from the lowest; "all": every mode."""
     mass: float | None = nonnegative_field(None, unit="1/s")
     stiffness: float | None = nonnegative_field(None, unit="s")
     ratios: Pair | None = value_field(
@@ -344,14 +354,18 @@ class Damping(Table):
 
     @property
     def damps_all_modes(self) -> bool:
-        """True if the damping acts on every mode, for any structure."""
+        """True if damping acts on every mode, whatever the number of modes in the structure."""
         if self.ratio is None:
             return max(self.mass or 0.0, self.stiffness or 0.0, *(self.ratios or ())) > 0.0
         return self.modes == "all" and float(np.min(self.ratio)) > 0.0
 
 
 class PeriodicLoad:
-    """Load with further harmonics and, for an excitation, a table of one period, "wave"."""
+    """Base class for tables with periodic loads.
+
+    ``harmonics`` are the load's further harmonics. Only an excitation has ``wave``, the path of a
+    file with one period of a force, from which ``wave_harmonics`` harmonics are kept.
+    """
 
     harmonics: tuple[Harmonic, ...]
     wave: str | None = None
@@ -359,7 +373,7 @@ class PeriodicLoad:
 
     @property
     def highest_order(self) -> int:
-        """Highest order in the load's harmonics, at least 1."""
+        """Highest multiple of the load frequency in this load, at least 1."""
         wave_order = self.wave_harmonics if self.wave is not None else 1
         return max(wave_order, *(harmonic.order for harmonic in self.harmonics), 1)
 
@@ -397,7 +411,7 @@ class Excitation(Table, PeriodicLoad):
     two rows with the same time are a jump.
     """
     wave_harmonics: int = harmonic_order_field(20)
-    """Number of harmonics kept from ``wave``; the neglected part is stated."""
+    """Number of harmonics kept from ``wave``; a remark states the neglected part."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -407,7 +421,10 @@ class Excitation(Table, PeriodicLoad):
             self.given("omega", "given: a finite number > 0 [rad/s], or excitation.frequency [Hz]")
 
     def at_speed(self, speed: float) -> Excitation:
-        """Return the excitation with omega from the order and a rotor speed [rad/s]."""
+        """Return the excitation with omega = order * speed, for a rotor speed [rad/s].
+
+        Raises InputError if ``frequency`` or ``omega`` was given, too.
+        """
         if "_inferred_keys" not in vars(self):
             self.forbid_keys(
                 ("frequency", "omega"),
@@ -419,9 +436,10 @@ class Excitation(Table, PeriodicLoad):
     def make_changes_with_twins_removed(
         cls, changes: Mapping[str, object], current_values: Mapping[str, object]
     ) -> dict[str, Any]:
-        """As for all tables; a new frequency also removes the order, a new order the frequency.
+        """Return changes that also set contradicting keys to None.
 
-        A bladed disk at rest keeps both.
+        Twins are removed as in all tables. A new frequency removes the engine order, and a new
+        order the frequency. A table with both, for a bladed disk at rest, keeps both.
         """
         frequency_keys = ("omega", "frequency")
         changed_frequency_keys = {key for key in frequency_keys if changes.get(key) is not None}
@@ -437,13 +455,19 @@ class Excitation(Table, PeriodicLoad):
 
     @property
     def first_force_key(self) -> str:
-        """Key of the first force that is not zero; empty without a force."""
+        """First key with a nonzero force; empty without a force.
+
+        Keys are tried in the order force_sin, force_cos, force_mean, harmonics, wave.
+        """
         force_key = next((key for key in FORCE_KEYS[::-1] if any(getattr(self, key))), "")
         return force_key or next((key for key in ("harmonics", "wave") if getattr(self, key)), "")
 
 
 def add_harmonics(harmonic_vectors: list[Vector], harmonics: tuple[Harmonic, ...]) -> None:
-    """Add harmonics to vectors: mean, then cosine and sine for each order."""
+    """Add a load's harmonics to the load's Fourier vectors, in place.
+
+    ``harmonic_vectors`` are the mean, then cosine and sine for each order from 1.
+    """
     for harmonic in harmonics:
         for row_index, vector in enumerate((harmonic.cos, harmonic.sin), 2 * harmonic.order - 1):
             harmonic_vectors[row_index] = tuple(
@@ -481,7 +505,7 @@ class Load(Table, PeriodicLoad):
     traction_cos: Vector | None = vector_value_field("t", unit="Pa")
     traction_mean: Vector | None = vector_value_field("t", unit="Pa")
     phase: float = number_field(0.0, unit="degrees")
-    """Lag of cosine and sine."""
+    """Phase lag in cos(omega t - phase) and sin(omega t - phase)."""
     harmonics: tuple[Harmonic, ...] = harmonics_field()
     """Further harmonics, ``[[loads.harmonics]]``, as in the excitation.
 
@@ -522,7 +546,7 @@ class Load(Table, PeriodicLoad):
         return tuple(f"{load_kind}_{part_name}" for part_name in ("mean", "cos", "sin"))
 
     def harmonic_components(self, load_kind: str) -> list[Vector]:
-        """Return mean, then cosine and sine for each order, for a kind of load.
+        """Return the Fourier vectors of one kind of load, with the lag ``phase``.
 
         Parameters
         ----------
@@ -532,7 +556,8 @@ class Load(Table, PeriodicLoad):
         Returns
         -------
         list of tuple
-            Vectors; tuples with one number for a pressure. Empty tuples for missing parts.
+            Mean, then cosine and sine for each order from 1: vectors [N] or [Pa], or tuples with
+            one number for a pressure. Missing vectors are empty tuples.
         """
         component_values = [
             getattr(self, component_key) for component_key in self._component_keys(load_kind)
@@ -595,7 +620,7 @@ class Base(Table, PeriodicLoad):
 
     @property
     def accelerations(self) -> list[Vector]:
-        """Cosine and sine acceleration for each order [m/s^2]."""
+        """Vectors of cosine, then sine acceleration for each order from 1 [m/s^2]."""
         first_order_vectors = (self.acceleration_cos, self.acceleration_sin)
         n_components = max(
             len(vector)
@@ -610,7 +635,7 @@ class Base(Table, PeriodicLoad):
 
     @property
     def dominant_unit_vector(self) -> Vector:
-        """Unit vector along the axis with the largest acceleration."""
+        """Unit vector along the coordinate axis with the largest acceleration."""
         component_sizes = np.abs(self.accelerations).max(axis=0)
         return tuple(np.eye(len(component_sizes))[int(np.argmax(component_sizes))].tolist())
 
@@ -658,17 +683,20 @@ class Rotation(Table):
         self.require(self.axis is None or any(self.axis), "axis", "a vector that is not zero")
 
     def check_axis_position(self, disk: Disk | None) -> None:
-        """Raise InputError unless the position of the axis is known."""
+        """Raise InputError unless the rotor axis is defined exactly once.
+
+        A bladed disk defines the axis itself; otherwise ``center`` or ``hub_radius`` is required.
+        """
         if disk is not None:
             self.forbid_keys(("hub_radius", "axis", "center"), "[disk], which defines the axis")
         elif self.center is None:
             self.given("hub_radius", "given: a finite number >= 0 [m]")
 
     def locate_axis(self, box_center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return a point on the axis [m] and the unit direction: (3,) each.
+        """Return a point on the rotor axis [m] and the axis's unit vector: (3,) each.
 
-        With ``hub_radius`` the axis is below ``box_center`` (3,) [m], which is zero for other
-        shapes.
+        The point is ``center``; with ``hub_radius`` it has y = -hub_radius, and x and z of
+        ``box_center`` (3,) [m]. For shapes other than a box, ``box_center`` is zero.
         """
         direction = np.array(self.axis or (1.0, 0.0, 0.0))
         axis_point = box_center[0], -(self.hub_radius or 0.0), box_center[2]
@@ -702,18 +730,22 @@ class Disk(Table):
         lambda deviations: all(-0.5 < deviation < 1.0 for deviation in deviations),
         None,
     )
-    """Relative stiffness deviation of each sector at rest."""
+    """Relative deviation of each sector's stiffness at rest."""
     deviation: float = bounded_field("0", "0.1", 0.0)
-    """Or standard deviation for a random pattern: independent normal numbers."""
+    """Standard deviation of a random mistuning pattern, instead of ``mistuning``.
+
+    The sectors' relative stiffness deviations are then independent normal numbers.
+    """
     seed: int = value_field("a whole number >= 0", lambda value: value >= 0, 0)
     """Seed of the random pattern, for NumPy's default generator."""
     families: int = positive_int_field(3)
-    """Number of modes kept for each nodal diameter: those in the band of the load.
+    """Number of lowest modes kept for each nodal diameter; the load's band must be among them.
 
-    Four more families, and static solutions, assess the neglected part.
+    Four more modes for each nodal diameter, and static solutions, serve to assess the neglected
+    modes.
     """
     modes: int = value_field("a whole number >= 0", lambda count: count >= 0, 0)
-    """Number of further modes, those that move the cracks most."""
+    """Number of further modes of the wheel: the modes that open the cracks most."""
     inner_radius: float | None = positive_field(None, unit="m")
     """Radius at which the rim is clamped."""
     outer_radius: float | None = positive_field(None, unit="m")
@@ -735,7 +767,10 @@ class Disk(Table):
 
     @property
     def deviations(self) -> np.ndarray:
-        """Relative stiffness deviation of each sector: (sectors,)."""
+        """Relative stiffness deviation of each sector: (sectors,).
+
+        From ``mistuning`` if given, otherwise random with ``deviation`` and ``seed``.
+        """
         if self.mistuning is not None:
             return np.array(self.mistuning)
         return np.random.default_rng(self.seed).normal(0.0, self.deviation, self.sectors)
@@ -743,29 +778,36 @@ class Disk(Table):
 
 @dataclass(frozen=True)
 class Contact(Table):
-    """Contact between the crack faces, pair by pair of nodes."""
+    """Settings for contact between the crack faces, at pairs of opposite nodes."""
 
     stiffness: float | None = positive_field(None, unit="N/m")
     """Penalty stiffness k of one pair; or give the stiffness per area."""
     stiffness_per_area: float | None = positive_field(None, unit="N/m^3")
     """Penalty stiffness per area of crack face: independent of the mesh."""
     law: str = choice_field("penalty", "smoothed", "unilateral", default="penalty")
-    """"unilateral": no penetration."""
+    """Contact law of a pair: "penalty", a spring in contact; "unilateral", no penetration.
+
+    "smoothed": a penalty law without a corner, which has a force at every gap.
+    """
     sharpness: float | None = positive_field(None, unit="1/m")
-    """s of the smoothed law."""
+    """s in the smoothed law lambda = k g (1/2 + arctan(s g) / pi)."""
     friction: float | None = nonnegative_field(None)
     """Coefficient of Coulomb friction between crack faces, static and kinetic.
 
-    Left out: 0, and the effect of friction is stated.
+    Left out: no friction; the error report then states the effect that friction would have.
     """
     friction_error: float | bool = value_field(
         "a finite number > 0, or false", lambda mu: mu is False or mu > 0, 0.3
     )
-    """Coefficient for the friction error, if contact.friction is left out; false: none."""
-    tangential_stiffness_per_area: float | None = positive_field(None, unit="N/m^3")
-    """Stiffness of sticking pairs, per area of crack face.
+    """Friction coefficient for which the error of neglecting friction is computed.
 
-    Left out: infinite, with crack faces without mass.
+    It counts only if ``contact.friction`` is left out; false: this error is not computed.
+    """
+    tangential_stiffness_per_area: float | None = positive_field(None, unit="N/m^3")
+    """Tangential stiffness of sticking pairs, per area of crack face.
+
+    Left out: sticking pairs do not move, which requires crack faces without mass
+    (``reduction.method = "massless"``).
     """
     pairs: str = choice_field("all", "mouth", default="all")
     """"all": every pair of crack-face nodes, or mesh.patches pairs.
@@ -796,27 +838,27 @@ class Contact(Table):
 
     @property
     def is_unilateral(self) -> bool:
-        """True for laws in which a pair is either open or closed.
+        """True for the laws "penalty" and "unilateral": a pair is either open or closed.
 
-        With other laws forces are not proportional to gaps.
+        With the law "smoothed", a pair has a contact force at every gap.
         """
         return self.law in ("penalty", "unilateral")
 
 
 @dataclass(frozen=True)
 class HarmonicBalance(Table):
-    """Truncation of the Fourier series and sampling of the contact force."""
+    """Settings for harmonic balance: harmonics, contact sampling and tolerance."""
 
     harmonics: int = positive_int_field(None)
     """Number of harmonics H; with a tolerance, the minimum. Default: 5."""
     samples: int | None = positive_int_field(None)
     """Instants per period for evaluating contact; default: chosen by the solver."""
     tolerance: float | None = positive_field(None)
-    """Tolerance for the error; the exact orbit is found, too.
+    """Relative error of the solution that truncated harmonics and modes may cause.
 
-    So many harmonics and modes are kept that the error stays below the tolerance. A curve consists
-    of exact orbits. Default: 0.01, but none if harmonics or samples are given, or no error is
-    requested.
+    Harmonics and modes are added until the error against the exact orbit is below this tolerance.
+    A curve then consists of exact orbits. Default: 0.01, but no tolerance if ``harmonics`` or
+    ``samples`` is given, or ``error`` is false.
     """
     form: str = choice_field("condensed", "block", default="condensed")
     """Unknowns for ``solve``: "condensed", the gaps; "block", all displacements.
@@ -826,7 +868,7 @@ class HarmonicBalance(Table):
     error: bool = value_field("true or false", default=True)
     """false: neither error nor stability is computed.
 
-    With many pairs or modes they take longer than the solution.
+    With many pairs or modes, error and stability take longer than the solution.
     """
 
     def __post_init__(self) -> None:
@@ -855,9 +897,10 @@ class HarmonicBalance(Table):
         self.require(has_allowed_samples, "samples", requirement)
 
     def with_load_harmonics(self, highest_order: int) -> HarmonicBalance:
-        """Return the table with as many harmonics as the load, unless a number is given.
+        """Return the table with at least ``highest_order`` harmonics.
 
-        Raises InputError if a given number is too small.
+        ``highest_order`` is the highest harmonic of any load. Raises InputError if a given number
+        of harmonics is smaller; only the default number is increased.
         """
         requirement = f"a whole number >= {highest_order}, the highest order of the load"
         has_enough_harmonics = self.harmonics >= highest_order
@@ -869,7 +912,7 @@ class HarmonicBalance(Table):
 
 @dataclass(frozen=True)
 class Mesh(Table):
-    """Mesh of the plate or solid.
+    """Settings for the mesh of the plate or solid.
 
     ``layout = "grid"``: columns x rows equal quadrilaterals, or twice as many triangles. The crack
     must run along grid lines.
@@ -889,7 +932,7 @@ class Mesh(Table):
     """
 
     layout: str = choice_field("grid", "graded", "file")
-    """Layout of the mesh."""
+    """Layout: "grid", equal cells; "graded", finer at cracks; "file", a mesh file."""
     cells: str = choice_field("triangle", "quadrilateral", default="quadrilateral")
     """Cells in a plate; a mesh file and a graded sector have their own."""
     order: int = value_field("1 or 2", lambda value: value in (1, 2), default=None)
@@ -902,13 +945,13 @@ class Mesh(Table):
     lip_elements: int | None = positive_int_field(None)
     """Elements of a graded mesh along each crack face."""
     grading: float = bounded_field("1", "1e+06", 4.0)
-    """Size of elements of a graded mesh at the mouth over that at the crack tip."""
+    """Ratio of element sizes along a crack face in a graded mesh, mouth over tip."""
     file: str | None = path_field("the path of a .msh file")
     """Mesh file, relative to the scene's folder, or with a full path."""
     coarser: str | None = path_field("the path of a .msh file")
     """Mesh file with the same part and fewer elements, for estimating the mesh error."""
     per_turn: int = value_field("a whole number from 4 to 200", lambda count: 4 <= count <= 200, 12)
-    """Elements on a full turn of a curved face of a part."""
+    """Number of elements on a full turn around a curved face of a CAD part."""
     patches: int | None = positive_int_field(None)
     """Maximum number of contact pairs in each crack.
 
@@ -936,7 +979,10 @@ class Mesh(Table):
             self.forbid_keys(("cells",), "mesh.layout = 'file': the mesh file has the cells")
 
     def with_dimension(self, dimension: int) -> Mesh:
-        """Return the mesh with the default order for a plane (1) or space (2)."""
+        """Return the table with an order for 2 or 3 dimensions.
+
+        A given order stays; the default is 1 in a plane and 2 in space.
+        """
         polynomial_order = self.order or dimension - 1
         return self.with_unchecked_values(
             order=polynomial_order, _inferred_keys={"order"} if polynomial_order == 1 else set()
@@ -955,20 +1001,22 @@ class Structure(Table):
     """
 
     mass: str = path_field("the path of a file with an (n, n) matrix", MISSING)
-    """[kg]"""
+    """M, the mass matrix [kg]."""
     stiffness: str = path_field("the path of a file with an (n, n) matrix", MISSING)
-    """[N/m]"""
+    """K, the stiffness matrix [N/m]."""
     model: str | None = path_field(
         "the path of the input file of the program that made the matrices"
     )
-    """Nodes and elements: CalculiX or Abaqus (.inp), Nastran (.bdf, .dat, .nas), Ansys (.cdb).
+    """Model file with nodes and elements, from the program that made the matrices.
 
-    Or a table with node, x, y, z [m], separated by commas.
+    CalculiX or Abaqus (.inp), Nastran (.bdf, .dat, .nas), Ansys (.cdb), or a table with node, x, y,
+    z [m], separated by commas.
     """
     dofs: str | None = path_field("the path of a file with node and direction of each row")
-    """For Matrix Market files with a model: "12.3" or "7 12 UZ" on each line.
+    """File with the node and direction of each matrix row, for Matrix Market files with a model.
 
-    For CalculiX, if left out, the .dof file beside the stiffness.
+    A line is "12.3", node 12 and direction 3, or "7 12 UZ", row 7. Default for CalculiX: the .dof
+    file beside the stiffness.
     """
     gap: str | None = path_field("the path of a file with an (n, n_pairs) matrix")
     """B, which gives the gaps of contact pairs from displacements.
@@ -978,9 +1026,12 @@ class Structure(Table):
     tangential: str | None = path_field("the path of a file with an (n, n_pairs) matrix")
     """B_t for the tangential gaps, for friction."""
     damping: str | None = path_field("the path of a file with an (n, n) matrix")
-    """C [N s/m]; or the table [damping]."""
+    """C, the damping matrix [N s/m]; or give the table [damping]."""
     force_sin: str | None = path_field("the path of a Matrix Market file with n rows")
-    """[N]; column k acts at k times the load frequency. Or the force in [excitation] at a point."""
+    """Sine parts of the load [N]: column k acts at k times the load frequency.
+
+    With a model, a point force in [excitation] may act instead.
+    """
     force_cos: str | None = path_field("the path of a Matrix Market file with n rows")
     force_mean: str | None = path_field("the path of a Matrix Market file with n rows and a column")
     clearance: float | str = path_field(
@@ -989,9 +1040,9 @@ class Structure(Table):
         0.0,
         "m",
     )
-    """g0 for all pairs, or for each; < 0: preload."""
+    """Clearance g0 of all contact pairs, or a file with a value for each; < 0: preload."""
     areas: str | None = path_field("the path of a Matrix Market file with n_pairs rows")
-    """Area of each pair [m^2], for stiffnesses per area; known for a model's pairs."""
+    """Area of each contact pair [m^2], for stiffnesses per area; computed for a model's pairs."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -1027,12 +1078,12 @@ class Reduction(Table):
 
 @dataclass(frozen=True)
 class Curve(Table):
-    """A response curve, followed through its folds by continuation."""
+    """Settings for a response curve, followed through folds by continuation."""
 
     start: float = number_field()
-    """Start of the parameter's range, in the units of ``stop``."""
+    """First value of the parameter, in the units of ``stop``."""
     stop: float = number_field()
-    """End of the parameter's range.
+    """Last value of the parameter.
 
     Units are rad/s for the load frequency, or Hz with "frequency". Load, stiffness, damping and
     friction are factors, clearances are added [m]. With an engine order: rotor speed [rad/s], or
@@ -1044,10 +1095,11 @@ class Curve(Table):
     )  # fmt: skip
     """Parameter that changes along the curve."""
     at: str | None = choice_field("resonance", default=None)
-    """With "load": follow the resonance near the load frequency over the load, except the mean.
+    """With ``parameter = "load"``: follow the resonance while the load grows.
 
-    This is the backbone of a forced and damped vibration. In a bladed disk it is the watched
-    blade's.
+    The curve is the backbone of a forced and damped vibration, from the resonance near the load
+    frequency. The load factor leaves the mean load unchanged. In a bladed disk the watched blade is
+    at resonance.
     """
     stability: bool = value_field("true or false", default=True)
     """Compute Floquet multipliers and period doublings along the curve."""
@@ -1070,10 +1122,10 @@ class Curve(Table):
 
     @property
     def parameter_and_range(self) -> tuple[str, float, float]:
-        """Parameter in the equations, start and stop.
+        """Parameter's name in the equations, and start and stop of its range.
 
-        "omega" and "speed" are in rad/s, also if Hz or revolutions per minute are given. At
-        resonance the parameter is "resonance".
+        "frequency" becomes "omega", and "rpm" becomes "speed", both in rad/s. With
+        ``at = "resonance"`` the name is "resonance", and the range is that of the load factor.
         """
         if self.parameter == "rpm":
             return "speed", RAD_PER_S_PER_RPM * self.start, RAD_PER_S_PER_RPM * self.stop
@@ -1084,27 +1136,32 @@ class Curve(Table):
 
 @dataclass(frozen=True)
 class Integration(Table):
-    """Direct integration in time, under the load or as a free decay.
+    """Settings for direct integration in time, under the load or as a free decay.
 
-    It starts at rest, at the end of an earlier motion, or at a static deflection.
+    Integration starts at rest, at the end of an earlier motion, or at a static deflection.
     """
 
     method: str | None = choice_field("exponential", "central_difference", "events", default=None)
-    """"events": exact from one switching instant to the next.
+    """Method: "exponential" or "central_difference" with time steps, or "events".
 
-    Default: "exponential" for crack faces without mass, otherwise "central_difference".
+    "events" is exact from one switching instant to the next. Default: "exponential" for crack faces
+    without mass, otherwise "central_difference".
     """
     periods: int = positive_int_field(600)
-    """Maximum load periods."""
+    """Maximum number of load periods to integrate."""
     settle: float = positive_field(1e-4)
     """Relative change from one period to the next at which integration stops.
 
-    Gaps and the displacement at the load count, relative to the motion. The distance from the
-    settled motion is reported. The mean and the higher harmonics, mostly below a thousandth of the
-    first, show it most.
+    The change is that of the gaps and of the displacement at the load, relative to the motion.
+    Results state the remaining distance from the settled motion. This distance matters most for
+    the mean and the higher harmonics, mostly below a thousandth of the first harmonic.
     """
     steps_per_period: int | None = positive_int_field(None)
-    """Default: 512; at least twice what is stable (central differences), 256 (events)."""
+    """Number of time steps, or of stored instants, in a load period.
+
+    Default: 512 for "exponential", 256 for "events". For "central_difference" 512, or twice the
+    smallest stable number if larger.
+    """
     initial: str | None = path_field("the path of the .h5 file of a solution or an integration")
     """File with a solution or an integration on the same mesh, as the start.
 
@@ -1127,7 +1184,7 @@ class Integration(Table):
 
 @dataclass(frozen=True)
 class Sweep(Table):
-    """Many cases: all combinations of values for some keys of the scene.
+    """Settings for a sweep: all combinations of values for some keys of the scene.
 
     For example::
 
@@ -1157,14 +1214,14 @@ class Sweep(Table):
 
 @dataclass(frozen=True)
 class Growth(Table):
-    """Crack growth by fatigue, for ``fenics-crack grow``.
+    """Settings for crack growth by fatigue, for the command ``fenics-crack grow``.
 
     Growth in a cycle of the load is
 
         rate sum_i (delta_K_i / ((1 - R_i)^(1 - ratio_exponent) 1 MPa m^0.5))^exponent
 
-    over the K_I cycles in the load cycle. The ranges delta_K_i are those of an open tip, and R =
-    max(K_min, 0) / K_max (Paris and Erdogan 1963; Walker 1970).
+    over the K_I cycles in the load cycle. The ranges delta_K_i count K_I > 0 only, an open tip, and
+    R = max(K_min, 0) / K_max (Paris and Erdogan 1963; Walker 1970).
     """
 
     until: float = positive_field(unit="m")
@@ -1173,15 +1230,15 @@ class Growth(Table):
     For a half-ellipse the depth, from ``crack.depth`` on.
     """
     rate: float = positive_field(unit="m")
-    """Growth in a cycle with an effective range of 1 MPa m^0.5 and R = 0."""
+    """Growth in a load cycle with one K_I range delta_K = 1 MPa m^0.5 and R = 0."""
     exponent: float = bounded_field("0.1", "50", MISSING)
-    """Exponent m."""
+    """Exponent of the growth law."""
     ratio_exponent: float = bounded_field("0", "1", 1.0)
-    """Walker's gamma; 1: R matters only through closure by the crack faces."""
+    """Walker's exponent gamma for the influence of R; 1: no influence except by closure."""
     threshold: float = nonnegative_field(0.0, unit="Pa m^0.5")
-    """Effective range below which the crack does not grow."""
+    """Effective range of K_I, delta_K / (1 - R)^(1 - gamma), below which the crack stops."""
     toughness: float | None = positive_field(None, unit="Pa m^0.5")
-    """K_max at which the structure breaks."""
+    """Fracture toughness: K_max at which the structure breaks; left out: no limit."""
     drive: str = choice_field("frequency", "resonance", "spectrum", default="frequency")
     """"frequency": the load keeps the excitation's frequency.
 
@@ -1196,17 +1253,17 @@ class Growth(Table):
         None,
         unit="Hz",
     )
-    """Load frequencies in a spectrum."""
+    """Load frequencies of the spectrum [Hz], with ``drive = "spectrum"``."""
     cycles: tuple[float, ...] | None = value_field(
         "a list of numbers > 0", lambda cycles: len(cycles) > 0 and min(cycles) > 0.0, None
     )
-    """Load cycles at each frequency, in one repeat of the spectrum."""
+    """Number of load cycles at each frequency, in one repeat of the spectrum."""
     rate_deviation: float = bounded_field("0", "10", 0.0)
-    """Relative standard deviation of the rate."""
+    """Relative standard deviation of ``rate``, for the scatter of the life."""
     exponent_deviation: float = bounded_field("0", "10", 0.0)
-    """Standard deviation of the exponent, with the same rate at 1 MPa m^0.5."""
+    """Standard deviation of ``exponent``; the rate at 1 MPa m^0.5 stays the same."""
     life_tolerance: float = bounded_field("1e-6", "1", 0.01)
-    """Relative error in the number of cycles, from interpolation between solved lengths."""
+    """Relative error of the life that interpolation between solved crack lengths may cause."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -1225,7 +1282,10 @@ class Growth(Table):
 
     @property
     def repeat_cycles_and_duration(self) -> tuple[float, float] | None:
-        """Load cycles in one repeat of the spectrum, and duration [s]; None without a spectrum."""
+        """Number of load cycles and duration [s] for one repeat of the spectrum.
+
+        None without ``cycles`` or ``frequencies``, which only ``drive = "spectrum"`` has.
+        """
         if self.cycles is None or self.frequencies is None:
             return None
         duration = sum(
@@ -1237,7 +1297,9 @@ class Growth(Table):
 
 @dataclass(frozen=True)
 class Identify(Table):
-    """Unknowns to be found from measurements, and their ranges.
+    """Settings for identification: unknowns, their ranges, and uncertainties of the model.
+
+    The keys ``..._deviation`` are standard deviations of what the model does not know.
 
     For example::
 
@@ -1257,10 +1319,10 @@ class Identify(Table):
     unknown: tuple[Axis, ...] = value_field(
         "a table with keys of the scene and the values between which these are sought", default=()
     )
-    """Keys with at least 4 ascending numbers at which the forward model is solved.
+    """Unknown keys, each with at least 4 ascending numbers at which the model is solved.
 
-    Or start, stop, count and ``spacing = "logarithmic"``; or words: ``"crack.edge" = ["left",
-    "right"]``. May be left out with ``meshes``.
+    Instead of numbers: start, stop, count and ``spacing = "logarithmic"``, or words,
+    ``"crack.edge" = ["left", "right"]``. May be left out with ``meshes``.
     """
     meshes: tuple[MeshFile, ...] = value_field(
         'a table of .msh files and their numbers, "blade_05.msh" = { "crack.length" = 0.005 }',
@@ -1268,65 +1330,68 @@ class Identify(Table):
     )
     """Meshes of the cracked structure, with the unknowns of each, for ``mesh.layout = "file"``.
 
-    The names are keys of the crack, or words for other numbers. Each name has at least 4 values,
-    and each combination a mesh.
+    The names are keys of the crack, or free names for other unknowns. Each name has at least 4
+    values, and every combination of values has a mesh.
     """
     uncracked: str | None = path_field("the path of a .msh file")
     """Mesh of the same structure without the crack, if meshes are read from files."""
     frequencies: tuple[float, ...] = value_field(
         "a list of finite numbers > 0", lambda values: min(values, default=1.0) > 0, ()
     )
-    """Further load frequencies considered for measuring [Hz]."""
+    """Load frequencies [Hz], besides the excitation's, for which measurements are planned."""
     finer: float = bounded_field("0.25", "4", 0.5)
-    """Refinement of mesh and harmonics in the few cases that correct the model.
+    """Ratio of element lengths between the few fine cases and all other cases.
 
-    These cases also give the model's error; 1: no such cases. Below 1 they have the scene's mesh,
-    and all other cases a coarser mesh: 0.5 doubles the element length.
+    Fine cases correct the model and give its error; 1: no fine cases. Below 1, fine cases have the
+    scene's mesh and harmonics, and other cases coarser ones: 0.5 doubles the element length.
     """
     harmonic_deviation: float = bounded_field("0", "1", 0.05)
-    """Minimum relative standard deviation of the crack's computed second harmonic.
+    """Minimum relative standard deviation of the computed second harmonic due to the crack.
 
-    The k-th harmonic has k - 1 times as much. Contact on a coarse mesh makes the harmonics uneven,
-    and all together too large or too small.
+    For the k-th harmonic it is k - 1 times as large. The cause is contact on a coarse mesh, which
+    changes harmonics separately and all together.
     """
     young_deviation: float = bounded_field("0", "1", 0.03)
     """Relative standard deviation of Young's modulus.
 
-    Structural steel: JCSS, Probabilistic Model Code, part 3.2, 2001. The following keys are
-    standard deviations, too.
+    Structural steel: JCSS, Probabilistic Model Code, part 3.2, 2001.
     """
     density_deviation: float = bounded_field("0", "1", 0.01)
-    """Density: the same source, part 2.1."""
+    """Relative standard deviation of the density (JCSS, Probabilistic Model Code, part 2.1)."""
     thickness_deviation: float = bounded_field("0", "1", 0.01)
-    """Thickness, which changes amplitudes: at most 0.2 mm in 10 mm (ISO 2768-1, medium)."""
+    """Relative standard deviation of the thickness, which changes amplitudes.
+
+    Tolerances are at most 0.2 mm in 10 mm (ISO 2768-1, medium).
+    """
     clamp_deviation: float = bounded_field("0", "1", 0.01)
-    """Relative decrease of the first natural frequency by a soft clamp.
+    """Standard deviation of the relative decrease of the first frequency by a soft clamp.
 
     A beam on an elastic body of the same thickness acts as if longer by 0.44 times the depth (W. J.
     O'Donnell, Journal of Applied Mechanics 27, 1960, 461). At a length of 15 depths the frequency
     is 6 % lower; jaws are several times stiffer.
     """
     before_deviation: float = bounded_field("0", "1", 0.002)
-    """Change of the clamp's effect on the first natural frequency, before and since the crack.
+    """Standard deviation of the clamp's change between measurements without and with the crack.
 
-    A clamp that was opened holds otherwise. Rotation adds a change too, by a blade's seat or the
-    measured speed. Temperatures have separate keys.
+    It is relative to the first natural frequency. A clamp that was opened holds differently; on a
+    rotor the blade's seat or the measured speed changes. Temperatures have separate keys.
     """
     before_scatter: float = bounded_field("0", "1", 0.2)
-    """Part of that change that differs between modes.
+    """Part of the clamp's change (``before_deviation``) that each mode has by itself.
 
-    Plates clamped deeper, partly released or on an elastic block were computed, with turning,
-    moving and a common change. The remaining part of the largest change is up to 0.05 for plates 15
-    times as tall as wide. It is 0.07 for five times, 0.12 for three, 0.18 for two and 0.29 for
-    squares (benchmarks/identification_limits.py).
+    Evidence: in plates clamped deeper, partly released or on an elastic block, a turning clamp, a
+    moving clamp and a common change explain all but this part of the largest change. The part is up
+    to 0.05 for plates 15 times as tall as wide, 0.07 for five times, 0.12 for three, 0.18 for two
+    and 0.29 for squares (benchmarks/identification_limits.py in commit 981867df).
     """
     temperature_deviation: float | None = value_field(
         "a number from 0 to 1000", lambda value: 0.0 <= value <= 1000.0, None, unit="K"
     )
-    """Temperature difference since the crack, if measurements do not state temperatures.
+    """Standard deviation of the temperature difference since the measurement without a crack.
 
-    Default at rest: 10 K, which takes 0.2 % from all natural frequencies. Default for a rotor: 25
-    K, since gas or drag warms blades (engineering judgement). 0: equal temperatures.
+    It counts if measurements do not state temperatures; 0: equal temperatures. Default at rest:
+    10 K, which takes 0.2 % from all natural frequencies. Default for a rotor: 25 K, since gas or
+    drag warms blades (engineering judgement).
     """
     temperature_coefficient: float = bounded_field("-0.01", "0.01", -4e-4, unit="1/K")
     """Relative change of Young's modulus per kelvin.
@@ -1334,40 +1399,50 @@ class Identify(Table):
     Steel -2.6e-4 to -3e-4, aluminium and titanium -5e-4 to -6e-4 at room temperature; more if hot.
     """
     coefficient_deviation: float = bounded_field("0", "1", 0.3)
-    """Relative standard deviation of the coefficient, if temperatures are stated.
+    """Relative standard deviation of ``temperature_coefficient``.
 
-    0.1 for a metal with a known coefficient.
+    It counts if measurements state temperatures; 0.1 for a metal with a known coefficient.
     """
     thermometer_deviation: float = bounded_field("0", "100", 1.0, unit="K")
-    """Standard deviation of the stated temperature difference, before and since the crack.
+    """Standard deviation of a stated temperature difference between the measurements.
 
     For a thermocouple of class 1 (IEC 60584-1: 1.5 K) at the blade or its root.
     """
     damping_deviation: float = bounded_field("0", "10", 0.3)
-    """Damping ratio: joints and air change it so much between assemblies."""
+    """Relative standard deviation of the damping ratio.
+
+    Joints and air change damping so much between assemblies.
+    """
     stiffening_deviation: float = bounded_field("0", "1", 0.05)
-    """Square of a natural frequency, part added by rotation: beams and plates differ so much."""
+    """Relative standard deviation of the part of omega^2 that rotation adds.
+
+    Beam and plate models differ by so much.
+    """
     angle_deviation: float = bounded_field("0", "45", 5.0, unit="degrees")
-    """Angle between crack and horizontal, which moves the tip from the mouth's height."""
+    """Standard deviation of the angle between crack and horizontal.
+
+    The angle moves the tip away from the height of the mouth.
+    """
     model_deviation: float = bounded_field("0", "1", 0.01)
-    """Each natural frequency, equally with and without the crack.
+    """Relative standard deviation of each natural frequency, equal with and without the crack.
 
     Spacecraft models shall meet measured frequencies to 5 % (NASA-STD-5002). The ratio of the first
     two frequencies of a plain beam is 2 % off (docs/notebook/measured_beams.md).
     """
     first_resonance_deviation: float = bounded_field("0", "1", 0.04)
-    """Resonance of mode 1 with a breathing crack, minus the bilinear frequency.
+    """Standard deviation of the first resonance around the bilinear frequency.
 
-    It is relative to the difference between bonded and open frequency (docs/identification.md).
+    The crack breathes. The deviation is relative to the difference between bonded and open natural
+    frequency (docs/identification.md).
     """
     resonance_deviation: float = bounded_field("0", "1", 0.3)
-    """The same for other modes, whose neighbours open and close the crack, too.
+    """Standard deviation of higher resonances around the bilinear frequency.
 
-    It also holds for a crack that is open for any part of the period. 12^-1/2 belongs to a uniform
-    distribution.
+    It is relative as ``first_resonance_deviation``. Neighbouring modes also open and close the
+    crack, which may be open for any part of the period: 12^-1/2 for a uniform distribution.
     """
     crack_deviation: float = bounded_field("0", "1", 0.15)
-    """Effect of a crack.
+    """Relative standard deviation of a crack's computed effect on natural frequencies.
 
     Two common compliances for one crack, from 0.1 to 0.3 of the depth, differ by 25 to 29 %; half
     is taken (W. M. Ostachowicz and M. Krawczuk, Journal of Sound and Vibration 150, 1991, 191; P.
@@ -1375,15 +1450,20 @@ class Identify(Table):
     crack (P. Cawley and R. Ray, Journal of Vibration and Acoustics 110, 1988, 366).
     """
     crack_correlation: float = bounded_field("0", "1", 0.9)
-    """Correlation of that effect between modes; 1 for a common compliance error."""
-    confidence: float = bounded_field("0.5", "0.9999", 0.95)
-    """Probability of reported regions and intervals.
+    """Correlation between modes of the errors with ``crack_deviation``.
 
-    A hypothesis explains the measurements if the p-value of chi^2 is at least one minus the
-    probability.
+    1: the crack's compliance has one error, common to all modes.
+    """
+    confidence: float = bounded_field("0.5", "0.9999", 0.95)
+    """Probability that reported regions and intervals contain the true values.
+
+    A hypothesis explains the measurements if the p-value of chi^2 is at least 1 - ``confidence``.
     """
     log_bayes_factor: float = bounded_field("0", "1000", 3.0)
-    """Logarithm of the evidence ratio above which a hypothesis is preferred: 20 to 1."""
+    """Natural logarithm of the evidence ratio above which a hypothesis is preferred.
+
+    3 is a ratio of 20 to 1.
+    """
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -1403,7 +1483,11 @@ class Identify(Table):
                 raise InputError(f'identify.unknown."{axis.key}"', axis.values, requirement)
 
     def _check_meshes(self) -> None:
-        """Raise InputError unless each combination of enough numbers has one mesh."""
+        """Raise InputError if ``meshes`` is not a full grid of parameter values.
+
+        All meshes have the same parameters, each with 4 or more values; every combination of values
+        has exactly one mesh.
+        """
         length_keys = [
             crack_key
             for crack_key, key_field in Crack.field_by_key().items()
@@ -1447,7 +1531,7 @@ class Identify(Table):
 
     @property
     def mesh_axes(self) -> tuple[Axis, ...]:
-        """Axes with the names and sorted values of the meshes' numbers."""
+        """Parameters of ``meshes``, each with its sorted values; empty without meshes."""
         parameter_names = (
             [parameter_name for parameter_name, _ in self.meshes[0].values] if self.meshes else []
         )
@@ -1462,7 +1546,7 @@ class Identify(Table):
 
     @property
     def mesh_files(self) -> tuple[str, ...]:
-        """Mesh files ordered by their numbers, the last name fastest."""
+        """Paths of ``meshes`` in the order of :attr:`mesh_axes`, the last parameter fastest."""
         parameter_names = [axis.key for axis in self.mesh_axes]
         ordered_mesh_files = sorted(
             self.meshes,
@@ -1474,7 +1558,10 @@ class Identify(Table):
 
     @property
     def inference_setting_by_key(self) -> dict[str, Any]:
-        """Values of all keys that do not define the forward model, by key."""
+        """Values by key of the settings for inference: deviations and confidence.
+
+        Keys that define the forward model are left out.
+        """
         forward_model_keys = {"unknown", "meshes", "uncracked", "frequencies", "finer"}
         return {
             key: getattr(self, key) for key in self.field_by_key() if key not in forward_model_keys
@@ -1483,7 +1570,7 @@ class Identify(Table):
 
 @dataclass(frozen=True)
 class TipTiming(Table):
-    """Probes in the casing that see a blade's tip pass, and the fit to their arrivals.
+    """Settings for blade tip timing: probes in the casing, and the fit to tip arrivals.
 
     [tip_timing]
     probes = [0.0, 17.0, 41.0, 58.0, 86.0, 113.0, 140.0, 178.0, 205.0, 251.0, 288.0, 330.0]
@@ -1498,7 +1585,7 @@ class TipTiming(Table):
     )
     """Probe angles [degrees] in the direction of rotation.
 
-    The angles are measured from the tip's position at a mark on the shaft.
+    An angle is 0 at the tip's position when the shaft's once-per-revolution mark passes its sensor.
     """
     tip_radius: float = positive_field(unit="m")
     """Distance between tip and axis."""
@@ -1507,24 +1594,25 @@ class TipTiming(Table):
         lambda share: share != 0.0,
         None,
     )
-    """Displacement of the tip in the direction of rotation, relative to the first watched one.
+    """Ratio of the tip's displacement along the rotation to the first watched displacement.
 
-    The first watched displacement is the load's, or the first point's in [output.points]. The ratio
-    is the sine of the stagger; < 0: against the rotation. Default: 1. For a solid with [rotation]:
-    the node's circumferential motion about the axis; for identify the axis must be along x, y or z.
+    Watched first is the load's dof, or the first point in [output.points]. The ratio is the sine of
+    the stagger; < 0: against the rotation. Default: 1. For a solid with [rotation] the default is
+    no ratio, but the circumferential motion of the watched node. For ``identify``, the rotor axis
+    must then be parallel to x, y or z.
     """
     order: int | None = positive_int_field(None)
-    """Load periods in a revolution, without [rotation]."""
+    """Number of load periods in a revolution, for a scene without [rotation]."""
     revolutions: int = positive_int_field(100)
-    """Number of computed revolutions; in a run-up the total."""
+    """Number of revolutions for which arrivals are computed; in a run-up the total number."""
     noise: float = nonnegative_field(0.0, unit="s")
-    """Standard deviation of normal errors in computed arrivals."""
+    """Standard deviation of the normal errors that are added to computed arrival times."""
     clock: float = nonnegative_field(0.0, unit="s")
-    """Resolution of computed arrivals; 0: none."""
+    """Step of the clock to which computed arrival times are rounded; 0: not rounded."""
     seed: int = value_field("a whole number >= 0", lambda value: value >= 0, 0)
-    """Seed of the noise."""
+    """Seed for the random errors with ``noise``."""
     angle_deviation: float = nonnegative_field(0.0, unit="degrees")
-    """Standard deviation of probe angles, equal in all revolutions."""
+    """Standard deviation of the probe angles' errors, which a fit takes as constant."""
     orders: tuple[float, ...] | None = value_field(
         "a list of different whole numbers >= 1",
         lambda orders: (
@@ -1534,15 +1622,15 @@ class TipTiming(Table):
         ),
         None,
     )
-    """Engine orders that may be in the arrivals.
+    """Engine orders among which the fit chooses for the vibration in the arrivals.
 
-    Default: the load's order, or 1 to 24 if unknown. A computed run-up has a known order.
+    Default: the load's order, or 1 to 24 if the order is unknown.
     """
     stiffening: float | None = bounded_field("-0.9", "0.9", None)
-    """Relative change of natural frequencies over that of the speed, d ln f / d ln n.
+    """Relative change of natural frequencies f per relative change of the speed n, d ln f / d ln n.
 
-    It holds for resonances in a measured run-up, and affects their damping. Default with
-    [rotation]: each from the Campbell diagram; otherwise 0.
+    It is used for resonances in a measured run-up, and affects the fitted damping. Default with
+    [rotation]: computed for each mode by the Campbell diagram; otherwise 0.
     """
     frequencies: tuple[float, ...] | None = value_field(
         "two finite numbers > 0, the second one larger",
@@ -1561,7 +1649,7 @@ class TipTiming(Table):
     Harmonics are then multiples of half the load frequency.
     """
     fitted_revolutions: int = positive_int_field(1)
-    """Revolutions of a run-up that are fitted together."""
+    """Number of consecutive revolutions of a run-up that are fitted together."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -1572,7 +1660,7 @@ class TipTiming(Table):
 
 @dataclass(frozen=True)
 class Output(Table):
-    """Printed and drawn quantities, and points whose motion is watched.
+    """Settings for the output: printed and drawn quantities, and watched points.
 
     [output]
     quantities = ["amplitude", "ratio_2_1"]
@@ -1585,7 +1673,7 @@ class Output(Table):
         lambda names: names and set(names) <= OBSERVABLES_BY_NAME.keys(),
         None,
     )
-    """Quantities for print and pictures; files have all. Default: a few."""
+    """Names of printed and drawn quantities; files have all. Default: a short selection."""
     points: tuple[NamedPoint, ...] = value_field(
         f"a table with at most {MAX_ALLOWED_OUTPUT_POINTS} points: a name of letters, digits and "
         "_, and finite numbers [x, y], or [x, y, z] in a solid",

@@ -32,18 +32,22 @@ LABEL_BY_KEY = {
     "reduction.modes": "modes kept",
     "mesh.size": "element size",
 }
-"""Labels of keys whose own text is not clear enough."""
+"""Labels for axes and titles, by full key; a key without a label is shown by its own words."""
 UNITS_WITHOUT_PREFIX = ("rad/s", "rpm", "Hz", "kg/m^3", "N/m^3", "1/m", "1/s", "s", "degrees")
-"""Units printed without an SI prefix."""
+"""Units printed without an SI prefix such as milli or kilo."""
 
 
 def key_in_words(key: str) -> str:
-    """Return the label for a key on an axis: "crack length"."""
+    """Return the label for a full key on an axis: "crack length" for "crack.length"."""
     return LABEL_BY_KEY.get(key, key.replace(".", " ").replace("_", " "))
 
 
 def value_in_words(key: str, value: Any) -> str:
-    """Return a value with the unit for a key: "35 mm"."""
+    """Return a key's value with the unit: "35 mm".
+
+    None gives "none". A list gives all numbers, but a plane force along x or y only the component
+    that is not zero.
+    """
     unit = unit_of_key(key)
     if isinstance(value, list | tuple):
         nonzero_components = [component for component in value if component != 0]
@@ -58,15 +62,15 @@ def value_in_words(key: str, value: Any) -> str:
 
 
 def describe_differences(scenes: Sequence[Scene]) -> list[str]:
-    """Describe how each scene differs from the others: "excitation.force_sin = 20 N".
+    """Describe how scenes differ from each other: "excitation.force_sin = 20 N".
 
-    Tables that only choose results (:data:`RESULT_TABLE_NAMES`) are skipped unless nothing else
-    differs.
+    Keys in tables that only choose results (:data:`RESULT_TABLE_NAMES`) are skipped unless all
+    other keys are equal.
 
     Returns
     -------
     list of str
-        One text for each scene; empty texts if all scenes are equal.
+        For each scene, the differing keys with the scene's values; empty texts if all are equal.
     """
     file_value_dicts = [file_value_by_key(scene) for scene in scenes]
     all_keys = list(dict.fromkeys(key for value_by_key in file_value_dicts for key in value_by_key))
@@ -92,21 +96,28 @@ def describe_differences(scenes: Sequence[Scene]) -> list[str]:
 
 
 def word_for_crack_faces(scene: Scene) -> str:
-    """Return "pairs" for matrices without a model, otherwise "crack faces"."""
+    """Return the noun for crack faces in printed texts.
+
+    The noun is "pairs" for matrices from files without nodes (``structure.model``), otherwise
+    "crack faces".
+    """
     has_matrices_alone = scene.structure is not None and scene.structure.model is None
     return "pairs" if has_matrices_alone else "crack faces"
 
 
 def file_value_by_key(scene: Scene) -> dict[str, Any]:
-    """Return all values that a scene's file has, by full keys: "cracks.1.length".
+    """Return the values that a scene's file would hold, by full key: "cracks.1.length".
 
-    Default values are left out.
+    Default and inferred values are left out.
     """
     return _flatten_tables(tomllib.loads(scene.as_toml()))
 
 
 def _flatten_tables(nested_tables: Mapping[str, Any], key_prefix: str = "") -> dict[str, Any]:
-    """Return the values in nested tables by full keys; positions in lists start at 1."""
+    """Return the values in nested tables by full key: "cracks.1.length".
+
+    Positions in lists of tables start at 1. ``key_prefix`` precedes every key.
+    """
     value_by_key: dict[str, Any] = {}
     for key, value in nested_tables.items():
         subtable = value
@@ -120,7 +131,10 @@ def _flatten_tables(nested_tables: Mapping[str, Any], key_prefix: str = "") -> d
 
 
 def _default_value(scene: Scene, key: str) -> Any:
-    """Return the value for a key that a scene's file lacks; None without a value."""
+    """Return a scene's value for a full key that the scene's file lacks.
+
+    The value is a default or inferred; None if the scene has no such table. Tuples become lists.
+    """
     value: Any = scene
     for key_part in key.split("."):
         if key_part.isdecimal():  # of a list of tables
