@@ -50,6 +50,7 @@ UNIT_BY_NAME |= {
 """Units of the entries of ``to_dict``; all others have none."""
 
 
+@with_old_names(formatted="format_as")
 @dataclass(frozen=True)
 class Table:
     """Named columns of numbers and words.
