@@ -28,7 +28,7 @@ def main(
     curve = fc.curve(scene)
     fc.draw_blades(curve.result, path=output / "blades.png", title="The response of every blade")
     peaks = fc.blades(curve)
-    print(peaks.table().formatted("text"))
+    print(peaks.table().format_as("text"))
     peak = curve.result.peak()
     resonance = peak.omega / (2.0 * np.pi)
     run = fc.solve(scene.replace({"excitation.frequency": resonance}))
