@@ -19,6 +19,7 @@ from typing import Any, Self
 import numpy as np
 
 from fenics_crack.basics.errors import InputError, check_count, check_number, report_read_errors
+from fenics_crack.basics.suggestions import with_old_names
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN, Table, Tabular, format_count
 from fenics_crack.basics.untrusted_files import (
     SI_UNIT_AND_FACTOR_BY_UNIT,
@@ -40,6 +41,7 @@ MIN_REQUIRED_REVOLUTIONS = 10
 """Minimum number of revolutions for a smoothed speed, and for a passage through a resonance."""
 
 
+@with_old_names(rounding="displacement_rounding")
 @dataclass(frozen=True, repr=False)
 class ArrivalTimes(Tabular):
     """Hold the times at which one blade's tip passed stationary probes.
@@ -168,7 +170,7 @@ class ArrivalTimes(Tabular):
         return np.asarray(self.tip_radius * (self.nominal_angle - self.angle))
 
     @cached_property
-    def rounding(self) -> float:
+    def displacement_rounding(self) -> float:
         """Rounding of displacements [m]: by rounded angles, and 1e-9 of the motion."""
         largest_angle, largest_displacement = (
             float(np.nanmax(np.abs(quantity))) for quantity in (self.angle, self.displacement)

@@ -57,7 +57,7 @@ from fenics_crack.basics.tables import (
 )
 from fenics_crack.numerics.fourier import fourier_basis
 
-N_FOLDED_HARMONICS = 3
+N_OMITTED_HARMONICS_TO_FOLD = 3
 """Number of omitted harmonics, next above the fitted ones, that may be folded onto them."""
 FOLDED_SIZE_RATIOS = np.array([0.0, *2.0 ** -np.arange(0.5, 8.0)])
 """Trial sizes of an omitted harmonic, relative to the last fitted harmonic.
@@ -349,9 +349,9 @@ class _Sample:
     def find_cost_and_fit_with_omitted(self, fit: _OrderFit) -> tuple[float, _OrderFit]:
         """Return the restricted -2 log likelihood and the fit with omitted harmonics.
 
-        The next :data:`N_FOLDED_HARMONICS` harmonics are normal random numbers, with the most
-        likely variance for the displacements. If they are significant, the errors include their
-        folding onto the fitted harmonics.
+        The next :data:`N_OMITTED_HARMONICS_TO_FOLD` harmonics are normal random numbers, with the
+        most likely variance for the displacements. If they are significant, the errors include
+        their folding onto the fitted harmonics.
         """
         costs, fits = self.list_costs_and_fits_by_omitted_size(
             fit, self._list_omitted_harmonic_sizes(fit)
@@ -367,7 +367,7 @@ class _Sample:
         Sizes are standard deviations (n,) [m]. Costs are restricted -2 log likelihoods.
         """
         costs, *estimate_arrays = self._solve_with_omitted_harmonics(
-            fit, np.repeat(omitted_sizes[:, None], N_FOLDED_HARMONICS, axis=1)
+            fit, np.repeat(omitted_sizes[:, None], N_OMITTED_HARMONICS_TO_FOLD, axis=1)
         )
         return costs, [
             replace(
@@ -388,7 +388,9 @@ class _Sample:
         if self.freedom_within_groups < 1:
             return np.nan
         omitted_size_rows = np.array(
-            list(product(self._list_omitted_harmonic_sizes(fit), repeat=N_FOLDED_HARMONICS))
+            list(
+                product(self._list_omitted_harmonic_sizes(fit), repeat=N_OMITTED_HARMONICS_TO_FOLD)
+            )
         )
         costs, *estimate_arrays, _ = self._solve_with_omitted_harmonics(fit, omitted_size_rows)
         likelihood_weights = np.exp(0.5 * (costs.min() - costs))
@@ -424,7 +426,7 @@ class _Sample:
         """Repeat a fit with omitted harmonics as further unknowns.
 
         Their values are 0 within standard deviations ``omitted_size_rows`` [m], of shape
-        (n, N_FOLDED_HARMONICS).
+        (n, N_OMITTED_HARMONICS_TO_FOLD).
 
         Returns
         -------
@@ -438,7 +440,9 @@ class _Sample:
             Sums of squares, in variances.
         """
         n_unknowns, multiples = len(fit.coefficients), fit.multiples
-        omitted_multiples = multiples[-1] + multiples[0] * np.arange(1.0, N_FOLDED_HARMONICS + 1.0)
+        omitted_multiples = multiples[-1] + multiples[0] * np.arange(
+            1.0, N_OMITTED_HARMONICS_TO_FOLD + 1.0
+        )
         wave_columns = fourier_basis(
             fit.order * self.angles, np.append(multiples, omitted_multiples)
         )
@@ -559,14 +563,14 @@ class ProbeMeans(_Sample):
             return self._arrival_displacements - self.displacements[group_indices]
 
         noise = fit_noise_by_reweighting(
-            solve, np.ones(len(group_indices)), len(group_numbers), arrivals.rounding
+            solve, np.ones(len(group_indices)), len(group_numbers), arrivals.displacement_rounding
         )
         group_columns = np.eye(len(group_numbers))[group_indices]
         self.scatter, covariance = 1.0, np.diag(1.0 / np.bincount(group_indices))
         if freedom_within_groups > 0:
-            self.scatter = max(float(np.sqrt(noise.variance)), arrivals.rounding)
+            self.scatter = max(float(np.sqrt(noise.variance)), arrivals.displacement_rounding)
             covariance = noise.coefficient_covariance(group_columns, places)
-            covariance += np.eye(len(group_numbers)) * arrivals.rounding**2
+            covariance += np.eye(len(group_numbers)) * arrivals.displacement_rounding**2
             probe_indices = group_numbers % n_probes
             angle_variance = (arrivals.tip_radius * angle_deviation) ** 2
             covariance += angle_variance * (probe_indices[:, None] == probe_indices)
@@ -780,7 +784,7 @@ def track_order(
     variance, freedom = _estimate_variance_and_freedom(
         residuals, has_arrival, np.where(has_fit, n_arrivals - n_unknowns, 0)
     )
-    variance = max(variance, arrivals.rounding**2)
+    variance = max(variance, arrivals.displacement_rounding**2)
     sample_fit_by_group = _fit_samples_by_group(
         arrivals, order, multiples, nominal_angles, displacements, has_arrival,
         np.flatnonzero(has_fit), variance, freedom, angle_deviation,
@@ -832,9 +836,9 @@ def _fit_samples_by_group(
         Variance of a displacement, and its degrees of freedom.
     """
     probe_indices = np.arange(has_arrival.shape[1]) % len(arrivals.probes)
-    is_same_probe = probe_indices[:, None] == probe_indices
+    shares_probe_matrix = probe_indices[:, None] == probe_indices
     covariance = variance * np.eye(len(probe_indices))
-    covariance += (arrivals.tip_radius * angle_deviation) ** 2 * is_same_probe
+    covariance += (arrivals.tip_radius * angle_deviation) ** 2 * shares_probe_matrix
     sample_fit_by_group = {}
     for group in fitted_groups.tolist():
         is_used = has_arrival[group]

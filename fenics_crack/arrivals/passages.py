@@ -34,6 +34,7 @@ from fenics_crack.arrivals.transient import (
 )
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.progress import begin_stage as begin_stage
+from fenics_crack.basics.suggestions import with_old_names
 from fenics_crack.basics.tables import (
     RAD_PER_S_PER_RPM,
     Tabular,
@@ -53,6 +54,7 @@ MAX_STIFFENING = 0.9
 """Maximum of |d ln w_n / d ln W|: orders hardly meet frequencies with a steeper dependence."""
 
 
+@with_old_names(disagreement="disagreement_in_words")
 @dataclass(frozen=True, repr=False)
 class PassageFit(Tabular):
     """Hold the fit to all passages through one resonance.
@@ -166,10 +168,10 @@ class PassageFit(Tabular):
 
         Amplitudes may differ: the load need not be the same.
         """
-        return bool(self.disagreement)
+        return bool(self.disagreement_in_words)
 
     @property
-    def disagreement(self) -> str:
+    def disagreement_in_words(self) -> str:
         """Describe the differences behind :attr:`disagree` in words; "" if there are none."""
         difference_texts = []
         if _differ_significantly(self.omegas, self.omega_errors):
@@ -702,7 +704,7 @@ def _compute_gain_and_squares_reduction(
         # Median of the difference of two normal errors.
         noise_scale = max(
             float(np.median(np.abs(successive_differences))) / (np.sqrt(2.0) * ndtri(0.75)),
-            run.rounding,
+            run.displacement_rounding,
         )
         steady_wave = 1.0 / (INITIAL_DAMPING_RATIO + 1j * (run.revolution_speeds / speed - 1.0))
         steady_wave = steady_wave[:, None] * np.ones_like(run.displacements)
@@ -925,16 +927,16 @@ class _Resonance:
         are fitted together, so that errors include their uncertainty.
         """
         neighbours = [
-            resonance
-            for resonance in resonances
-            if self.is_near(resonance, RELATIVE_SPEED_HALF_WIDTH)
+            other_resonance
+            for other_resonance in resonances
+            if self.is_near(other_resonance, RELATIVE_SPEED_HALF_WIDTH)
         ]
         best_fit, runs = self.best_fit, self._runs
-        modes = [resonance.best_fit.mode for resonance in (self, *neighbours)]
+        modes = [fitted_resonance.best_fit.mode for fitted_resonance in (self, *neighbours)]
         if neighbours:
             resonance_motions = [
-                resonance.best_fit.compute_motion(record, len(residuals))
-                for resonance in (self, *neighbours)
+                fitted_resonance.best_fit.compute_motion(record, len(residuals))
+                for fitted_resonance in (self, *neighbours)
             ]
             runs = record.find_runs(residuals + sum(resonance_motions), self.speed)
             best_fit = Fit(runs, modes, self._make_initial_weights(runs))
@@ -947,12 +949,12 @@ class _Resonance:
         )
         # Orders that resonate within the width of each other are claims on the same vibration.
         rival_resonances = [
-            resonance
-            for resonance in resonances
-            if self.has_within_width(resonance) or resonance.has_within_width(self)
+            other_resonance
+            for other_resonance in resonances
+            if self.has_within_width(other_resonance) or other_resonance.has_within_width(self)
         ]
         margin_by_order = self.margins | {
-            resonance.best_fit.mode.order: 0.0 for resonance in rival_resonances
+            rival_resonance.best_fit.mode.order: 0.0 for rival_resonance in rival_resonances
         }
         errors, orders = best_fit.omega_and_damping_errors, np.array(sorted(margin_by_order))
         return PassageFit(

@@ -80,7 +80,7 @@ class Run:
             self.has_arrival, arrivals.angle[revolution_slice], self.nominal_angle
         )
         self.revolution_speeds = record.revolution_speeds[revolution_slice]
-        self.rounding = arrivals.rounding
+        self.displacement_rounding = arrivals.displacement_rounding
         self.scaled_speed = (self.revolution_speeds - self.revolution_speeds.mean()) / (
             self.revolution_speeds.max() - self.revolution_speeds.min()
         )
@@ -390,7 +390,10 @@ class Fit:
         )
         n_unknowns = 2 * len(modes) + sum(2 * len(modes) + 2 * run.n_probes for run in runs)
         self.noise = fit_noise_by_reweighting(
-            self._refit_modes_and_return_residuals, initial_weights, n_unknowns, runs[0].rounding
+            self._refit_modes_and_return_residuals,
+            initial_weights,
+            n_unknowns,
+            runs[0].displacement_rounding,
         )
 
     def _refit_modes_and_return_residuals(self, weights: np.ndarray) -> np.ndarray:
@@ -610,6 +613,6 @@ class Fit:
 
         n_drift_unknowns = self.noise.n_unknowns - 2 * len(self.modes) * (1 + len(self._runs))
         drift_noise = fit_noise_by_reweighting(
-            solve, self.noise.weights, n_drift_unknowns, self._runs[0].rounding
+            solve, self.noise.weights, n_drift_unknowns, self._runs[0].displacement_rounding
         )
         return drift_noise.cost - self.noise.cost

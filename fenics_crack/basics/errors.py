@@ -22,7 +22,7 @@ MAX_HARMONIC_ORDER = 100
 
 Each order of a load takes two rows as long as the displacement.
 """
-MAX_CASES = 10**6
+MAX_VALUES_OF_AXIS = 10**6
 """Maximum values of an axis of a sweep, speeds of a diagram, and patterns of mistuning.
 
 At one second a case, a computation takes 12 days.

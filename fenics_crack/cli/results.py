@@ -473,7 +473,7 @@ def _yield_natural_frequencies(
         "omega_open" in rad/s, then "frequency_open" in Hz.
     value : ndarray
     """
-    for quantity_name in observable_names(Place.MODES):
+    for quantity_name in observable_names(Place.NEAREST_MODE):
         description = OBSERVABLES_BY_NAME[quantity_name].words
         unit = OBSERVABLES_BY_NAME[quantity_name].unit
         yield quantity_name, description, unit, frequencies_by_name[quantity_name]

@@ -334,17 +334,17 @@ def _describe_invalid_cases(scene: Scene) -> str:
     from fenics_crack.sweep.plan import Plan  # gmsh
 
     sweep_plan = Plan(scene)
-    case_indices = [
+    checked_case_indices = [
         *itertools.islice(np.ndindex(*sweep_plan.shape), 10_000)
     ]  # others while they are run
     reason_texts = [
         case_or_reason
-        for case_or_reason in map(sweep_plan.scene_or_reason_at, case_indices)
+        for case_or_reason in map(sweep_plan.scene_or_reason_at, checked_case_indices)
         if isinstance(case_or_reason, str)
     ]
     scope_text = (
-        f" of the first {len(case_indices)}"
-        if np.prod(sweep_plan.shape) > len(case_indices)
+        f" of the first {len(checked_case_indices)}"
+        if np.prod(sweep_plan.shape) > len(checked_case_indices)
         else ""
     )
     return f"{len(reason_texts)}{scope_text}" + (f": {reason_texts[0]}" if reason_texts else "")

@@ -101,7 +101,7 @@ def yield_sweep_warnings(sweep_result: SweepResult) -> Iterator[str]:
     yield from iterate_texts_by_reason(sweep_result, sweep_result.undecided, "undecided")
     for warning_text in iterate_texts_by_reason(
         sweep_result,
-        sweep_result.contradicted,
+        sweep_result.indices_and_changed_verdicts,
         f"or more with a verdict on stability that {MODE_DEPENDENCE_TEXT}",
     ):
         yield f"{warning_text}; raise {sweep_result.scene.modes_key}"
@@ -116,7 +116,7 @@ def _yield_large_error_warnings(sweep_result: SweepResult) -> Iterator[str]:
     largest error by :func:`yield_large_error_warning`.
     """
     error_limit = min(LARGE_ERROR, sweep_result.scene.harmonic_balance.tolerance or LARGE_ERROR)
-    part_errors = sweep_result.errors
+    part_errors = sweep_result.error_parts
     total_errors = np.where(sweep_result.converged, part_errors.sum(axis=0), 0.0)
     largest_part_indices = part_errors.argmax(axis=0)
     for part_index in np.unique(largest_part_indices[total_errors > error_limit]):

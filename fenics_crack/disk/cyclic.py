@@ -66,7 +66,7 @@ class SectorNumbering:
         Position in ``own_members`` of the member with the same motion, in this sector or the next.
     belongs_to_next_sector : (n,) bool
         True for members on the right side, which belongs to the next sector.
-    upper_members : (n_upper,) int
+    upper_face_members : (n_upper,) int
         Members on the upper crack face.
     """
 
@@ -93,9 +93,9 @@ class SectorNumbering:
             representative_members, return_inverse=True
         )
         right_members = node_members[side_nodes[1]]
-        upper_members = node_members[crack_face_nodes[1]].ravel()
+        upper_face_members = node_members[crack_face_nodes[1]].ravel()
         self.belongs_to_next_sector = np.isin(np.arange(len(representative_members)), right_members)
-        self.upper_members = upper_members[upper_members >= 0]
+        self.upper_face_members = upper_face_members[upper_face_members >= 0]
 
     def number_wheel_members(
         self, n_sectors: int, cracked_places: Sequence[int]
@@ -112,7 +112,7 @@ class SectorNumbering:
         all_members = np.arange(n_sectors * len(self.member_positions)).reshape(n_sectors, -1)
         owner_sectors = (np.arange(n_sectors)[:, None] + self.belongs_to_next_sector) % n_sectors
         wheel_numbers = self.member_positions + owner_sectors * len(self.own_members)
-        open_entry_index = np.ix_(cracked_places, self.upper_members)
+        open_entry_index = np.ix_(cracked_places, self.upper_face_members)
         bonded_members = all_members[:, self.own_members].ravel()
         open_members = all_members[open_entry_index]
         wheel_numbers[open_entry_index] = len(bonded_members) + np.arange(
@@ -434,9 +434,11 @@ class NodalDiameterSolver:
         mass, stiffness = map(make_real_form, (sector.mass, sector.stiffness))
         n_rows = mass.size[0]
         empty_gap = sparse.csr_matrix((n_rows, 0))
-        structure = Structure(Body(mass, stiffness, empty_gap, np.zeros((1, n_rows)), np.zeros(0)))
+        tied_real_structure = Structure(
+            Body(mass, stiffness, empty_gap, np.zeros((1, n_rows)), np.zeros(0))
+        )
         real_modes = solve_modes_with_factor(
-            self, structure, 2 * n_modes if self.phase_factor.imag else n_modes
+            self, tied_real_structure, 2 * n_modes if self.phase_factor.imag else n_modes
         )
         for petsc_matrix in (mass, stiffness):  # PETSc would keep all nodal diameters' matrices
             petsc_matrix.destroy()
@@ -658,7 +660,7 @@ def make_cyclic_basis(
         side_force_patterns = _find_side_force_patterns(
             sector, [modes_by_diameter[n] for n in pattern_diameters]
         )
-        bond_force_columns = -sector.stiffness[:, sector.dof_numbering.upper_members]
+        bond_force_columns = -sector.stiffness[:, sector.dof_numbering.upper_face_members]
         bond_matrix = sparse.csr_matrix(base_solver.stacked_tie_matrices.T @ bond_force_columns)
         left_rows = base_solver.side_rows
         right_rows = len(sector.dof_numbering.own_members) + left_rows
@@ -702,7 +704,7 @@ def make_cyclic_basis(
         comm.Allreduce(MPI.IN_PLACE, opening_responses)
     cyclic_modes = CyclicModes(omega_arrays, shape_matrices, sector)
     opening_shapes = (
-        make_selection_matrix(sector.dof_numbering.upper_members, n_dofs).T @ face_shapes
+        make_selection_matrix(sector.dof_numbering.upper_face_members, n_dofs).T @ face_shapes
     )
     return CyclicBasis(cyclic_modes, opening_responses, opening_shapes, cracked_places)
 
@@ -786,7 +788,7 @@ def _compute_bond_forces(
     force_blocks = [(sector.stiffness @ shapes - (sector.mass @ shapes) * omega**2) / omega]
     load_works = np.sum(load.conj() * load_response, axis=0).real
     force_blocks.append((sector.stiffness @ load_response - load) / np.sqrt(load_works))
-    bond_forces = np.hstack(force_blocks)[sector.dof_numbering.upper_members]
+    bond_forces = np.hstack(force_blocks)[sector.dof_numbering.upper_face_members]
     return np.hstack([bond_forces.real, bond_forces.imag])
 
 
@@ -813,19 +815,22 @@ def _find_opening_shapes(
     relieved_stiffness : (n_upper, n_upper) [N/m]
         Part of the face's stiffness that the rest of the wheel relieves.
     """
-    structure, upper_members = sector.structure, sector.dof_numbering.upper_members
+    structure, upper_face_members = sector.structure, sector.dof_numbering.upper_face_members
     gap_matrices = [structure.gap] + (
         [] if structure.tangential is None else [structure.tangential]
     )
     opening_stiffness = (
-        sector.stiffness[upper_members][:, upper_members].toarray() - relieved_stiffness
+        sector.stiffness[upper_face_members][:, upper_face_members].toarray() - relieved_stiffness
     )
     lower_factor = scipy.linalg.cholesky(
         0.5 * (opening_stiffness + opening_stiffness.T), lower=True
     )
     contact_patterns, bond_forces = (
         scipy.linalg.solve_triangular(lower_factor, forces, lower=True)
-        for forces in (sparse.hstack(gap_matrices).tocsr()[upper_members].toarray(), bond_forces)
+        for forces in (
+            sparse.hstack(gap_matrices).tocsr()[upper_face_members].toarray(),
+            bond_forces,
+        )
     )
     contact_basis = scipy.linalg.orth(contact_patterns)
     bond_patterns, pattern_sizes, _ = np.linalg.svd(

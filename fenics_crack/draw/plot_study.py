@@ -261,12 +261,12 @@ def draw_verification(found: Verification, **picture_options: Unpack[PictureOpti
     )
     first_cause = next(iter(found.causes), "")
     styles_by_quantity = _choose_line_styles(found, first_cause) if first_cause else {}
-    _draw_convergence_lines(convergence_panel, found, first_cause, styles_by_quantity)
+    _draw_differences_from_extrapolation(convergence_panel, found, first_cause, styles_by_quantity)
     _draw_contributions(contribution_panel, found, styles_by_quantity)
     return picture.finish()
 
 
-def _draw_convergence_lines(
+def _draw_differences_from_extrapolation(
     panel: Axes, verification: Verification, cause: str, styles_by_quantity: StylesByQuantity
 ) -> None:
     """Draw |f_i - f| in percent over the element sizes h_i, relative to the scene's.

@@ -111,20 +111,20 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     >>> error = verification.total("amplitude")
     """
     with prefix_stages(SCENE_RUN_NAME):
-        whole_study = prepare(scene, comm, whole=True)
-        run = solve_study(whole_study)
+        unreduced_study = prepare(scene, comm, whole=True)
+        run = solve_study(unreduced_study)
         if scene.harmonic_balance.tolerance is not None and run.result.converged:
             run = solve_study(replace(run, scene=_scene_with_chosen_counts(run)), run.result)
     answer = run.result
     if not answer.converged:
         raise ConvergenceError(f"{SCENE_RUN_NAME}: {answer.status}")
-    whole_study = replace(whole_study, scene=_scene_with_chosen_counts(run))
+    unreduced_study = replace(unreduced_study, scene=_scene_with_chosen_counts(run))
     numbers = compute_numbers(run, answer)
     judged_answer = _AnswerJudgedByFinerRuns(
-        run, answer, numbers.values_by_name, answer, numbers, whole_study
+        run, answer, numbers.values_by_name, answer, numbers, unreduced_study
     )
     judged_answer.note_verdict(SCENE_RUN_NAME, run)
-    verification = Verification(whole_study.scene, numbers.values_by_name, numbers.unit_by_name)
+    verification = Verification(unreduced_study.scene, numbers.values_by_name, numbers.unit_by_name)
     verification = add_error_parts(verification, {"mesh": judged_answer.estimate_error_by_mesh})
     part_function_by_cause: dict[str, Callable[[], PartOrReason]] = {
         "shift": partial(judged_answer.estimate_error_by_shift, verification),
@@ -188,7 +188,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
 
     Attributes
     ----------
-    whole_study : Study
+    unreduced_study : Study
         Study of the settled scene (:func:`_scene_with_chosen_counts`), with the whole structure.
     failure_texts : list of str
         Failed finer runs, with reasons.
@@ -196,7 +196,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         Verdict on stability by run, if the run is not known to be stable.
     """
 
-    whole_study: Study
+    unreduced_study: Study
     failure_texts: list[str] = field(default_factory=list)
     verdict_by_run: dict[str, str] = field(default_factory=dict)
 
@@ -257,7 +257,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         return find_error_part(
             cause,
             counts_and_values,
-            self.whole_study.scene,
+            self.unreduced_study.scene,
             formal_order=formal_order,
             scheme_order=scheme_order,
         )
@@ -326,7 +326,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
 
     def estimate_error_by_mesh(self) -> PartOrReason:
         """Estimate the error by the mesh from finer meshes (collective)."""
-        scene = self.whole_study.scene
+        scene = self.unreduced_study.scene
         if scene.structure is not None:
             return "[structure] gives matrices, which have no finer mesh"
         refinement_factors = (1.5, 2.0) if has_similar_finer_mesh(scene) else (2.0, 3.0)
@@ -341,7 +341,9 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
                 "mesh.coarser, and fc.grid_convergence compares several meshes"
             )
         formal_order = (
-            TIP_CONVERGENCE_ORDER if self.whole_study.structure.n_pairs else CLAMP_CONVERGENCE_ORDER
+            TIP_CONVERGENCE_ORDER
+            if self.unreduced_study.structure.n_pairs
+            else CLAMP_CONVERGENCE_ORDER
         )
         n_elements, scheme_order = count_elements(self.study.structure), 2.0 * scene.mesh.order
         return self._estimate_error_by_finer_runs(
@@ -398,15 +400,15 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
 
     def estimate_error_by_modes(self) -> PartOrReason:
         """Estimate the error by modes from more modes (collective)."""
-        whole_study = self.whole_study
-        mode_counts_or_reason = _count_kept_and_possible_modes(self.whole_study)
+        unreduced_study = self.unreduced_study
+        mode_counts_or_reason = _count_kept_and_possible_modes(self.unreduced_study)
         if isinstance(mode_counts_or_reason, str):
             return mode_counts_or_reason
         return self._estimate_error_by_larger_counts(
             "modes",
-            whole_study,
-            whole_study.scene,
-            whole_study.scene.modes_key,
+            unreduced_study,
+            unreduced_study.scene,
+            unreduced_study.scene.modes_key,
             *mode_counts_or_reason,
             TIP_CONVERGENCE_ORDER,
         )
@@ -416,7 +418,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
 
         With a given number of samples, more harmonics are always used.
         """
-        scene = self.whole_study.scene
+        scene = self.unreduced_study.scene
         balance_table = scene.harmonic_balance
         if self.study.contact is None:
             return SINGLE_HARMONIC_REASON_TEXT
@@ -439,7 +441,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
 
     def estimate_error_by_samples(self) -> PartOrReason:
         """Estimate the error by samples from more samples of the contact force (collective)."""
-        scene, contact_law = self.whole_study.scene, self.study.contact
+        scene, contact_law = self.unreduced_study.scene, self.study.contact
         balance_table, samples_key = scene.harmonic_balance, "harmonic_balance.samples"
         if contact_law is None:
             return "without contact no contact force is sampled"

@@ -107,12 +107,12 @@ def _is_stress_intensity_column(column_name: str) -> bool:
     return column_name.startswith(("K", "delta_K"))
 
 
-class EllipsePath(NamedTuple):
+class EllipseSizePath(NamedTuple):
     """Sizes of a growing crack over the cycles.
 
     Attributes
     ----------
-    depth, length : (n,) [m]
+    depth, length_along_face : (n,) [m]
         Depth, and length along the face.
     cycles : (n,)
         Cycles until each size.
@@ -123,7 +123,7 @@ class EllipsePath(NamedTuple):
     """
 
     depth: np.ndarray
-    length: np.ndarray
+    length_along_face: np.ndarray
     cycles: np.ndarray
     growth_per_cycle: np.ndarray
     end_reason: GrowthEnd
@@ -164,7 +164,7 @@ def compute_growth_per_cycle(
 
 def integrate_ellipse_growth(
     ellipse_table: EllipseTable, law: Law, n_surface_ends: int
-) -> EllipsePath:
+) -> EllipseSizePath:
     """Integrate the growth from the first size of a table to its end.
 
     The variable s is the sum of the growth in depth a and length l. Then da/ds and dl/ds are
@@ -232,4 +232,4 @@ def integrate_ellipse_growth(
         np.linspace(0.0, last_growth_sum, N_PATH_ROWS if last_growth_sum else 1)
     )
     growth_per_cycle = compute_growth_per_cycle(ellipse_table, law, n_surface_ends, depths, lengths)
-    return EllipsePath(depths, lengths, cycles, growth_per_cycle, end_reason)
+    return EllipseSizePath(depths, lengths, cycles, growth_per_cycle, end_reason)

@@ -42,7 +42,7 @@ from fenics_crack.basics.tables import (
 from fenics_crack.errors.stated import STATED_CAUSES, estimate_solution_errors
 from fenics_crack.fatigue.ellipse import (
     EQUIVALENT_RANGE_COLUMN_NAMES,
-    EllipsePath,
+    EllipseSizePath,
     EllipseTable,
     GrowthEnd,
     integrate_ellipse_growth,
@@ -563,7 +563,7 @@ def _grow_ellipse(
     )
     values_by_column = {
         column_name: ellipse_table.interpolate_column(
-            column_name, ellipse_path.depth, ellipse_path.length
+            column_name, ellipse_path.depth, ellipse_path.length_along_face
         )
         for column_name in ellipse_table.column_by_name
     }
@@ -579,7 +579,7 @@ def _grow_ellipse(
     )
     return Growth(
         scene,
-        ellipse_path.length,
+        ellipse_path.length_along_face,
         ellipse_path.cycles,
         elapsed_times,
         rate=ellipse_path.growth_per_cycle[:, 1],
@@ -595,7 +595,7 @@ def _grow_ellipse(
 def _collect_ellipse_remarks(
     sweep_result: SweepResult,
     ellipse_table: EllipseTable,
-    ellipse_path: EllipsePath,
+    ellipse_path: EllipseSizePath,
     values_by_column: Mapping[str, np.ndarray],
     law: Law,
 ) -> list[str]:
@@ -608,13 +608,14 @@ def _collect_ellipse_remarks(
         else []
     )
     remark_texts += _list_crack_turning_remarks(
-        values_by_column["K_max"], values_by_column["K_II_max"], ellipse_path.length
+        values_by_column["K_max"], values_by_column["K_II_max"], ellipse_path.length_along_face
     )
     is_above_resonance = values_by_column["omega"] > values_by_column["omega_bilinear"]
     has_passed_resonance = is_above_resonance != is_above_resonance[0]
     if law.drive == "frequency" and np.any(has_passed_resonance):
         remark_texts.append(
-            f"at a length of {ellipse_path.length[np.argmax(has_passed_resonance)]:.4g} m the "
+            "at a length of "
+            f"{ellipse_path.length_along_face[np.argmax(has_passed_resonance)]:.4g} m the "
             "natural frequency passes the load frequency; the shapes are too few for this "
             "resonance, and the life is not known: use growth.drive = 'resonance'"
         )
@@ -638,7 +639,7 @@ def _find_allowed_ellipse_length(scene: Scene) -> float:
 
 
 def estimate_ellipse_life_error(
-    ellipse_table: EllipseTable, ellipse_path: EllipsePath, law: Law, n_surface_ends: int
+    ellipse_table: EllipseTable, ellipse_path: EllipseSizePath, law: Law, n_surface_ends: int
 ) -> float:
     """Return the interpolation error of the cycles, relative to them.
 
@@ -706,7 +707,7 @@ def _ellipse_in_words(sweep_result: SweepResult, case_index: tuple[int, ...]) ->
 
 
 def _list_failed_ellipse_remarks(
-    sweep_result: SweepResult, ellipse_table: EllipseTable, ellipse_path: EllipsePath
+    sweep_result: SweepResult, ellipse_table: EllipseTable, ellipse_path: EllipseSizePath
 ) -> list[str]:
     """Return a remark on failed shapes away from the path.
 
@@ -714,7 +715,7 @@ def _list_failed_ellipse_remarks(
     """
     table_and_path_sizes = (
         (ellipse_table.depths, ellipse_path.depth),
-        (ellipse_table.lengths, ellipse_path.length),
+        (ellipse_table.lengths, ellipse_path.length_along_face),
     )
     for case_index, failure_text in sweep_result.failed:
         is_near_failed_case = np.full(len(ellipse_path.depth), fill_value=True)
@@ -739,7 +740,7 @@ def _list_failed_ellipse_remarks(
 
 
 def _estimate_ellipse_range_error_and_remarks(
-    scene: Scene, ellipse_table: EllipseTable, ellipse_path: EllipsePath, path_row_index: int
+    scene: Scene, ellipse_table: EllipseTable, ellipse_path: EllipseSizePath, path_row_index: int
 ) -> tuple[float, list[str]]:
     """Return the relative error of the range that grows the crack most.
 
@@ -752,7 +753,7 @@ def _estimate_ellipse_range_error_and_remarks(
     """
     depth_and_length = (
         ellipse_path.depth[path_row_index : path_row_index + 1],
-        ellipse_path.length[path_row_index : path_row_index + 1],
+        ellipse_path.length_along_face[path_row_index : path_row_index + 1],
     )
     omega = float(ellipse_table.interpolate_column("omega", *depth_and_length)[0])
     resized_scene = _make_scene_with_crack_size(

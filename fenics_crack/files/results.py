@@ -199,8 +199,12 @@ def _unpack_modes(datasets: Datasets, structure: Structure, contact: OptionalLaw
             or stored_shapes.ndim != 2
             or stored_shapes.shape[1] != whole_structure.n_dofs
         ):
-            requirement = f"the structure of the file, with {stored_shapes.shape[-1]} dofs"
-            raise InputError("structure", f"{whole_structure.n_dofs} dofs", requirement)
+            structure_requirement_text = (
+                f"the structure of the file, with {stored_shapes.shape[-1]} dofs"
+            )
+            raise InputError(
+                "structure", f"{whole_structure.n_dofs} dofs", structure_requirement_text
+            )
         local_dof_slice = slice(
             whole_structure.first_dof, whole_structure.first_dof + whole_structure.n_local
         )
@@ -397,10 +401,10 @@ def _pack_curve(curve: ResponseCurve) -> Datasets:
     datasets["kinds"] = [bifurcation.kind for bifurcation in curve.bifurcations]
     point_datasets = {"values": special_points.values, "omega": special_points.omega}
     if curve.exact:
-        datasets |= _pack_states_by_dof(curve) | {
+        datasets |= _pack_orbit_displacements_and_velocities(curve) | {
             "couplings": _stack_gap_and_load_rows(curve.structure)
         }
-        point_datasets |= _pack_states_by_dof(special_points) | {
+        point_datasets |= _pack_orbit_displacements_and_velocities(special_points) | {
             "multipliers": special_points.multipliers
         }
     else:
@@ -412,7 +416,7 @@ def _pack_curve(curve: ResponseCurve) -> Datasets:
     return datasets | _law_datasets(curve.contact, curve.structure)
 
 
-def _pack_states_by_dof(curve: ResponseCurve) -> Datasets:
+def _pack_orbit_displacements_and_velocities(curve: ResponseCurve) -> Datasets:
     """Return the states of exact orbits by dof, whose signs are known.
 
     Returns

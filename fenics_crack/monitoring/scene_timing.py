@@ -309,7 +309,7 @@ def find_passages_and_modes(
 def describe_passage(passage_fit: PassageFit, mode: int, reason_text: str) -> str:
     """Describe a resonance and its mode, with doubts or reasons."""
     doubt_texts = ["another vibration is near this resonance"] * passage_fit.in_doubt
-    doubt_texts += [f"its {passage_fit.disagreement}"] * passage_fit.disagree
+    doubt_texts += [f"its {passage_fit.disagreement_in_words}"] * passage_fit.disagree
     remark_text = "; ".join([reason_text] * bool(reason_text) + doubt_texts)
     mode_text = f"mode {mode}" if mode else "not used"
     return f"{mode_text}: {passage_fit.in_words}" + f" ({remark_text})" * bool(remark_text)

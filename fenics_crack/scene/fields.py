@@ -18,7 +18,12 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from fenics_crack.basics.errors import MAX_CASES, MAX_HARMONIC_ORDER, InputError, describe_choices
+from fenics_crack.basics.errors import (
+    MAX_HARMONIC_ORDER,
+    MAX_VALUES_OF_AXIS,
+    InputError,
+    describe_choices,
+)
 from fenics_crack.basics.suggestions import (
     did_you_mean_text,
     find_similar_names,
@@ -271,7 +276,7 @@ def _read_axis_values(name: str, values_or_range: object) -> tuple[Any, ...]:
         n_values = _read_int(range_table["count"])
         is_valid_range = (
             range_table.keys() <= {"start", "stop", "count", "spacing"}
-            and 2 <= n_values <= MAX_CASES
+            and 2 <= n_values <= MAX_VALUES_OF_AXIS
         )
     except (KeyError, TypeError, OverflowError, InputError):
         is_valid_range = False

@@ -508,10 +508,14 @@ class Load(Table, PeriodicLoad):
         has_load = any(getattr(self, key) is not None for key in allowed_keys) or bool(
             self.harmonics
         )
-        has_vectors = self.point is None or all(
+        has_valid_harmonic_vectors = self.point is None or all(
             len(harmonic.cos) > 1 for harmonic in self.harmonics
         )
-        self.require(has_vectors, "harmonics", "a list with forces at a point, as cos = [fx, fy]")
+        self.require(
+            has_valid_harmonic_vectors,
+            "harmonics",
+            "a list with forces at a point, as cos = [fx, fy]",
+        )
         self.require(has_load, allowed_keys[-1], f"given, or one of {', '.join(allowed_keys[:-1])}")
         if all(getattr(self, key) is None for key in allowed_keys if not key.endswith("_mean")):
             self.forbid_keys(("phase",), "a mean load alone, which has no phase")

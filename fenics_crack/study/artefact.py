@@ -145,7 +145,7 @@ class PreparedStructure:
         structures_with_tangents = (
             [] if pairs.tangential_gap_matrix is None else [structure.with_tangents()]
         )
-        source_structures = [structure, *structures_with_tangents]
+        structure_and_variants = [structure, *structures_with_tangents]
         node_array_names = NODE_ARRAY_NAMES if nodes else ()
         node_array_by_name = {
             name: gather_rows(comm, getattr(nodes, name)) for name in node_array_names
@@ -162,8 +162,8 @@ class PreparedStructure:
             clamp=clamp and replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T),
             receptances=tuple(
                 replace(stored_receptance, force=np.zeros(0))
-                for source_structure in source_structures
-                for stored_receptance in source_structure.compute_once(make_empty_receptance_list)
+                for structure_variant in structure_and_variants
+                for stored_receptance in structure_variant.compute_once(make_empty_receptance_list)
             ),
             **datasets,
         )  # fmt: skip
@@ -213,15 +213,15 @@ class PreparedStructure:
             clamp=clamp and replace(clamp, inertia=clamp.inertia[:, local_slice]), comm=comm,
         ))  # fmt: skip
         for stored_receptance in self.receptances:
-            source_structures = structure, structure.with_tangents()
+            structure_and_variants = structure, structure.with_tangents()
             n_sources = len(stored_receptance.modal)
-            source_structure = next(
+            structure_variant = next(
                 candidate_structure
-                for candidate_structure in source_structures
+                for candidate_structure in structure_and_variants
                 if pair_and_load_force_matrix(candidate_structure).shape[1] == n_sources
             )
-            receptance_with_load = replace(stored_receptance, force=source_structure.force)
-            source_structure.compute_once(make_empty_receptance_list)[:] = [receptance_with_load]
+            receptance_with_load = replace(stored_receptance, force=structure_variant.force)
+            structure_variant.compute_once(make_empty_receptance_list)[:] = [receptance_with_load]
             shared_receptances = structure.compute_once(
                 make_empty_shared_receptance_list, from_matrices=True
             )

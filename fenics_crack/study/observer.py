@@ -188,7 +188,7 @@ class CrackTipHistory(NamedTuple):
     ----------
     K_I, K_II, K_III : (n,) [Pa m^1/2]
         K_III is None for a plate.
-    n_load_periods : float
+    duration_in_load_periods : float
         Duration, or period of the motion, in periods of the load.
     growth_law : Growth or None
         Law of crack growth of the scene.
@@ -198,7 +198,7 @@ class CrackTipHistory(NamedTuple):
 
     K_I: np.ndarray
     K_II: np.ndarray
-    n_load_periods: float
+    duration_in_load_periods: float
     growth_law: Growth | None
     K_III: np.ndarray | None = None
     closed_front_error: float = 0.0
@@ -207,11 +207,11 @@ class CrackTipHistory(NamedTuple):
     def equivalent_range(self) -> float:
         """Range of K_I from 0 that, once a period, gives the same crack growth.
 
-            (sum_i (delta K_i / (1 - R_i)^(1 - gamma))^m / n_load_periods)^(1 / m) [Pa m^1/2]
+            (sum_i (delta K_i / (1 - R_i)^(1 - gamma))^m / T)^(1 / m) [Pa m^1/2]
 
-        The sum is over the rainflow cycles i, with the range delta K_i while the tip is open and
-        the ratio R_i of minimum to maximum. Cycles below the threshold are left out if another
-        cycle is above it.
+        T is ``duration_in_load_periods``. The sum is over the rainflow cycles i, with the range
+        delta K_i while the tip is open and the ratio R_i of minimum to maximum. Cycles below the
+        threshold are left out if another cycle is above it.
         """
         assert self.growth_law is not None
         maxima, minima = find_rainflow_cycles(np.maximum(self.K_I, 0.0)).T
@@ -227,7 +227,7 @@ class CrackTipHistory(NamedTuple):
         )
         return float(
             driving_ranges.max()
-            * (relative_growth_terms.sum() / self.n_load_periods)
+            * (relative_growth_terms.sum() / self.duration_in_load_periods)
             ** (1.0 / self.growth_law.exponent)
         )
 

@@ -355,7 +355,7 @@ def estimate_reduction_memory(structure: Structure, n_modes: int, method: str) -
     )
     peak_bytes = max(static_bytes, _estimate_mode_memory(structure, n_reference_modes))
     return (
-        _measure_held_memory(structure)
+        _measure_memory_of_all_ranks(structure)
         + _estimate_factor_memory(structure)
         + 8.0 * n_dofs * n_reference_modes
         + peak_bytes
@@ -378,10 +378,10 @@ def estimate_wheel_memory(wheel: Wheel, n_families: int) -> float:
     # Responses of the sectors to the crack's opening, their products with a matrix, and as much
     # again while either is made. Bonds have up to 40 force patterns beyond those of the pairs.
     n_opening_columns = min(
-        2 * sector.structure.n_pairs + 40, len(sector.dof_numbering.upper_members)
+        2 * sector.structure.n_pairs + 40, len(sector.dof_numbering.upper_face_members)
     )
     opening_bytes = 32.0 * sector.n_sectors * n_dofs * n_opening_columns
-    return _measure_held_memory(wheel) + wheel.comm.size * (
+    return _measure_memory_of_all_ranks(wheel) + wheel.comm.size * (
         solver_bytes + bytes_of_modes + opening_bytes
     )
 
@@ -391,7 +391,9 @@ def estimate_unreduced_memory(structure: Structure, n_harmonics: int) -> float:
 
     A factor for each harmonic is kept. The memory held already is included.
     """
-    return _measure_held_memory(structure) + (n_harmonics + 1) * _estimate_factor_memory(structure)
+    return _measure_memory_of_all_ranks(structure) + (n_harmonics + 1) * _estimate_factor_memory(
+        structure
+    )
 
 
 def estimate_run_up_memory(structure: Structure, n_modes: int) -> float:
@@ -405,7 +407,7 @@ def estimate_run_up_memory(structure: Structure, n_modes: int) -> float:
         _estimate_factor_memory(structure) + _estimate_mode_memory(structure, n_modes) + basis_bytes
     )
     return (
-        _measure_held_memory(structure)
+        _measure_memory_of_all_ranks(structure)
         + _estimate_matrix_memory(structure)
         + max(bytes_of_modes, 3.0 * basis_bytes)
     )
@@ -441,7 +443,7 @@ def release_freed_memory() -> None:
         ctypes.CDLL(None).malloc_trim(0)
 
 
-def _measure_held_memory(structure: Structure) -> float:
+def _measure_memory_of_all_ranks(structure: Structure) -> float:
     """Return the memory that all ranks hold now [byte] (collective)."""
     return float(structure.comm.allreduce(process_memory("VmRSS")))
 

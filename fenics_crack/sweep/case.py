@@ -363,10 +363,17 @@ class CaseSolver:
         self._last_solution: PeriodicSolution | None = None
 
     def solve_as_requested(self, case: Scene, case_options: SharedCaseOptions) -> PeriodicSolution:
-        """Solve a case at a given frequency or at resonance; raises as :meth:`solve`."""
-        return self.solve_at_resonance(case) if case_options.at_resonance else self.solve(case)
+        """Solve a case at a given frequency or at resonance.
 
-    def solve(self, case: Scene) -> PeriodicSolution:
+        Raises as :meth:`solve_at_given_frequency`.
+        """
+        return (
+            self.solve_at_resonance(case)
+            if case_options.at_resonance
+            else self.solve_at_given_frequency(case)
+        )
+
+    def solve_at_given_frequency(self, case: Scene) -> PeriodicSolution:
         """Solve a case at the given frequency; :data:`REFUSAL_EXCEPTIONS` are raised on failure."""
         omega, balance_table = case.excitation.omega, case.harmonic_balance
         self._set_structure_and_law(case)
@@ -392,10 +399,11 @@ class CaseSolver:
             self._law = scene_contact_law(case, self._structure)
 
     def solve_at_resonance(self, case: Scene) -> PeriodicSolution:
-        """Solve a case at the resonance nearest to its frequency; raises as :meth:`solve`.
+        """Solve a case at the resonance nearest to its frequency.
 
-        The resonance is the peak of the response curve if several modes respond together. The same
-        holds with friction or a smooth law, which have no phase resonance.
+        Raises as :meth:`solve_at_given_frequency`. The resonance is the peak of the response curve
+        if several modes respond together. The same holds with friction or a smooth law, which have
+        no phase resonance.
         """
         balance_table = case.harmonic_balance
         self._set_structure_and_law(case)
@@ -414,7 +422,7 @@ class CaseSolver:
             omega, self._last_solution = self._find_peak_omega_and_solution(problem)
         else:
             omega, self._last_solution = resonance.omega, resonance.solution
-        return self.solve(case.replace({"excitation.omega": omega}))
+        return self.solve_at_given_frequency(case.replace({"excitation.omega": omega}))
 
     def _find_peak_omega_and_solution(self, problem: Problem) -> tuple[float, PeriodicSolution]:
         """Return frequency and solution at the peak of the response curve.

@@ -104,7 +104,9 @@ UNIT_AND_TYPE_BY_COLUMN: dict[str, tuple[str, str]] = {
     },
     **{
         name: (UNIT_BY_NAME[name], "f8")
-        for name in observable_names(Place.FACES, Place.MODES, excluded_flags=REQUIRES_FRICTION)
+        for name in observable_names(
+            Place.FACES, Place.NEAREST_MODE, excluded_flags=REQUIRES_FRICTION
+        )
     },
     **{name: (unit, "f8") for name, (_, unit) in LABEL_AND_UNIT_BY_FREQUENCY_COLUMN.items()},
     "multiplier": ("1", "f8"),

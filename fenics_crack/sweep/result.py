@@ -48,7 +48,7 @@ from fenics_crack.basics.observables import (
 )
 from fenics_crack.basics.progress import add_progress_text
 from fenics_crack.basics.ranks import StopRequest, on_root
-from fenics_crack.basics.suggestions import check_calls
+from fenics_crack.basics.suggestions import check_calls, with_old_names
 from fenics_crack.basics.tables import (
     Conclusion,
     Tabular,
@@ -205,6 +205,7 @@ VERDICTS_NOT_STABLE = "unstable", "irregular", "undecided"
 """Verdicts of cases whose solution may not appear in reality."""
 
 
+@with_old_names(contradicted="indices_and_changed_verdicts", errors="error_parts")
 @dataclass(frozen=True, repr=False)
 class SweepResult(Tabular):
     """Table of a sweep; waves are read from the file on request.
@@ -286,7 +287,7 @@ class SweepResult(Tabular):
         return self["state"] == CaseState.CONVERGED
 
     @property
-    def errors(self) -> np.ndarray:
+    def error_parts(self) -> np.ndarray:
         """Estimated errors: (4, ...), then the shape of the axes; 0 without a value.
 
         The four are truncation, reduction, sampling and residual, as in :class:`ErrorReport`.
@@ -296,7 +297,7 @@ class SweepResult(Tabular):
     @property
     def inexact(self) -> np.ndarray:
         """True for cases with a large estimated error: bool in the shape of the axes."""
-        return self.converged & (self.errors.sum(axis=0) > LARGE_ERROR)
+        return self.converged & (self.error_parts.sum(axis=0) > LARGE_ERROR)
 
     @property
     def not_stable(self) -> np.ndarray:
@@ -320,7 +321,7 @@ class SweepResult(Tabular):
         ]
 
     @property
-    def contradicted(self) -> list[tuple[tuple[int, ...], str]]:
+    def indices_and_changed_verdicts(self) -> list[tuple[tuple[int, ...], str]]:
         """Index of each case whose verdict changes with more modes, and the verdict then.
 
         A step of Newton's method with twice the modes finds such cases, for crack faces without
@@ -518,7 +519,7 @@ class SweepResult(Tabular):
     def build_conclusion(self) -> Conclusion:
         """Return what the last printed sentence says about the sweep."""
         is_converged, clause_texts = self.converged, []
-        total_errors = self.errors.sum(axis=0)[is_converged]
+        total_errors = self.error_parts.sum(axis=0)[is_converged]
         cases_text = format_count(is_converged.size, "case")
         if np.any(
             np.isfinite(

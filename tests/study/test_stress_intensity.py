@@ -272,10 +272,10 @@ def test_few_modes_are_enough(omega: float) -> None:
     """Below and above the first resonance, beside the whole structure: their statics are whole."""
     force = {"excitation": {"omega": omega, "point": [0.1, 0.4], "force_sin": [1e4, 0.0]}}
     scene = fc.Scene.from_mapping(STRIP | force).replace({"mesh.lip_elements": 4})
-    whole_study = fc.prepare(scene, MPI.COMM_SELF, whole=True)
+    unreduced_study = fc.prepare(scene, MPI.COMM_SELF, whole=True)
     intensities = {}
     for modes in (5, 15, None):
-        study = whole_study
+        study = unreduced_study
         if modes is not None:
             study = fc.prepare(scene.replace({"reduction.modes": modes}), MPI.COMM_SELF)
         stress_intensity = fc.stress_intensity(linear_of(study, omega))

@@ -203,7 +203,7 @@ def test_a_case_leaves_the_solution_of_another_alone(paper_scene: fc.Scene, redu
     geometry = sweep_case.build_sweep_geometry(
         cases[1], MPI.COMM_SELF, sweep_case.SharedCaseOptions(has_unit_loads=True)
     )
-    solutions = [sweep_case.CaseSolver(geometry).solve(case) for case in cases]
+    solutions = [sweep_case.CaseSolver(geometry).solve_at_given_frequency(case) for case in cases]
     for solution, (load, clearance) in zip(solutions, given, strict=True):
         structure = solution.structure
         assert structure.body is geometry.structure.body
@@ -401,9 +401,9 @@ def test_what_is_told_of_a_verdict_is_kept(paper_scene: fc.Scene, tmp_path: Path
     file.write_pending_cases(np.arange(2), cases)
     file.close()
     stored_sweep = SweepResult.load(path)
-    assert stored_sweep.undecided == [((0,), reason)] and stored_sweep.contradicted == [
-        ((1,), "it leaves")
-    ]
+    assert stored_sweep.undecided == [
+        ((0,), reason)
+    ] and stored_sweep.indices_and_changed_verdicts == [((1,), "it leaves")]
 
 
 def test_a_file_from_before_an_observable(
@@ -577,7 +577,11 @@ def refused_and_broken(folder: Path, refused: fc.Scene, good: fc.Scene, comm: MP
     Check what it is told of input that cannot be used, and of a full disk.
     """
     catch_error(lambda: run_sweep(refused, folder / "sweep.h5", comm), "sweep", None)
-    solve_case, calls, meeting_path = sweep_case.CaseSolver.solve, [], folder / "met"
+    solve_case, calls, meeting_path = (
+        sweep_case.CaseSolver.solve_at_given_frequency,
+        [],
+        folder / "met",
+    )
 
     def broken(*given: Any) -> Any:
         calls.append(given)
@@ -593,7 +597,7 @@ def refused_and_broken(folder: Path, refused: fc.Scene, good: fc.Scene, comm: MP
         return solve_case(*given)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sweep_case.CaseSolver, "solve", broken)
+        patch.setattr(sweep_case.CaseSolver, "solve_at_given_frequency", broken)
         failure = catch_error(lambda: run_sweep(good, folder / "sweep.h5", comm), kind=RuntimeError)
     write_column, written = SweepFile._write_column, list[str]()
 

@@ -540,8 +540,8 @@ class _ForwardSweeper:
         Folder of the files.
     comm : MPI.Comm
         Ranks over which the cases are spread.
-    progress : bool
-        Show bars.
+    shows_progress : bool
+        True to show bars.
     """
 
     coarse_scene: Scene
@@ -551,7 +551,7 @@ class _ForwardSweeper:
     frequency_only_indices: list[int]
     folder: Path
     comm: MPI.Comm
-    progress: bool
+    shows_progress: bool
 
     @property
     def mesh_file_axes(self) -> list[Axis]:
@@ -573,7 +573,7 @@ class _ForwardSweeper:
                 swept_scene,
                 self.folder / f"{sweep_name}_{file_name_digest}.h5",
                 self.comm,
-                progress=self.progress,
+                progress=self.shows_progress,
                 verdicts=False,
                 judged=False,
                 natural=self.frequency_only_indices,

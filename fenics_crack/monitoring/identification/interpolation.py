@@ -480,7 +480,7 @@ class SolvedCases:
         return solved_frequencies.index(load_frequency)
 
     @cached_property
-    def split_root_and_frequencies(self) -> np.ndarray:
+    def frequency_split_root_and_frequencies(self) -> np.ndarray:
         """Collect the data of poles at all nodes and loads: (n, n_loads, 1 + 2 modes).
 
         Columns are the root of s (1 without a crack), the bilinear frequencies [Hz], and the
@@ -547,7 +547,7 @@ class Feature:
                 cls(crack_state, measurement.mode, load_frequency=measurement.load(scene))
                 for crack_state in crack_states
             )
-        harmonic_orders = measurement.orders or KEPT_HARMONIC_ORDERS
+        harmonic_orders = measurement.harmonic_orders or KEPT_HARMONIC_ORDERS
         return tuple(
             cls("", 0, measurement.point, measurement.load(scene), harmonic_order)
             for harmonic_order in harmonic_orders
@@ -598,9 +598,11 @@ class Feature:
 
 
 def compute_ratios_and_pole_factors(
-    features: Sequence[Feature], damping_ratios: np.ndarray, split_root_and_frequencies: np.ndarray
+    features: Sequence[Feature],
+    damping_ratio_of_points: np.ndarray,
+    frequency_split_root_and_frequencies: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return frequency ratios r and pole factors 1 - r^2 + 2 i z r of each mode.
+    """Return ratios r of harmonic to mode frequencies, and pole factors 1 - r^2 + 2 i z r.
 
     Both are (m, f, modes) at m points. For natural frequencies and missing modes they are 0 and 1.
 
@@ -608,18 +610,22 @@ def compute_ratios_and_pole_factors(
     ----------
     features : sequence of Feature
         f features.
-    damping_ratios : (m, 1)
-    split_root_and_frequencies : (m, f, 1 + 2 modes)
-        :attr:`SolvedCases.split_root_and_frequencies` at the load of each feature.
+    damping_ratio_of_points : (m, 1)
+    frequency_split_root_and_frequencies : (m, f, 1 + 2 modes)
+        :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each feature.
     """
-    mode_frequencies = split_root_and_frequencies[..., KEPT_MODE_NUMBERS]
+    mode_frequencies = frequency_split_root_and_frequencies[..., KEPT_MODE_NUMBERS]
     harmonic_frequencies = np.array(
         [feature.harmonic_order * feature.load_frequency for feature in features]
     )
-    r = harmonic_frequencies[:, None] / np.where(
+    harmonic_to_mode_ratios = harmonic_frequencies[:, None] / np.where(
         np.isfinite(mode_frequencies), mode_frequencies, np.inf
     )
-    return r, 1.0 - r**2 + 2j * damping_ratios[..., None] * r
+    return harmonic_to_mode_ratios, (
+        1.0
+        - harmonic_to_mode_ratios**2
+        + 2j * damping_ratio_of_points[..., None] * harmonic_to_mode_ratios
+    )
 
 
 def compute_log_factors_by_first_harmonic(
@@ -639,7 +645,7 @@ def compute_log_factors_by_first_harmonic(
     )
 
 
-def list_first_harmonic_features(features: Sequence[Feature]) -> list[Feature]:
+def replace_by_driving_first_harmonics(features: Sequence[Feature]) -> list[Feature]:
     """List for each feature the first harmonic that drives it.
 
     A feature that is no higher harmonic gets order 0.
@@ -651,8 +657,8 @@ def list_first_harmonic_features(features: Sequence[Feature]) -> list[Feature]:
 
 def compute_smoothing_factors(
     features: Sequence[Feature],
-    damping_ratios: np.ndarray,
-    split_root_and_frequencies: np.ndarray,
+    damping_ratio_of_points: np.ndarray,
+    frequency_split_root_and_frequencies: np.ndarray,
     relative_crack_sizes: np.ndarray,
 ) -> np.ndarray:
     """Return factors that make features smooth: (m, f).
@@ -662,10 +668,12 @@ def compute_smoothing_factors(
     split_exponents = np.array([feature.split_exponent for feature in features])
     is_cracked_frequency = np.array([feature.is_cracked_frequency for feature in features])
     harmonic_factors = compute_ratios_and_pole_factors(
-        features, damping_ratios, split_root_and_frequencies
-    )[1].prod(axis=2) / split_root_and_frequencies[..., 0] ** (2 * split_exponents)
+        features, damping_ratio_of_points, frequency_split_root_and_frequencies
+    )[1].prod(axis=2) / frequency_split_root_and_frequencies[..., 0] ** (2 * split_exponents)
     first_harmonic_pole_factors = compute_ratios_and_pole_factors(
-        list_first_harmonic_features(features), damping_ratios, split_root_and_frequencies
+        replace_by_driving_first_harmonics(features),
+        damping_ratio_of_points,
+        frequency_split_root_and_frequencies,
     )[1].prod(axis=2)
     harmonic_factors = harmonic_factors * np.exp(
         compute_log_factors_by_first_harmonic(np.log(first_harmonic_pole_factors), features)

@@ -22,7 +22,7 @@ from fenics_crack.basics.errors import (
     check_number,
     report_read_errors,
 )
-from fenics_crack.basics.suggestions import check_calls, fit_argument_to_annotation
+from fenics_crack.basics.suggestions import check_calls, fit_argument_to_annotation, with_old_names
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN, Tabular, format_count
 from fenics_crack.basics.untrusted_files import convert_heading_to_si, read_numbered_csv_rows
 from fenics_crack.monitoring.identification.options import OPTIONS
@@ -70,6 +70,7 @@ UNIVERSAL_FILE_SUFFIXES = (".uff", ".unv")
 """Suffixes of universal files."""
 
 
+@with_old_names(orders="harmonic_orders")
 @dataclass(frozen=True)
 class Measurement:
     """One measured number.
@@ -185,7 +186,7 @@ class Measurement:
         return not self.natural and not self.quantity.startswith("harmonic")
 
     @property
-    def orders(self) -> tuple[int, ...]:
+    def harmonic_orders(self) -> tuple[int, ...]:
         """Return the orders of its harmonics.
 
         A ratio has the numerator first. Natural frequencies have none. Displacements have all
@@ -243,7 +244,10 @@ class Measurement:
                 "give identify.uncracked"
             )
             raise InputError("measurements.quantity", self.quantity, allowed_text)
-        highest_order, n_harmonics = max(self.orders, default=0), scene.harmonic_balance.harmonics
+        highest_order, n_harmonics = (
+            max(self.harmonic_orders, default=0),
+            scene.harmonic_balance.harmonics,
+        )
         if n_harmonics < highest_order:
             allowed_text = f"at least {highest_order} for {self.quantity}"
             raise InputError("harmonic_balance.harmonics", n_harmonics, allowed_text)
@@ -407,7 +411,7 @@ class Measurements(Tabular):
         if noise is not None:
             mean_angle_deviations = rotor_speed * noise / np.sqrt(n_arrivals_of_probes)
             deviations = arrivals.tip_radius * np.hypot(mean_angle_deviations, angle_deviation)
-        elif probe_statistics.scatter <= arrivals.rounding:
+        elif probe_statistics.scatter <= arrivals.displacement_rounding:
             raise InputError("noise", None, "given in s, since these arrivals have no scatter")
         elif np.isnan(
             variance_factor := student_variance_ratio(probe_statistics.freedom_within_groups)

@@ -60,7 +60,7 @@ from fenics_crack.monitoring.identification.interpolation import (
     Feature,
     compute_log_factors_by_first_harmonic,
     compute_ratios_and_pole_factors,
-    list_first_harmonic_features,
+    replace_by_driving_first_harmonics,
 )
 from fenics_crack.monitoring.identification.measurements import Measurement, Measurements
 from fenics_crack.scene.scene import Scene
@@ -222,8 +222,8 @@ class UncrackedPlate:
     def compute_feature_sensitivities(
         self,
         features: Sequence[Feature],
-        damping_ratios: np.ndarray,
-        split_root_and_frequencies: np.ndarray,
+        damping_ratio_of_points: np.ndarray,
+        frequency_split_root_and_frequencies: np.ndarray,
         mode_sensitivities: np.ndarray,
     ) -> np.ndarray:
         """Return relative changes of features by a standard deviation of each prior, (m, f, s).
@@ -235,9 +235,9 @@ class UncrackedPlate:
         ----------
         features : sequence of Feature
             f features.
-        damping_ratios : (m, 1)
-        split_root_and_frequencies : (m, f, 1 + 2 n)
-            :attr:`SolvedCases.split_root_and_frequencies` at the load of each feature.
+        damping_ratio_of_points : (m, 1)
+        frequency_split_root_and_frequencies : (m, f, 1 + 2 n)
+            :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each feature.
         mode_sensitivities : (f, n, s)
             :meth:`compute_prior_sensitivities` at the speed of each feature.
         """
@@ -247,7 +247,7 @@ class UncrackedPlate:
             for attribute_name in ("is_natural_frequency", "is_cracked_frequency")
         )
         mode_numbers = np.array([feature.mode for feature in features])[:, None]
-        slope_shape = len(split_root_and_frequencies), len(mode_numbers), n_modes
+        slope_shape = len(frequency_split_root_and_frequencies), len(mode_numbers), n_modes
         slopes_by_mode = np.broadcast_to(
             is_natural_frequency & (mode_numbers == 1 + np.arange(n_modes)), slope_shape
         )
@@ -256,16 +256,18 @@ class UncrackedPlate:
         if not is_natural_frequency.all():
             with np.errstate(invalid="ignore"):
                 log_bilinear_frequencies, log_uncracked_frequencies = np.split(
-                    np.log(split_root_and_frequencies[..., 1:]), 2, axis=2
+                    np.log(frequency_split_root_and_frequencies[..., 1:]), 2, axis=2
                 )
             log_frequency_shifts_by_crack = np.nan_to_num(
                 log_bilinear_frequencies - log_uncracked_frequencies
             )[..., :n_modes]
             pole_slopes, damping_slopes = _differentiate_harmonic_logs(
-                features, damping_ratios, split_root_and_frequencies
+                features, damping_ratio_of_points, frequency_split_root_and_frequencies
             )
             first_pole_slopes, first_damping_slopes = _differentiate_harmonic_logs(
-                list_first_harmonic_features(features), damping_ratios, split_root_and_frequencies
+                replace_by_driving_first_harmonics(features),
+                damping_ratio_of_points,
+                frequency_split_root_and_frequencies,
             )
             pole_slopes = (
                 pole_slopes + compute_log_factors_by_first_harmonic(first_pole_slopes, features)
@@ -580,17 +582,21 @@ def _build_rigid_clamp_motions(modes: Modes) -> tuple[np.ndarray, int]:
 
 
 def _differentiate_harmonic_logs(
-    features: Sequence[Feature], damping_ratios: np.ndarray, split_root_and_frequencies: np.ndarray
+    features: Sequence[Feature],
+    damping_ratio_of_points: np.ndarray,
+    frequency_split_root_and_frequencies: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Differentiate logarithms of harmonics through their poles: (m, f, modes) each.
 
     The first slopes are by ln w_j, the second by the logarithm of the damping ratio.
     """
-    r, pole_factors = compute_ratios_and_pole_factors(
-        features, damping_ratios, split_root_and_frequencies
+    harmonic_to_mode_ratios, pole_factors = compute_ratios_and_pole_factors(
+        features, damping_ratio_of_points, frequency_split_root_and_frequencies
     )
-    damping_slopes = 2j * damping_ratios[..., None] * r / pole_factors
-    return damping_slopes - 2.0 * r**2 / pole_factors, -damping_slopes
+    damping_slopes = (
+        2j * damping_ratio_of_points[..., None] * harmonic_to_mode_ratios / pole_factors
+    )
+    return damping_slopes - 2.0 * harmonic_to_mode_ratios**2 / pole_factors, -damping_slopes
 
 
 def compute_deviations_from_equivalent_crack(

@@ -136,11 +136,11 @@ def rank_measurements_by_information(
     )
     covariance_and_slopes = _compute_scaled_covariance_and_slopes(predictor, x, all_deviations)
     measured_indices = np.arange(n_measured_rows)
-    measured_log_determinant, measured_deviation_by_key = _compute_log_determinant_and_deviations(
+    measured_log_information, measured_deviation_by_key = _compute_information_and_deviations(
         model, x, covariance_and_slopes, measured_indices
     )
     candidate_results = [
-        _compute_log_determinant_and_deviations(
+        _compute_information_and_deviations(
             model,
             x,
             covariance_and_slopes,
@@ -148,11 +148,11 @@ def rank_measurements_by_information(
         )
         for candidate_index in range(len(candidate_rows))
     ]
-    candidate_log_determinants = np.array(
-        [log_determinant for log_determinant, _ in candidate_results]
+    candidate_log_information = np.array(
+        [log_information for log_information, _ in candidate_results]
     )
     # Below 0 by rounding.
-    information_gains = 0.5 * np.maximum(candidate_log_determinants - measured_log_determinant, 0.0)
+    information_gains = 0.5 * np.maximum(candidate_log_information - measured_log_information, 0.0)
     ranked_indices = [
         int(candidate_index)
         for candidate_index in np.argsort(-information_gains, kind="stable")
@@ -285,7 +285,7 @@ def _compute_deviation_by_key_with(
             [measurement.deviation for measurement in further_measurements],
         ]
     )
-    return _compute_log_determinant_and_deviations(
+    return _compute_information_and_deviations(
         model,
         x,
         _compute_scaled_covariance_and_slopes(predictor, x, all_deviations),
@@ -293,7 +293,7 @@ def _compute_deviation_by_key_with(
     )[1]
 
 
-def _compute_log_determinant_and_deviations(
+def _compute_information_and_deviations(
     model: ForwardModel,
     x: np.ndarray,
     covariance_and_slopes: tuple[np.ndarray, np.ndarray],
@@ -314,8 +314,8 @@ def _compute_log_determinant_and_deviations(
     crack_and_fit_deviations = np.hypot(
         equivalent_deviations, model.compute_deviations_from_equivalent_crack(x[None])[0]
     )
-    information_log_determinant = float(np.linalg.slogdet(fisher_information)[1])
-    return information_log_determinant, dict(
+    log_information = float(np.linalg.slogdet(fisher_information)[1])
+    return log_information, dict(
         zip(model.unknown_keys, crack_and_fit_deviations.tolist(), strict=True)
     )
 
@@ -993,14 +993,15 @@ def _describe_intervals(identification: Identification) -> str:
         identification.posterior.best_words_and_unknowns[0]
     ].likelihood.predictor.model.unknown_grid
     interval_texts = []
-    for (key, interval_ends), lower_bound in zip(
+    for (key, interval_ends), search_lower_bound in zip(
         identification.intervals.items(), unknown_grid.lower_bounds, strict=True
     ):
         lower_text, upper_text = (
             value_in_words(key, interval_end) for interval_end in interval_ends
         )
         below_bound_text = (
-            f", or below {value_in_words(key, lower_bound)}, outside the bounds of the search"
+            f", or below {value_in_words(key, search_lower_bound)}, "
+            "outside the bounds of the search"
         )
         interval_text = f"{key_in_words(key)} {lower_text} to {upper_text}"
         interval_texts.append(interval_text + below_bound_text * (key in CRACK_SIZE_KEYS))
