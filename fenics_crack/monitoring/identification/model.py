@@ -848,9 +848,8 @@ class MeasurementPredictor:
         if is_zero_feature is not None:
             complex_slopes[..., is_zero_feature] = 0.0
         real_slopes = _split_complex_columns(complex_slopes.conj())
-        covariance = (
+        covariance = omitted_covariance + (
             real_slopes @ feature_prediction.smooth_form_covariance @ real_slopes.transpose(0, 2, 1)
-            + omitted_covariance
         )
         shared_errors = np.concatenate(
             [predictions[..., None] * self.baseline_changes.frequency_changes, common_errors],
