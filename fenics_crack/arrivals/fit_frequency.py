@@ -103,8 +103,8 @@ def fit_frequency(
     n_arrivals = int(has_arrival.sum())
     n_constants = int(has_arrival.any(axis=0).sum()) if angle_deviation else 1
     if n_arrivals <= (n_unknowns := 2 * harmonics + 1 + n_constants):
-        requirement = f"more than {n_unknowns}, the unknowns of the fit; fit fewer harmonics"
-        raise InputError("arrivals", f"{n_arrivals} arrivals", requirement)
+        requirement_text = f"more than {n_unknowns}, the unknowns of the fit; fit fewer harmonics"
+        raise InputError("arrivals", f"{n_arrivals} arrivals", requirement_text)
     arrivals_shape = arrivals.time.shape
     constant_numbers = (
         np.arange(arrivals_shape[1]) * bool(angle_deviation) * np.ones(arrivals_shape, dtype=int)
@@ -117,10 +117,10 @@ def fit_frequency(
         probe_text = (
             f"one at {np.degrees(arrivals.probes[0]):g} degrees, whose arrivals do not vary"
         )
-        requirement = (
+        requirement_text = (
             "two or more probes: one probe sees a vibration of a whole order as a constant"
         )
-        raise InputError("probes", probe_text, requirement)
+        raise InputError("probes", probe_text, requirement_text)
     return fit
 
 
@@ -375,11 +375,11 @@ class _FrequencySearch:
         first_step = int(np.ceil(min_omega / omega_step))
         end_step = int(np.floor(max_omega / omega_step)) + 1
         if not 0 < end_step - first_step < MAX_SCANNED_FREQUENCIES:
-            requirement = (
+            requirement_text = (
                 f"between {omega_step:.3g} and {MAX_SCANNED_FREQUENCIES * omega_step:.3g} rad/s "
                 "for a record of this duration"
             )
-            raise InputError("high - low", max_omega - min_omega, requirement)
+            raise InputError("high - low", max_omega - min_omega, requirement_text)
         noise_psi = self._null_noise.psi
         step_numbers = np.arange(first_step, end_step)
         power = np.zeros(end_step - first_step)

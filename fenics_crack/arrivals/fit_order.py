@@ -222,10 +222,10 @@ def _find_period_in_revolutions(orders: np.ndarray, multiples: np.ndarray) -> in
         np.abs([float(order_fraction) for order_fraction in order_fractions] - response_orders)
         > 1e-9
     ):
-        requirement = (
+        requirement_text = (
             f"whole numbers, or fractions that repeat within {max_allowed_period} revolutions"
         )
-        raise InputError("orders", orders.tolist(), f"{requirement}; else use fit_frequency")
+        raise InputError("orders", orders.tolist(), f"{requirement_text}; else use fit_frequency")
     return period_in_revolutions
 
 

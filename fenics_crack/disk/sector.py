@@ -91,11 +91,11 @@ def record_matched_side_nodes(scene: Scene, dofs: Dofs) -> None:
     )
     for side_name in side_names:
         if side_name not in dofs.part_mesh.tags_by_group:
-            requirement = (
+            requirement_text = (
                 "the mesh of a sector with the physical groups 'left' and 'right' on the sides; it "
                 f"has no {side_name!r}"
             )
-            raise InputError("mesh.file", scene.mesh.file, requirement)
+            raise InputError("mesh.file", scene.mesh.file, requirement_text)
     left_nodes, right_nodes = (dofs.nodes_on(side_name) for side_name in side_names)
     spatial_points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
     turn_angles = (2.0 * math.pi / disk.sectors, -2.0 * math.pi / disk.sectors)
@@ -121,17 +121,17 @@ def record_matched_side_nodes(scene: Scene, dofs: Dofs) -> None:
             if math.isfinite(largest_distance)
             else "has no partner"
         )
-        requirement = (
+        requirement_text = (
             f"a sector whose left side, turned about the axis by 360/{disk.sectors} degrees, is "
             f"the right side: the left one has {len(left_nodes)} nodes, the right one "
             f"{len(right_nodes)}; the left node at {place_text} m {distance_text}"
         )
         key = "mesh.file" if side_names[0] == "left" else "disk"
-        raise InputError(key, scene.mesh.file or "a table", requirement)
+        raise InputError(key, scene.mesh.file or "a table", requirement_text)
     if len(common_nodes := np.intersect1d(left_nodes, right_nodes)):
         place_text = format_point(points[common_nodes[0]])
-        requirement = f"a sector that does not reach the axis, as at the node {place_text} m"
-        raise InputError("mesh.file", scene.mesh.file, requirement)
+        requirement_text = f"a sector that does not reach the axis, as at the node {place_text} m"
+        raise InputError("mesh.file", scene.mesh.file, requirement_text)
     dimension = points.shape[1]
     dofs.set_sector_sides(
         np.array([left_nodes, right_nodes[right_partners]]), rotation_matrix[:dimension, :dimension]
@@ -161,15 +161,19 @@ def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
         )
         if largest_distance > RELATIVE_POSITION_TOLERANCE * float(np.ptp(points, axis=0).max()):
             place_text = format_point(points[lower_nodes[worst_node_index]])
-            requirement = f"crack faces with the same nodes; these differ at {place_text} m"
+            requirement_text = f"crack faces with the same nodes; these differ at {place_text} m"
             raise InputError(
-                "lips", f"{len(lower_nodes)} lower and {len(upper_nodes)} upper nodes", requirement
+                "lips",
+                f"{len(lower_nodes)} lower and {len(upper_nodes)} upper nodes",
+                requirement_text,
             )
         crack_face_nodes = np.array([lower_nodes, upper_nodes[upper_partners]])
     if len(common_nodes := np.intersect1d(crack_face_nodes, side_node_pairs)):
         place_text = format_point(points[common_nodes[0]])
-        requirement = f"one inside the sector; it reaches a side of the sector at {place_text} m"
-        raise InputError("lips", "a crack", requirement)
+        requirement_text = (
+            f"one inside the sector; it reaches a side of the sector at {place_text} m"
+        )
+        raise InputError("lips", "a crack", requirement_text)
     center = scene.axis_point_and_direction[0][: points.shape[1]]
     rotation_matrix = node_rotations[side_node_pairs[1, 0]]
     n_sectors = scene.given("disk").sectors

@@ -218,10 +218,10 @@ class Wheel(Structure):
 
     def with_harmonics(self, harmonics: Mapping[int, tuple[Any, Any]]) -> Structure:
         """Raise InputError, as the load's harmonics turn with the engine order."""
-        requirement = (
+        requirement_text = (
             "built from a scene with [[excitation.harmonics]]: a bladed disk cannot get them later"
         )
-        raise InputError("structure", repr(self), requirement)
+        raise InputError("structure", repr(self), requirement_text)
 
     def structure_in_few_coordinates(self) -> WheelInFewCoordinates:
         """Return the wheel in the coordinates (q, d) used to solve (collective)."""
@@ -333,8 +333,8 @@ def _read_deviations(given_deviations: Any, n_sectors: int) -> np.ndarray:
         or not np.all(deviations > -1.0)
         or not np.all(deviations < 1e3)
     ):
-        requirement = f"a number > -1 and < 1000, or one for each of the {n_sectors} sectors"
-        raise InputError("mistuning", given_deviations, requirement)
+        requirement_text = f"a number > -1 and < 1000, or one for each of the {n_sectors} sectors"
+        raise InputError("mistuning", given_deviations, requirement_text)
     return np.broadcast_to(deviations, (n_sectors,)).copy()
 
 

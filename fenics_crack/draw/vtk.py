@@ -289,8 +289,8 @@ def stress_at(
     mesh, stress_points = NodalMesh(structure), floats_or_nan(points)
     has_valid_shape = stress_points.ndim == 2 and stress_points.shape[1] == mesh.dimension
     if not (has_valid_shape and stress_points.size and np.all(np.isfinite(stress_points))):
-        requirement = f"one or more rows of {mesh.dimension} finite numbers [m]"
-        raise InputError("points", points, requirement)
+        requirement_text = f"one or more rows of {mesh.dimension} finite numbers [m]"
+        raise InputError("points", points, requirement_text)
     if isinstance(result, TimeHistory):
         time = result.time
         if len(result.recorded_dofs) < structure.n_local:

@@ -158,11 +158,11 @@ def result_class(stored_file: StoredFile) -> type[Result]:
         raise stored_file.refusal(
             "of a present kind: follow_resonance takes the place of backbones; compute it again"
         )
-    requirement = (
+    requirement_text = (
         f"a result of one vibration; a {stored_file.kind} is read by load of its class, "
         "as SweepResult.load"
     )
-    raise stored_file.refusal(requirement)
+    raise stored_file.refusal(requirement_text)
 
 
 # --- modes ----------------------------------------------------------------------------------------
@@ -357,8 +357,8 @@ def rebuild_solution(
 def _check_n_pairs(n_pairs: int, pair_gaps: np.ndarray) -> None:
     """Raise InputError unless gaps (..., n_pairs) have as many pairs as the structure."""
     if pair_gaps.shape[-1] != n_pairs:
-        requirement = f"the structure of the file, with {pair_gaps.shape[-1]} pairs"
-        raise InputError("structure", f"{n_pairs} pairs", requirement)
+        requirement_text = f"the structure of the file, with {pair_gaps.shape[-1]} pairs"
+        raise InputError("structure", f"{n_pairs} pairs", requirement_text)
 
 
 def _check_gap_coefficients(
@@ -636,10 +636,10 @@ def _find_dof_signs(structure: Structure, stored_rows: np.ndarray) -> np.ndarray
     if stored_rows.shape != structure_rows.shape:
         sizes_text = f"{structure.n_local} dofs, {structure.n_pairs} pairs"
         n_pairs = len(stored_rows) - len(structure.force)
-        requirement = (
+        requirement_text = (
             f"the structure of the file, with {stored_rows.shape[1]} dofs and {n_pairs} pairs"
         )
-        raise InputError("structure", sizes_text, requirement)
+        raise InputError("structure", sizes_text, requirement_text)
     dof_signs = np.where((stored_rows * structure_rows).sum(axis=0) < 0.0, -1.0, 1.0)
     row_maxima = np.abs(stored_rows).max(axis=1, initial=0.0, keepdims=True)
     if np.any(np.abs(stored_rows - structure_rows * dof_signs) > 1e-6 * row_maxima):

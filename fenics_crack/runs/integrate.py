@@ -192,25 +192,27 @@ def _start_state_from_run(
 
 def _choose_method(study: Study, integration_table: Integration, law: ContactLaw) -> str:
     """Return the name of the integration method; InputError if it cannot be used."""
-    structure, contact, requirement = study.structure, study.scene.contact, ""
+    structure, contact, requirement_text = study.structure, study.scene.contact, ""
     has_massless_faces = structure.light_lips
     method_name = integration_table.method or (
         "exponential" if has_massless_faces else "central_difference"
     )
     is_closed_form = method_name in ("events", "exponential")
     if has_massless_faces and not is_closed_form:
-        requirement = (
+        requirement_text = (
             "'events' or 'exponential' where crack faces have no mass, or reduction.method = "
         )
-        requirement += "'free_interface'"
+        requirement_text += "'free_interface'"
     elif is_closed_form and not is_small(structure):
-        requirement = f"another with {structure.n_dofs} dofs, or reduction.method = 'massless'"
+        requirement_text = f"another with {structure.n_dofs} dofs, or reduction.method = 'massless'"
     elif is_closed_form and is_rigid(law) and not has_massless_faces:
-        requirement = "'central_difference' with contact.law = 'unilateral', or reduction.method = "
-        requirement += "'massless'"
-    if requirement:
-        raise InputError("integration.method", method_name, requirement)
+        requirement_text = (
+            "'central_difference' with contact.law = 'unilateral', or reduction.method = "
+        )
+        requirement_text += "'massless'"
+    if requirement_text:
+        raise InputError("integration.method", method_name, requirement_text)
     if is_closed_form and not is_unilateral(law):
-        requirement = f"'penalty' or 'unilateral' with integration.method = {method_name!r}"
-        raise InputError("contact.law", contact and contact.law, requirement)
+        requirement_text = f"'penalty' or 'unilateral' with integration.method = {method_name!r}"
+        raise InputError("contact.law", contact and contact.law, requirement_text)
     return method_name

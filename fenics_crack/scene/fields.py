@@ -282,13 +282,13 @@ def _read_axis_values(name: str, values_or_range: object) -> tuple[Any, ...]:
         is_valid_range = False
     key_suffix = f'."{name}"'  # behind the name of the key: Table.convert_value
     if not is_valid_range or spacing not in ("linear", "logarithmic"):
-        requirement = (
+        requirement_text = (
             "a list of values, or a table with start, stop, count (2 to 1e6) and, optionally,"
             " spacing = 'linear' or 'logarithmic'"
         )
         if range_table and not range_table.keys() & {"start", "stop", "count"}:
-            requirement += f'; did you mean "{name}.{next(iter(range_table))}", in quotes?'
-        raise InputError(key_suffix, values_or_range, requirement)
+            requirement_text += f'; did you mean "{name}.{next(iter(range_table))}", in quotes?'
+        raise InputError(key_suffix, values_or_range, requirement_text)
     if spacing == "linear":
         return tuple(map(float, np.linspace(start, stop, n_values)))
     if start * stop <= 0.0:
@@ -353,7 +353,7 @@ def _find_read_function(key_field: Field[Any]) -> Callable[[object], Any]:
 
 
 def value_field(
-    requirement: str,
+    requirement_text: str,
     is_allowed: Callable[[Any], bool] = lambda value: True,
     default: Any = MISSING,
     unit: str = "",
@@ -363,7 +363,7 @@ def value_field(
 
     Parameters
     ----------
-    requirement : str
+    requirement_text : str
         Text in errors: what is allowed.
     is_allowed : callable
         True for allowed values, after reading.
@@ -374,7 +374,7 @@ def value_field(
     more_metadata
         Further metadata of the field.
     """
-    allowed_text = f"{requirement} [{unit}]".removesuffix(" []")
+    allowed_text = f"{requirement_text} [{unit}]".removesuffix(" []")
     metadata = {"allowed": allowed_text, "accepts": is_allowed, "unit": unit} | more_metadata
     return field(default=default, metadata=metadata)
 
@@ -401,9 +401,9 @@ def nonnegative_field(default: Any = MISSING, unit: str = "") -> Any:
 def bounded_field(lower_text: str, upper_text: str, default: Any, unit: str = "") -> Any:
     """Return a field for a number between two bounds, written as in errors."""
     lower_bound, upper_bound = float(lower_text), float(upper_text)
-    requirement = f"a number from {lower_text} to {upper_text}"
+    requirement_text = f"a number from {lower_text} to {upper_text}"
     return value_field(
-        requirement, lambda value: lower_bound <= value <= upper_bound, default, unit
+        requirement_text, lambda value: lower_bound <= value <= upper_bound, default, unit
     )
 
 
@@ -414,10 +414,10 @@ def vector_value_field(
 
     Errors name components by a letter with x, y and z. With ``of_solid`` only solids have the key.
     """
-    requirement = describe_components(component_letter, 3 if of_solid else 2)
+    requirement_text = describe_components(component_letter, 3 if of_solid else 2)
     if not of_solid:
-        requirement += f", or {_format_component_names(component_letter, 3)} in a solid"
-    return value_field(requirement, default=default, unit=unit, letter=component_letter)
+        requirement_text += f", or {_format_component_names(component_letter, 3)} in a solid"
+    return value_field(requirement_text, default=default, unit=unit, letter=component_letter)
 
 
 def describe_components(component_letter: str, dimension: int) -> str:
@@ -434,17 +434,17 @@ def _format_component_names(component_letter: str, dimension: int) -> str:
 
 def harmonics_field() -> Any:
     """Return a field for the harmonics of a load."""
-    requirement = (
+    requirement_text = (
         f"a list of tables: each has a different order from 1 to {MAX_HARMONIC_ORDER}, and cos or"
         " sin or both, or amplitude and, optionally, phase (the lag in degrees)"
     )
-    return value_field(requirement, default=())
+    return value_field(requirement_text, default=())
 
 
 def harmonic_order_field(default: int) -> Any:
     """Return a field for the order of a load's harmonic."""
-    requirement = f"a whole number from 1 to {MAX_HARMONIC_ORDER}"
-    return value_field(requirement, lambda value: 1 <= value <= MAX_HARMONIC_ORDER, default)
+    requirement_text = f"a whole number from 1 to {MAX_HARMONIC_ORDER}"
+    return value_field(requirement_text, lambda value: 1 <= value <= MAX_HARMONIC_ORDER, default)
 
 
 def positive_int_field(default: Any = MISSING) -> Any:
@@ -459,27 +459,27 @@ def choice_field(*words: str, default: Any = MISSING) -> Any:
 
 def hertz_field(
     omega_key: str,
-    requirement: str = "a finite number > 0 (up to 1e29)",
+    requirement_text: str = "a finite number > 0 (up to 1e29)",
     is_allowed: Callable[[Any], bool] = lambda value: 0 < value <= 1e29,
 ) -> Any:
     """Return a field for frequencies [Hz], the twin of a key in rad/s."""
-    return twin_field(omega_key, RAD_PER_TURN, requirement, is_allowed, "Hz")
+    return twin_field(omega_key, RAD_PER_TURN, requirement_text, is_allowed, "Hz")
 
 
 def twin_field(
-    si_key: str, factor: float, requirement: str, is_allowed: Callable[[Any], bool], unit: str
+    si_key: str, factor: float, requirement_text: str, is_allowed: Callable[[Any], bool], unit: str
 ) -> Any:
     """Return a field for the quantity of an SI key in another unit.
 
     The SI value is ``factor`` times the twin's value. One of the two keys may be given; a given
     twin sets the SI key, too.
     """
-    return value_field(requirement, is_allowed, None, unit, twin=si_key, factor=factor)
+    return value_field(requirement_text, is_allowed, None, unit, twin=si_key, factor=factor)
 
 
-def path_field(requirement: str, default: Any = None, unit: str = "") -> Any:
+def path_field(requirement_text: str, default: Any = None, unit: str = "") -> Any:
     """Return a field for a file's path, relative to the scene's folder."""
-    return value_field(requirement, lambda value: value != "", default, unit, path=True)
+    return value_field(requirement_text, lambda value: value != "", default, unit, path=True)
 
 
 def scale_numbers(number_or_tuple: Any, factor: float) -> Any:
@@ -558,11 +558,11 @@ class Table:
                 si_value = scale_numbers(
                     twin_value, self.field_by_key()[twin_key].metadata["factor"]
                 )
-                requirement = (
+                requirement_text = (
                     f"left out with {self.full_key(si_key)} = {getattr(self, si_key)}: "
                     "give one of the two"
                 )
-                self.require(getattr(self, si_key) in (None, si_value), twin_key, requirement)
+                self.require(getattr(self, si_key) in (None, si_value), twin_key, requirement_text)
                 object.__setattr__(self, si_key, si_value)
 
     @classmethod
@@ -577,10 +577,10 @@ class Table:
         except (TypeError, OverflowError):
             is_accepted = False
         if not is_accepted:
-            requirement = key_field.metadata["allowed"] + cls._make_value_suggestion_text(
+            requirement_text = key_field.metadata["allowed"] + cls._make_value_suggestion_text(
                 key, value
             )
-            raise InputError(cls.full_key(key), value, requirement)
+            raise InputError(cls.full_key(key), value, requirement_text)
         return field_value
 
     @classmethod
@@ -699,15 +699,17 @@ class Table:
                 toml_lines.append(f"{key} = {_value_as_toml(current_value)}")
         return "\n".join([*toml_lines, *axes_lines, ""])
 
-    def require(self, condition: bool, key: str, requirement: str) -> None:
+    def require(self, condition: bool, key: str, requirement_text: str) -> None:
         """Raise InputError for a key unless a condition holds."""
         if not condition:
-            raise InputError(self.full_key(key), getattr(self, key), requirement)
+            raise InputError(self.full_key(key), getattr(self, key), requirement_text)
 
-    def given(self, key: str, requirement: str = "") -> Any:
+    def given(self, key: str, requirement_text: str = "") -> Any:
         """Return the value of a key; raise InputError if it is None."""
-        requirement = requirement or f"given: {self.field_by_key()[key].metadata['allowed']}"
-        self.require(getattr(self, key) is not None, key, requirement)
+        requirement_text = (
+            requirement_text or f"given: {self.field_by_key()[key].metadata['allowed']}"
+        )
+        self.require(getattr(self, key) is not None, key, requirement_text)
         return getattr(self, key)
 
     def forbid_keys(self, keys: Iterable[str], circumstance: str) -> None:
@@ -779,11 +781,11 @@ class Table:
         """Raise InputError if a key and its twin in another unit are given."""
         for twin_key, si_key in cls.si_key_by_twin().items():
             if value_by_key.get(twin_key) is not None and value_by_key.get(si_key) is not None:
-                requirement = (
+                requirement_text = (
                     f"left out with {cls.full_key(si_key)} = {value_by_key[si_key]}: "
                     "give one of the two"
                 )
-                raise InputError(cls.full_key(twin_key), value_by_key[twin_key], requirement)
+                raise InputError(cls.full_key(twin_key), value_by_key[twin_key], requirement_text)
 
     @classmethod
     def from_mapping(cls, raw_table: object) -> Any:

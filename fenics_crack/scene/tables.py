@@ -201,10 +201,10 @@ class Crack(Table):
         elif self.radii is not None:
             self.forbid_keys(given_keys, "crack.radii")
         else:
-            requirement = (
+            requirement_text = (
                 "given: [a, b] [m]; or crack.length and crack.depth; or crack.front = 'through'"
             )
-            self.require(len(given_keys) == 2, "radii", requirement)
+            self.require(len(given_keys) == 2, "radii", requirement_text)
         if self.front == "through" or self.half_axes[0] != self.half_axes[1]:
             self.given(
                 "direction", "given: [dx, dy, dz], the direction of the first radius or of growth"
@@ -315,11 +315,11 @@ class Damping(Table):
             for key in key_group
             if getattr(self, key) is not None
         ]
-        requirement = (
+        requirement_text = (
             "given; or damping.mass or damping.stiffness; or damping.ratios with damping.omegas or "
             "damping.frequencies"
         )
-        self.require(bool(given_groups_and_keys), "ratio", requirement)
+        self.require(bool(given_groups_and_keys), "ratio", requirement_text)
         (chosen_key_group, key), *_ = given_groups_and_keys
         for key_group in key_groups:
             if key_group is not chosen_key_group:
@@ -732,8 +732,8 @@ class Disk(Table):
         self.require(max(self.cracked, default=1) <= self.sectors, "cracked",
                      f"sector numbers from 1 to disk.sectors = {self.sectors}")  # fmt: skip
         if self.mistuning is not None:
-            requirement = f"one number for each of the {self.sectors} sectors"
-            self.require(len(self.mistuning) == self.sectors, "mistuning", requirement)
+            requirement_text = f"one number for each of the {self.sectors} sectors"
+            self.require(len(self.mistuning) == self.sectors, "mistuning", requirement_text)
             self.forbid_keys(("deviation", "seed"), "disk.mistuning")
         self.require(self.axis is None or any(self.axis), "axis", "a vector that is not zero")
 
@@ -852,21 +852,21 @@ class HarmonicBalance(Table):
         has_allowed_samples = (
             self.samples is None or min_samples <= self.samples <= MAX_SAMPLES_PER_PERIOD
         )
-        requirement = (
+        requirement_text = (
             f"a whole number from {min_samples} (4 times harmonics + 1) to "
             f"{MAX_SAMPLES_PER_PERIOD}, or left out"
         )
-        self.require(has_allowed_samples, "samples", requirement)
+        self.require(has_allowed_samples, "samples", requirement_text)
 
     def with_load_harmonics(self, highest_order: int) -> HarmonicBalance:
         """Return the table with as many harmonics as the load, unless a number is given.
 
         Raises InputError if a given number is too small.
         """
-        requirement = f"a whole number >= {highest_order}, the highest order of the load"
+        requirement_text = f"a whole number >= {highest_order}, the highest order of the load"
         has_enough_harmonics = self.harmonics >= highest_order
         self.require(
-            has_enough_harmonics or "harmonics" in self.derived_keys, "harmonics", requirement
+            has_enough_harmonics or "harmonics" in self.derived_keys, "harmonics", requirement_text
         )
         return self if has_enough_harmonics else self.with_unchecked_values(harmonics=highest_order)
 
@@ -1068,9 +1068,11 @@ class Curve(Table):
             # Rounding would take a smaller end to 0.
             lower_bound = max(1e-12 * max(self.start, self.stop), 0.0)
             for end_key in ("start", "stop"):
-                requirement = f"a number > 0 with curve.parameter = {self.parameter!r}"
-                requirement += ", and above 1e-12 of the other end" * (getattr(self, end_key) > 0.0)
-                self.require(getattr(self, end_key) > lower_bound, end_key, requirement)
+                requirement_text = f"a number > 0 with curve.parameter = {self.parameter!r}"
+                requirement_text += ", and above 1e-12 of the other end" * (
+                    getattr(self, end_key) > 0.0
+                )
+                self.require(getattr(self, end_key) > lower_bound, end_key, requirement_text)
 
     @property
     def parameter_and_range(self) -> tuple[str, float, float]:
@@ -1392,8 +1394,8 @@ class Identify(Table):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.unknown and not self.meshes:
-            requirement = f"given: {self.field_by_key()['unknown'].metadata['allowed']}"
-            raise InputError("identify.unknown", None, requirement)
+            requirement_text = f"given: {self.field_by_key()['unknown'].metadata['allowed']}"
+            raise InputError("identify.unknown", None, requirement_text)
         self._check_meshes()
         for axis in self.unknown:
             word_flags = [isinstance(value, str) for value in axis.values]
@@ -1401,10 +1403,10 @@ class Identify(Table):
                 not any(word_flags) and len(axis.values) >= MIN_ALLOWED_VALUES_PER_UNKNOWN
             )
             if not (all(word_flags) or (has_enough_numbers and np.all(np.diff(axis.values) > 0))):
-                requirement = (
+                requirement_text = (
                     f"words, or {MIN_ALLOWED_VALUES_PER_UNKNOWN} or more numbers in ascending order"
                 )
-                raise InputError(f'identify.unknown."{axis.key}"', axis.values, requirement)
+                raise InputError(f'identify.unknown."{axis.key}"', axis.values, requirement_text)
 
     def _check_meshes(self) -> None:
         """Raise InputError unless each combination of enough numbers has one mesh."""
@@ -1425,13 +1427,15 @@ class Identify(Table):
                 )
             for parameter_name in parameter_names:
                 if not (parameter_name in allowed_names or parameter_name.isidentifier()):
-                    requirement = f"a single word, or one of {', '.join(sorted(allowed_names))}"
-                    raise InputError(error_key, parameter_name, requirement)
+                    requirement_text = (
+                        f"a single word, or one of {', '.join(sorted(allowed_names))}"
+                    )
+                    raise InputError(error_key, parameter_name, requirement_text)
         axes = self.mesh_axes
         for axis in axes:
             if len(axis.values) < MIN_ALLOWED_VALUES_PER_UNKNOWN:
-                requirement = f"at least {MIN_ALLOWED_VALUES_PER_UNKNOWN} different values"
-                raise InputError(f"identify.meshes, {axis.key}", axis.values, requirement)
+                requirement_text = f"at least {MIN_ALLOWED_VALUES_PER_UNKNOWN} different values"
+                raise InputError(f"identify.meshes, {axis.key}", axis.values, requirement_text)
         n_meshes_by_values = Counter(
             tuple(dict(mesh_file.values)[axis.key] for axis in axes) for mesh_file in self.meshes
         )
@@ -1442,11 +1446,11 @@ class Identify(Table):
                 combination_text = ", ".join(
                     f"{axis.key} = {parameter_value:g}" for axis, parameter_value in axes_and_values
                 )
-                requirement = "a table with one mesh file for every combination of the numbers"
+                requirement_text = "a table with one mesh file for every combination of the numbers"
                 raise InputError(
                     "identify.meshes",
                     f"{n_meshes or 'no'} files of {combination_text}",
-                    requirement,
+                    requirement_text,
                 )
 
     @property

@@ -357,8 +357,10 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
     if structure.pairs.pressure_matrix is not None:
         raise InputError("geometry.kind", "solid", "'plate', or matrices, for a file")
     if not structure.light_lips or not isinstance(structure.whole.damping, DampingRule):
-        requirement = "reduced to crack faces without mass, and damped by [damping], for a file"
-        raise InputError("structure", repr(structure), requirement)
+        requirement_text = (
+            "reduced to crack faces without mass, and damped by [damping], for a file"
+        )
+        raise InputError("structure", repr(structure), requirement_text)
     coarser_study_or_reason = prepare_coarser_study_or_reason(prepared)
     study_and_coarser_study = (
         prepared,
@@ -464,8 +466,10 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
         if OBSERVABLES_BY_NAME[quantity_name].place.is_made_on_request
     ]
     if unavailable_quantities:
-        requirement = "those of points and crack faces, for a file; else the scene itself is solved"
-        raise InputError("output.quantities", unavailable_quantities, requirement)
+        requirement_text = (
+            "those of points and crack faces, for a file; else the scene itself is solved"
+        )
+        raise InputError("output.quantities", unavailable_quantities, requirement_text)
     _weight_matrix_between_scene_loads(file_scene, scene)
     return scene
 
@@ -523,10 +527,10 @@ def weight_matrix_of_load_rows(file_load_rows: np.ndarray, scene: Scene) -> np.n
         > ROUNDING * np.abs(scene_load_rows).max()
     )
     if is_no_combination_of_file_rows or (scene.has_other_loads and not has_same_load_rows):
-        requirement = (
+        requirement_text = (
             f"in the directions of the file's, without other loads; or {CHANGEABLE_KEYS_TEXT}"
         )
-        raise InputError("excitation.force_sin", scene.excitation.force_sin, requirement)
+        raise InputError("excitation.force_sin", scene.excitation.force_sin, requirement_text)
     return weight_matrix
 
 

@@ -453,8 +453,8 @@ def campbell(
     >>> diagram = fc.campbell(blade, [0.0, 150.0, 300.0], count=2)
     """
     if scene.disk is not None:
-        requirement = "left out of a Campbell diagram; nodal_diameters has its frequencies"
-        raise InputError("disk", "a table", requirement)
+        requirement_text = "left out of a Campbell diagram; nodal_diameters has its frequencies"
+        raise InputError("disk", "a table", requirement_text)
     scene.given("rotation")
     _, rotation_axis = scene.axis_point_and_direction
     check_count("count", few if count is None else count, 1)

@@ -506,8 +506,8 @@ def contact_law(contact: Contact, structure: Structure | None = None) -> Contact
     if not contact.friction:
         return law
     if structure is not None and structure.tangential is None:
-        requirement = "0, or left out, of a structure without tangents"
-        raise InputError("contact.friction", contact.friction, requirement)
+        requirement_text = "0, or left out, of a structure without tangents"
+        raise InputError("contact.friction", contact.friction, requirement_text)
     stiffness_per_area = contact.tangential_stiffness_per_area
     if stiffness_per_area is None:
         return CoulombFriction(law, contact.friction)
@@ -525,10 +525,10 @@ def _required_pair_areas(
     Raises InputError for the stiffness per area if the areas are unknown.
     """
     if structure is None or structure.pair_areas is None:
-        requirement = (
+        requirement_text = (
             "used with a structure made from a mesh: contact_law(scene.contact, structure)"
         )
-        raise InputError(f"contact.{stiffness_key}", stiffness_per_area, requirement)
+        raise InputError(f"contact.{stiffness_key}", stiffness_per_area, requirement_text)
     return structure.pair_areas
 
 

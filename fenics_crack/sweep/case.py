@@ -189,8 +189,8 @@ def build_sweep_geometry(
     structure = many_mode_study.structure
     if not is_small(structure):
         reduction_method = "off" if scene.reduction is None else scene.reduction.method
-        requirement = f"one that leaves fewer than {structure.n_dofs} coordinates"
-        raise InputError("reduction.method", reduction_method, requirement)
+        requirement_text = f"one that leaves fewer than {structure.n_dofs} coordinates"
+        raise InputError("reduction.method", reduction_method, requirement_text)
     make_requested_rows_and_readers(many_mode_study)
     crack_lengths = [crack.length for crack in many_mode_study.scene.crack_by_name.values()]
     crack_length = crack_lengths[0] if crack_lengths and crack_lengths[0] is not None else np.nan
@@ -443,8 +443,10 @@ class CaseSolver:
         )
         damping_ratio = float(mode_damping_ratios[int(nearest_value_by_name["mode"]) - 1])
         if not 0.0 < 2.0 * damping_ratio < 1.0:  # widths to either side where it is looked for
-            requirement = "above 0 and below 0.5 of critical, of the mode, with sweep.at_resonance"
-            raise InputError("damping", damping_ratio, requirement)
+            requirement_text = (
+                "above 0 and below 0.5 of critical, of the mode, with sweep.at_resonance"
+            )
+            raise InputError("damping", damping_ratio, requirement_text)
         start_omega = (1.0 - 2.0 * damping_ratio) * float(nearest_value_by_name["omega_open"])
         stop_omega = (1.0 + 2.0 * damping_ratio) * float(nearest_value_by_name["omega_tied"])
         response_curve = continue_frequency(
