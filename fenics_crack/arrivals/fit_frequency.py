@@ -112,7 +112,7 @@ def fit_frequency(
     displacements, omega_bounds = arrivals.displacement, (low, high)
     fit, chance = _FrequencySearch(
         arrivals, displacements, constant_numbers, harmonics, angle_deviation, omega_bounds
-    ).find_best_fit_and_chance()
+    ).find_best_fit_and_noise_probability()
     if len(arrivals.probes) == 1 and chance > CONFIDENCE_LEVELS.vibration_significance_level:
         probe_text = (
             f"one at {np.degrees(arrivals.probes[0]):g} degrees, whose arrivals do not vary"
@@ -164,7 +164,7 @@ def find_lines_and_residuals(
     while len(line_fits) < max_lines and np.isfinite(residuals).sum() > 2 * (n_constants + 3):
         fit, chance = _FrequencySearch(
             arrivals, residuals, constant_numbers, 1, np.inf, omega_bounds
-        ).find_best_fit_and_chance()
+        ).find_best_fit_and_noise_probability()
         if chance > CONFIDENCE_LEVELS.vibration_significance_level:
             break
         line_fits.append(fit)
@@ -318,7 +318,7 @@ class _FrequencySearch:
         )  # peaks are compared by their sums
         return best_omega, fit
 
-    def find_best_fit_and_chance(self) -> tuple[TipFit, float]:
+    def find_best_fit_and_noise_probability(self) -> tuple[TipFit, float]:
         """Return the best vibration, and the probability of its size in noise.
 
         Among vibrations that explain the displacements equally well, the smallest is the best.

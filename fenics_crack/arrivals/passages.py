@@ -520,7 +520,7 @@ class _ResonanceSearch:
         # Of :func:`_compute_gain_and_squares_reduction`; nan: not known yet.
         self._gains_and_reductions = np.full((n_centres, 2), np.nan)
 
-    def add_motion(self, resonance: _Resonance, factor: float) -> None:
+    def add_scaled_motion_to_residuals(self, resonance: _Resonance, factor: float) -> None:
         """Add a resonance's motion, times a factor, to the residuals."""
         self.residuals += factor * resonance.best_fit.compute_motion(
             self.record, len(self.residuals)
@@ -563,7 +563,7 @@ class _ResonanceSearch:
             if not new_resonance.is_clear:
                 continue
             self.resonances.append(new_resonance)
-            self.add_motion(new_resonance, -1.0)
+            self.add_scaled_motion_to_residuals(new_resonance, -1.0)
             self._compare_orders_with_neighbour(new_resonance)
             self._refit_neighbours_until_settled()
             gains_and_reductions[
@@ -577,10 +577,10 @@ class _ResonanceSearch:
             ):
                 continue
             if not self._compare_orders_with_neighbour(resonance):
-                self.add_motion(resonance, 1.0)
+                self.add_scaled_motion_to_residuals(resonance, 1.0)
                 if runs := self.record.find_runs(self.residuals, resonance.speed):
                     resonance.compare_orders(runs, resonance.speed, self.orders)
-                self.add_motion(resonance, -1.0)
+                self.add_scaled_motion_to_residuals(resonance, -1.0)
             resonance.compared_neighbours = resonance.list_neighbours(self.resonances)
         self._refit_neighbours_until_settled()
 
@@ -588,19 +588,19 @@ class _ResonanceSearch:
         """Fit the resonances to other displacements (revolutions, probes) [m]."""
         self.residuals = np.array(displacements)
         for resonance in self.resonances:
-            self.add_motion(resonance, -1.0)
+            self.add_scaled_motion_to_residuals(resonance, -1.0)
         for resonance in [*self.resonances]:
             self._refit_or_drop(resonance)
         self._refit_neighbours_until_settled()
 
     def _refit_or_drop(self, resonance: _Resonance) -> None:
         """Refit a resonance to displacements without the others, or drop it."""
-        self.add_motion(resonance, 1.0)
+        self.add_scaled_motion_to_residuals(resonance, 1.0)
         is_clear = resonance.refit_and_test_clarity(self.record, self.residuals)
         if is_clear and not any(
             resonance.may_be_residual_of(other_resonance) for other_resonance in self.resonances
         ):
-            self.add_motion(resonance, -1.0)
+            self.add_scaled_motion_to_residuals(resonance, -1.0)
         else:
             self.resonances.remove(resonance)
 
@@ -611,11 +611,11 @@ class _ResonanceSearch:
         if nothing is compared: for a single order, without a neighbour, or if a larger resonance
         covers this one.
         """
-        resonances, amplitude = self.resonances, resonance.best_fit.largest_amplitude
+        resonances, amplitude = self.resonances, resonance.best_fit.largest_first_mode_amplitude
         larger_resonances = [
             neighbour
             for neighbour in resonances
-            if neighbour.best_fit.largest_amplitude > amplitude
+            if neighbour.best_fit.largest_first_mode_amplitude > amplitude
         ]
         if len(self.orders) < 2 or any(
             neighbour.has_within_width(resonance) for neighbour in larger_resonances
@@ -631,13 +631,13 @@ class _ResonanceSearch:
             return False
         resonance_pair = (
             resonance,
-            max(neighbours, key=lambda neighbour: neighbour.best_fit.largest_amplitude),
+            max(neighbours, key=lambda neighbour: neighbour.best_fit.largest_first_mode_amplitude),
         )
         for covered_resonance in [*resonances]:
             if covered_resonance in resonance_pair or any(
                 pair_member.has_within_width(covered_resonance) for pair_member in resonance_pair
             ):
-                self.add_motion(covered_resonance, 1.0)
+                self.add_scaled_motion_to_residuals(covered_resonance, 1.0)
             if covered_resonance not in resonance_pair and any(
                 pair_member.has_within_width(covered_resonance) for pair_member in resonance_pair
             ):
@@ -646,7 +646,7 @@ class _ResonanceSearch:
             resonance_pair[1], self.record, self.residuals, self.orders
         )
         for pair_member in resonance_pair:
-            self.add_motion(pair_member, -1.0)
+            self.add_scaled_motion_to_residuals(pair_member, -1.0)
             pair_member.compared_neighbours = pair_member.list_neighbours(resonances)
         return True
 
@@ -661,11 +661,12 @@ class _ResonanceSearch:
         for _ in range(MAX_SEARCH_ROUNDS):
             has_moved = False
             for resonance in sorted(
-                crowded_resonances, key=lambda resonance: -resonance.best_fit.largest_amplitude
+                crowded_resonances,
+                key=lambda resonance: -resonance.best_fit.largest_first_mode_amplitude,
             ):
-                previous_pole = resonance.best_fit.mode.pole
+                previous_pole = resonance.best_fit.first_mode.pole
                 self._refit_or_drop(resonance)
-                pole_change = abs(resonance.best_fit.mode.pole - previous_pole)
+                pole_change = abs(resonance.best_fit.first_mode.pole - previous_pole)
                 has_moved |= resonance not in self.resonances or pole_change > 0.1 * float(
                     resonance.best_fit.omega_and_damping_errors[0]
                 )
@@ -772,7 +773,8 @@ class _Resonance:
             )
             gain_mode_pairs.sort(key=lambda gain_mode_pair: -gain_mode_pair[0])
             is_last_round = is_last_round or (
-                len(fit_by_mode) > 0 and gain_mode_pairs[0][1].order == self.best_fit.mode.order
+                len(fit_by_mode) > 0
+                and gain_mode_pairs[0][1].order == self.best_fit.first_mode.order
             )
             for gain, mode in gain_mode_pairs[: MAX_REFINED_ORDERS if is_last_round else 1]:
                 if gain > MIN_RELATIVE_PEAK * gain_mode_pairs[0][0] and mode not in fit_by_mode:
@@ -799,14 +801,14 @@ class _Resonance:
             return False
         return (
             CONFIDENCE_LEVELS.allowed_standard_errors * float(fit.omega_and_damping_errors[1])
-            < fit.mode.damping
+            < fit.first_mode.damping_ratio
             < 0.5 * DAMPING_RATIO_BOUNDS[1]
         )
 
     @property
     def speed(self) -> float:
         """Speed at which the order meets the frequency [rad/s]."""
-        return self.best_fit.mode.speed
+        return self.best_fit.first_mode.speed
 
     def is_near(
         self, resonance: _Resonance, width: float = 2.0 * RELATIVE_SPEED_HALF_WIDTH
@@ -820,15 +822,19 @@ class _Resonance:
 
     def has_within_width(self, resonance: _Resonance) -> bool:
         """Return True if another resonance is nearer than this one's width."""
-        return self.is_near(resonance, 2.0 * self.best_fit.mode.damping)
+        return self.is_near(resonance, 2.0 * self.best_fit.first_mode.damping_ratio)
 
     def may_be_residual_of(self, resonance: _Resonance) -> bool:
         """Return True if a larger resonance with the same order covers this one."""
         larger_fit, own_fit = resonance.best_fit, self.best_fit
         is_covered_at_order = (
-            resonance.has_within_width(self) and larger_fit.mode.order == own_fit.mode.order
+            resonance.has_within_width(self)
+            and larger_fit.first_mode.order == own_fit.first_mode.order
         )
-        return is_covered_at_order and larger_fit.largest_amplitude > own_fit.largest_amplitude
+        return (
+            is_covered_at_order
+            and larger_fit.largest_first_mode_amplitude > own_fit.largest_first_mode_amplitude
+        )
 
     def refit_and_test_clarity(
         self, record: Record, displacements: np.ndarray, initial_mode: Mode | None = None
@@ -841,7 +847,7 @@ class _Resonance:
         if not runs:
             return False
         self.best_fit = Fit(
-            runs, [initial_mode or self.best_fit.mode], self._make_initial_weights(runs)
+            runs, [initial_mode or self.best_fit.first_mode], self._make_initial_weights(runs)
         )
         self._runs = runs
         return self.is_clear
@@ -869,7 +875,9 @@ class _Resonance:
         runs = record.find_runs(displacements, self.speed)
         weights_of_runs = [run.has_arrival.astype(float) for run in runs]
         best_fit = Fit(
-            runs, [pair_member.best_fit.mode for pair_member in resonance_pair], weights_of_runs
+            runs,
+            [pair_member.best_fit.first_mode for pair_member in resonance_pair],
+            weights_of_runs,
         )
         mode_lists: list[list[Mode]] = []
         for pair_member, pair_partner in (resonance_pair, resonance_pair[::-1]):
@@ -879,9 +887,9 @@ class _Resonance:
             run_weight_pairs = zip(
                 record.find_runs(member_displacements, self.speed), best_fit.weights, strict=True
             )
-            mode = pair_member.best_fit.mode
+            mode = pair_member.best_fit.first_mode
             gain_mode_pairs = _list_best_gains_and_modes(
-                run_weight_pairs, orders, pair_member.speed, mode.damping
+                run_weight_pairs, orders, pair_member.speed, mode.damping_ratio
             )
             mode_lists.append(
                 [
@@ -893,7 +901,7 @@ class _Resonance:
         for _ in range(MAX_SEARCH_ROUNDS):
             weights_of_runs, previous_fit = best_fit.weights, best_fit
             pair_gains = _compute_squares_reductions_by_pairs(runs, mode_lists, weights_of_runs)
-            for index_pair in _choose_index_pairs(pair_gains):
+            for index_pair in _choose_order_index_pairs(pair_gains):
                 modes = mode_lists[0][index_pair[0]], mode_lists[1][index_pair[1]]
                 if modes not in fit_by_modes:
                     fit_by_modes[modes] = Fit(runs, modes, weights_of_runs)
@@ -932,7 +940,7 @@ class _Resonance:
             if self.is_near(other_resonance, RELATIVE_SPEED_HALF_WIDTH)
         ]
         best_fit, runs = self.best_fit, self._runs
-        modes = [fitted_resonance.best_fit.mode for fitted_resonance in (self, *neighbours)]
+        modes = [fitted_resonance.best_fit.first_mode for fitted_resonance in (self, *neighbours)]
         if neighbours:
             resonance_motions = [
                 fitted_resonance.best_fit.compute_motion(record, len(residuals))
@@ -940,7 +948,10 @@ class _Resonance:
             ]
             runs = record.find_runs(residuals + sum(resonance_motions), self.speed)
             best_fit = Fit(runs, modes, self._make_initial_weights(runs))
-        mode, stiffening = best_fit.mode, record.stiffening(self.speed, best_fit.mode.omega)
+        mode, stiffening = (
+            best_fit.first_mode,
+            record.stiffening(self.speed, best_fit.first_mode.omega),
+        )
         run_weight_pairs = list(zip(runs, best_fit.weights, strict=True))
         single_run_fits = (
             [Fit([run], best_fit.modes, [run_weights]) for run, run_weights in run_weight_pairs]
@@ -954,28 +965,29 @@ class _Resonance:
             if self.has_within_width(other_resonance) or other_resonance.has_within_width(self)
         ]
         margin_by_order = self.margins | {
-            rival_resonance.best_fit.mode.order: 0.0 for rival_resonance in rival_resonances
+            rival_resonance.best_fit.first_mode.order: 0.0 for rival_resonance in rival_resonances
         }
         errors, orders = best_fit.omega_and_damping_errors, np.array(sorted(margin_by_order))
         return PassageFit(
             order=mode.order,
             omega=mode.omega,
             omega_error=float(errors[0]),
-            damping=(1.0 - stiffening) * mode.damping,
+            damping=(1.0 - stiffening) * mode.damping_ratio,
             damping_error=(1.0 - stiffening) * float(errors[1]),
-            amplitude=best_fit.largest_amplitude,
+            amplitude=best_fit.largest_first_mode_amplitude,
             forces=best_fit.forces[0],
-            ends=np.array([(run.begin, run.end) for run in runs]),
-            omegas=np.array([fit.mode.omega for fit in single_run_fits]),
+            ends=np.array([(run.begin_revolution, run.end_revolution) for run in runs]),
+            omegas=np.array([fit.first_mode.omega for fit in single_run_fits]),
             omega_errors=np.array([fit.omega_and_damping_errors[0] for fit in single_run_fits]),
-            dampings=(1.0 - stiffening) * np.array([fit.mode.damping for fit in single_run_fits]),
+            dampings=(1.0 - stiffening)
+            * np.array([fit.first_mode.damping_ratio for fit in single_run_fits]),
             damping_errors=(1.0 - stiffening)
             * np.array([fit.omega_and_damping_errors[1] for fit in single_run_fits]),
             orders=orders,
             margins=np.array([margin_by_order[order] for order in orders]),
             probes=max(run.n_probes for run in runs),
             scatter=float(np.sqrt(best_fit.noise.variance)),
-            whiteness=best_fit.whiteness,
+            whiteness=best_fit.whiteness_p_value,
             asynchronous=line_fits,
             blind=(),
             stiffening=stiffening,
@@ -1049,11 +1061,11 @@ def _compute_squares_reductions_by_pairs(
     return reduction_sums
 
 
-def _choose_index_pairs(squares_reductions: np.ndarray) -> set[tuple[int, int]]:
+def _choose_order_index_pairs(squares_reductions: np.ndarray) -> set[tuple[int, int]]:
     """Choose the index pairs to refine.
 
     Each of the best few modes has its best partner.
-    ``gains`` (n, m) [m^2] are reductions of the sum of squares.
+    ``squares_reductions`` (n, m) [m^2] are reductions of the sum of squares.
     """
     best_first_indices, best_second_indices = (
         np.argsort(-squares_reductions.max(axis=1 - axis))[: MAX_REFINED_ORDERS // 2]

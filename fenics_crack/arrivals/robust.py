@@ -181,7 +181,9 @@ class StudentNoise:
         n_spare = len(self.residuals) - self.n_unknowns
         return float(self.psi @ self.psi) / (n_spare * self.mean_psi_slope**2)
 
-    def whiteness(self, places: RevolutionsAndProbes, mark_shares: np.ndarray) -> float:
+    def compute_whiteness_p_value(
+        self, places: RevolutionsAndProbes, mark_shares: np.ndarray
+    ) -> float:
         """Return the probability that noise alone leaves residuals as correlated.
 
         Noise comes from arrivals and marks. The correlation is between values of psi at one probe,

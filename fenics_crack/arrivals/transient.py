@@ -71,7 +71,8 @@ class Run:
         self, record: Record, displacements: np.ndarray, begin_revolution: int, end_revolution: int
     ) -> None:
         arrivals, revolution_slice = record.arrivals, slice(begin_revolution, end_revolution)
-        self.begin, self.end, self._stiffening = begin_revolution, end_revolution, record.stiffening
+        self.begin_revolution, self.end_revolution = begin_revolution, end_revolution
+        self._stiffening = record.stiffening
         self.has_arrival = np.isfinite(displacements[revolution_slice])
         self.displacements = np.where(self.has_arrival, displacements[revolution_slice], 0.0)
         self.nominal_angle = arrivals.nominal_angle[revolution_slice]
@@ -335,7 +336,7 @@ class Mode:
         return abs(self.pole)
 
     @property
-    def damping(self) -> float:
+    def damping_ratio(self) -> float:
         """Ratio of critical damping."""
         return -self.pole.real / abs(self.pole)
 
@@ -346,13 +347,15 @@ class Mode:
 
     def with_step(self, step: np.ndarray) -> Mode:
         """Return the mode after a step (2,) in ln w_n, over zeta, and ln zeta."""
-        omega = self.omega * math.exp(self.damping * step[0])
-        return Mode(self.order, complex(compute_poles(omega, self.damping * math.exp(step[1]))))
+        omega = self.omega * math.exp(self.damping_ratio * step[0])
+        return Mode(
+            self.order, complex(compute_poles(omega, self.damping_ratio * math.exp(step[1])))
+        )
 
     def find_step_to(self, omega: float, damping_ratio: float) -> list[float]:
         """Return the step for :meth:`with_step` to a frequency [rad/s] and a damping ratio."""
-        frequency_step = math.log(omega / self.omega) / self.damping
-        return [frequency_step, math.log(damping_ratio / self.damping)]
+        frequency_step = math.log(omega / self.omega) / self.damping_ratio
+        return [frequency_step, math.log(damping_ratio / self.damping_ratio)]
 
 
 class Fit:
@@ -415,7 +418,7 @@ class Fit:
             self.modes = tuple(
                 mode.with_step(step) if any(step) else mode for mode, step in mode_step_pairs
             )
-            units = np.array([unit for mode in initial_modes for unit in (mode.damping, 1.0)])
+            units = np.array([unit for mode in initial_modes for unit in (mode.damping_ratio, 1.0)])
             residual_vector, self._slopes = self._fit_forces_and_return_residuals(run_weights)
             return residual_vector, self._slopes * units
 
@@ -495,7 +498,7 @@ class Fit:
         return run_arrays
 
     @property
-    def mode(self) -> Mode:
+    def first_mode(self) -> Mode:
         """First mode, or the only one."""
         return self.modes[0]
 
@@ -504,7 +507,7 @@ class Fit:
         """Revolutions and probes of the arrivals: two (n,)."""
         row_probe_pairs = [np.nonzero(run.has_arrival) for run in self._runs]
         revolution_indices = [
-            run.begin + row_indices
+            run.begin_revolution + row_indices
             for run, (row_indices, _) in zip(self._runs, row_probe_pairs, strict=True)
         ]
         return np.concatenate(revolution_indices), np.concatenate(
@@ -516,14 +519,20 @@ class Fit:
         """Standard errors of the first mode's frequency [rad/s] and damping: (2,)."""
         columns = self._slopes / np.sqrt(self.noise.weights)[:, None]
         covariance = self.noise.coefficient_covariance(columns, self.revolutions_and_probes)
-        return np.sqrt(np.diag(covariance)[:2]) * [self.mode.omega, self.mode.damping]
+        return np.sqrt(np.diag(covariance)[:2]) * [
+            self.first_mode.omega,
+            self.first_mode.damping_ratio,
+        ]
 
     @cached_property
-    def largest_amplitude(self) -> float:
+    def largest_first_mode_amplitude(self) -> float:
         """Largest amplitude [m] of the first mode in the runs."""
         force_run_pairs = zip(self.forces[0], self._runs, strict=True)
         return float(
-            max(np.abs(force * run.compute_wave(self.mode)).max() for force, run in force_run_pairs)
+            max(
+                np.abs(force * run.compute_wave(self.first_mode)).max()
+                for force, run in force_run_pairs
+            )
         )
 
     def compute_motion(self, record: Record, n_revolutions: int, mode_index: int = 0) -> np.ndarray:
@@ -533,7 +542,8 @@ class Fit:
         """
         run_motions = []
         halfway_revolutions = [
-            (run.end + next_run.begin) // 2 for run, next_run in itertools.pairwise(self._runs)
+            (run.end_revolution + next_run.begin_revolution) // 2
+            for run, next_run in itertools.pairwise(self._runs)
         ]
         revolution_ranges = itertools.pairwise([0, *halfway_revolutions, n_revolutions])
         zero_displacements = np.zeros(record.arrivals.time.shape)
@@ -547,10 +557,10 @@ class Fit:
         return np.concatenate(run_motions)
 
     @property
-    def whiteness(self) -> float:
+    def whiteness_p_value(self) -> float:
         """Probability that noise alone leaves residuals as correlated.
 
-        From :meth:`StudentNoise.whiteness`.
+        From :meth:`StudentNoise.compute_whiteness_p_value`.
         """
         mark_numbers = np.arange(-4.0, 6.0)  # those beyond hardly change the spline of the angle
         mark_shares = interpolate_by_splines(
@@ -558,7 +568,7 @@ class Fit:
             np.eye(len(mark_numbers)),
             self._runs[0].nominal_angle[0] / RAD_PER_TURN % 1.0,
         ).T
-        return self.noise.whiteness(self.revolutions_and_probes, mark_shares)
+        return self.noise.compute_whiteness_p_value(self.revolutions_and_probes, mark_shares)
 
     @property
     def weights(self) -> list[np.ndarray]:
@@ -578,7 +588,7 @@ class Fit:
         size_ratios = np.ones(n_probes)
         for run, force, run_weights in zip(self._runs, self.forces[0], self.weights, strict=True):
             run_equations = run.build_equations_by_probe(
-                force * run.compute_wave(self.mode), run_weights
+                force * run.compute_wave(self.first_mode), run_weights
             )
             matrices, vectors = matrices + run_equations[0], vectors + run_equations[1]
         has_motion = matrices.any(axis=(1, 2))

@@ -243,7 +243,7 @@ CountAndValues = tuple[int, Mapping[str, float]]
 """Count of elements, modes, harmonics or samples of a run, and its numbers."""
 
 
-def find_error_part(
+def find_error_part_or_reason(
     cause: str,
     counts_and_values: Sequence[CountAndValues],
     scene: Scene,

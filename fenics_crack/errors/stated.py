@@ -86,7 +86,7 @@ from fenics_crack.errors.convergence import (
     TIP_CONVERGENCE_ORDER,
     GridConvergence,
     PartOrReason,
-    find_error_part,
+    find_error_part_or_reason,
 )
 from fenics_crack.errors.numbers import (
     add_changes,
@@ -247,7 +247,9 @@ def estimate_frequency_mesh_errors(
                 coarse_study, coarse_bilinear.omega_bilinear, speed_slopes
             ).numbers
         counts_and_values = zip(element_counts, (values_by_name, coarse_mesh_values), strict=True)
-        return find_error_part("mesh", [*counts_and_values], scene, size_ratio=length_ratio)
+        return find_error_part_or_reason(
+            "mesh", [*counts_and_values], scene, size_ratio=length_ratio
+        )
 
     values_by_name = name_frequencies(omega_by_kind) | load_resonance.numbers
     verification = Verification(scene, values_by_name, dict.fromkeys(values_by_name, unit))
@@ -384,7 +386,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         counts_and_values = zip(
             mode_counts, (self.balance_numbers.values_by_name, values_with_more_modes), strict=True
         )
-        _, convergence_by_name = find_error_part(
+        _, convergence_by_name = find_error_part_or_reason(
             "modes",
             [*counts_and_values],
             self.study.scene,
@@ -461,7 +463,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
                 (n_harmonics, self.balance_numbers.values_by_name),
                 (factor * n_harmonics, self.compute_values_by_name(solution)),
             )
-            _, convergence_by_name = find_error_part(
+            _, convergence_by_name = find_error_part_or_reason(
                 "harmonics", counts_and_values, self.study.scene, size_ratio=1.0 / factor
             )
             convergences_of_factors.append(convergence_by_name)
@@ -551,7 +553,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         counts_and_values = zip(
             element_counts, (self.balance_numbers.values_by_name, coarse_mesh_values), strict=True
         )
-        _, convergence_by_name = find_error_part(
+        _, convergence_by_name = find_error_part_or_reason(
             "mesh", [*counts_and_values], study.scene, size_ratio=length_ratio
         )
         convergence_orders = 2.0 * study.scene.mesh.order, TIP_CONVERGENCE_ORDER

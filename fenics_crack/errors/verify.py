@@ -43,7 +43,7 @@ from fenics_crack.errors.convergence import (
     TIP_CONVERGENCE_ORDER,
     CountAndValues,
     PartOrReason,
-    find_error_part,
+    find_error_part_or_reason,
 )
 from fenics_crack.errors.numbers import (
     add_changes,
@@ -254,7 +254,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
             raise ConvergenceError(cause)
         if len({run_count for run_count, _ in counts_and_values}) < len(counts_and_values):
             return "finer meshes have as many elements: reduce mesh.size, now the size of the plate"
-        return find_error_part(
+        return find_error_part_or_reason(
             cause,
             counts_and_values,
             self.unreduced_study.scene,

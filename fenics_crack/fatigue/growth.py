@@ -666,7 +666,7 @@ def _tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
     depths, lengths = (np.array(axis.values) for axis in sweep_result.axes)
     is_solved = sweep_result.converged
     if not is_solved[0, 0] or is_solved.sum() < N_ELLIPSE_SIZES_PER_AXIS:
-        case_index, failure_text = sweep_result.failed[0]
+        case_index, failure_text = sweep_result.failed_indices_and_reasons[0]
         raise ConvergenceError(
             f"{_ellipse_in_words(sweep_result, case_index)} was not solved: {failure_text}"
         )
@@ -689,7 +689,7 @@ def _tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
         column_by_name["response"]
     )  # nan where nothing moves
     log_size_grid = np.stack(np.meshgrid(np.log(depths), np.log(lengths), indexing="ij"), axis=-1)
-    for column in column_by_name.values() if sweep_result.failed else ():
+    for column in column_by_name.values() if sweep_result.failed_indices_and_reasons else ():
         failed_case_values = RBFInterpolator(log_size_grid[is_solved], column[is_solved])(
             log_size_grid[~is_solved]
         )
@@ -717,7 +717,7 @@ def _list_failed_ellipse_remarks(
         (ellipse_table.depths, ellipse_path.depth),
         (ellipse_table.lengths, ellipse_path.length_along_face),
     )
-    for case_index, failure_text in sweep_result.failed:
+    for case_index, failure_text in sweep_result.failed_indices_and_reasons:
         is_near_failed_case = np.full(len(ellipse_path.depth), fill_value=True)
         for size_index, (table_sizes, path_sizes) in zip(
             case_index, table_and_path_sizes, strict=True
@@ -729,10 +729,10 @@ def _list_failed_ellipse_remarks(
             raise ConvergenceError(
                 f"{_ellipse_in_words(sweep_result, case_index)} was not solved: {failure_text}"
             )
-    if not sweep_result.failed:
+    if not sweep_result.failed_indices_and_reasons:
         return []
-    case_index, failure_text = sweep_result.failed[0]
-    count_text = format_count(len(sweep_result.failed), "shape")
+    case_index, failure_text = sweep_result.failed_indices_and_reasons[0]
+    count_text = format_count(len(sweep_result.failed_indices_and_reasons), "shape")
     ellipse_text = _ellipse_in_words(sweep_result, case_index)
     return [
         f"{count_text} not solved, but away from the growth, such as {ellipse_text}: {failure_text}"
@@ -991,7 +991,7 @@ class LengthPath:
         failure_text_by_length = {
             sweep_result.axes[0].values[case_index[0]]: failure_text
             for sweep_result in self.sweep_results
-            for case_index, failure_text in sweep_result.failed
+            for case_index, failure_text in sweep_result.failed_indices_and_reasons
         }
         return list(failure_text_by_length.items())
 

@@ -138,11 +138,10 @@ class Scene:
         harmonic_balance = self.harmonic_balance.with_load_harmonics(self.highest_order)
         object.__setattr__(self, "harmonic_balance", harmonic_balance)
         contact_has_friction = self.contact is not None and bool(self.contact.friction)
-        requirement_text = "'condensed' with contact.friction"
         harmonic_balance.require(
             harmonic_balance.form == "condensed" or not contact_has_friction,
             "form",
-            requirement_text,
+            "'condensed' with contact.friction",
         )
         if self.curve is not None and self.curve.parameter_and_range[0] == "speed":
             requirement_text = (

@@ -703,7 +703,7 @@ def _iterate_remarks(
     geometry_table = scene.geometry
     body_kind = "structure" if geometry_table is None else geometry_table.kind
     for rule in rules:
-        for key, value in _entries_of_first_given_key(scene, rule.keys_text):
+        for key, value in _list_first_given_key_and_value(scene, rule.keys_text):
             number_and_values = rule.compute_number(value, scene, *rule_arguments)
             number, *further_values = (
                 number_and_values if isinstance(number_and_values, tuple) else (number_and_values,)
@@ -720,7 +720,7 @@ def _iterate_remarks(
             yield Remark(key, list(value) if isinstance(value, tuple) else value, remark_text)
 
 
-def _entries_of_first_given_key(scene: Scene, keys: str) -> list[tuple[str, object]]:
+def _list_first_given_key_and_value(scene: Scene, keys: str) -> list[tuple[str, object]]:
     """Return the first given key with a nonzero value, and the value.
 
     If all values are zero, it is the first given key. A key of "crack" yields a pair for each crack
@@ -755,7 +755,7 @@ def _entries_of_first_given_key(scene: Scene, keys: str) -> list[tuple[str, obje
 # --- numbers of rules -----------------------------------------------------------------------------
 
 
-def _side_if_longest(side_length: float, scene: Scene) -> float | None:
+def _longest_side_or_none(side_length: float, scene: Scene) -> float | None:
     """Return a plate's side [m] if it is the longest one, else None."""
     geometry_table = scene.geometry
     return (
@@ -940,9 +940,9 @@ def _make_frequency_unit_check(other_unit_factor: float) -> Callable[..., tuple[
         first_omega, omega = float(key_figures.omega_open[0]), scene.excitation.omega
         natural_omegas = np.concatenate([key_figures.omega_open, key_figures.omega_tied])
         first_omegas = natural_omegas[[0, len(key_figures.omega_open)]]
-        is_other_unit = not _is_near(omega, natural_omegas) and _is_near(
-            other_unit_factor * omega, first_omegas
-        )
+        is_other_unit = not _is_near_natural_frequency(
+            omega, natural_omegas
+        ) and _is_near_natural_frequency(other_unit_factor * omega, first_omegas)
         return (
             (omega / first_omega, first_omega / RAD_PER_TURN, first_omega)
             if is_other_unit and first_omega > 0.0
@@ -952,7 +952,7 @@ def _make_frequency_unit_check(other_unit_factor: float) -> Callable[..., tuple[
     return compare_in_other_unit
 
 
-def _is_near(omega: float, natural_omegas: np.ndarray) -> bool:
+def _is_near_natural_frequency(omega: float, natural_omegas: np.ndarray) -> bool:
     """Return True if a frequency is within 10 % of a natural frequency."""
     return bool(np.any(np.abs(natural_omegas - omega) < 0.1 * natural_omegas))
 
@@ -1016,7 +1016,7 @@ def _peak_rotation_and_displacement(
     )
 
 
-def _n_face_elements_if_chosen(_: object, scene: Scene, key_figures: KeyFigures) -> int | None:
+def _n_face_elements_or_none(_: object, scene: Scene, key_figures: KeyFigures) -> int | None:
     """Return the number of elements along each crack face.
 
     None for a grid, whose columns and rows set the number, and for contact at the mouth alone.
@@ -1072,7 +1072,7 @@ SCENE_REMARK_RULES = (
             0.0,
             MAX_PLAUSIBLE_SIDE,
             "a {kind} of {:g} m",
-            _side_if_longest,
+            _longest_side_or_none,
             FACTOR_BY_MILLIMETRE_UNIT,
         )
         for side in ("width", "height")
@@ -1234,7 +1234,7 @@ KEY_FIGURE_REMARK_RULES = (
         4,
         math.inf,
         "elements or patches longer than a quarter of the crack; 4 to 20 along each face are usual",
-        _n_face_elements_if_chosen,
+        _n_face_elements_or_none,
     ),
     RemarkRule(
         STIFFNESS_KEYS_TEXT,

@@ -205,7 +205,10 @@ VERDICTS_NOT_STABLE = "unstable", "irregular", "undecided"
 """Verdicts of cases whose solution may not appear in reality."""
 
 
-@with_old_names(contradicted="indices_and_changed_verdicts", errors="error_parts")
+@with_old_names(
+    failed="failed_indices_and_reasons", undecided="undecided_indices_and_reasons",
+    contradicted="contradicted_indices_and_verdicts", errors="error_parts",
+)  # fmt: skip
 @dataclass(frozen=True, repr=False)
 class SweepResult(Tabular):
     """Table of a sweep; waves are read from the file on request.
@@ -305,12 +308,12 @@ class SweepResult(Tabular):
         return np.isin(self["verdict"], VERDICTS_NOT_STABLE)
 
     @property
-    def failed(self) -> list[tuple[tuple[int, ...], str]]:
+    def failed_indices_and_reasons(self) -> list[tuple[tuple[int, ...], str]]:
         """Index and reason for each case that could not be solved."""
         return self._find_indices_and_statuses(self["state"] == CaseState.FAILED)
 
     @property
-    def undecided(self) -> list[tuple[tuple[int, ...], str]]:
+    def undecided_indices_and_reasons(self) -> list[tuple[tuple[int, ...], str]]:
         """Index and reason for each case with undecided stability."""
         indices_and_statuses = self._find_indices_and_statuses(
             self.converged & (self["verdict"] == "undecided")
@@ -321,7 +324,7 @@ class SweepResult(Tabular):
         ]
 
     @property
-    def indices_and_changed_verdicts(self) -> list[tuple[tuple[int, ...], str]]:
+    def contradicted_indices_and_verdicts(self) -> list[tuple[tuple[int, ...], str]]:
         """Index of each case whose verdict changes with more modes, and the verdict then.
 
         A step of Newton's method with twice the modes finds such cases, for crack faces without

@@ -540,16 +540,20 @@ class Feature:
         cls, measurement: Measurement, scene: Scene
     ) -> tuple[Feature, ...]:
         """List the features of a measurement, of a ratio the numerator first."""
-        if measurement.natural:
+        if measurement.is_natural_frequency:
             state_name = measurement.quantity.removeprefix("frequency_")
             crack_states = RESONANCE_STATE_NAMES if state_name == "resonance" else (state_name,)
             return tuple(
-                cls(crack_state, measurement.mode, load_frequency=measurement.load(scene))
+                cls(
+                    crack_state,
+                    measurement.mode,
+                    load_frequency=measurement.get_load_frequency(scene),
+                )
                 for crack_state in crack_states
             )
         harmonic_orders = measurement.harmonic_orders or KEPT_HARMONIC_ORDERS
         return tuple(
-            cls("", 0, measurement.point, measurement.load(scene), harmonic_order)
+            cls("", 0, measurement.point, measurement.get_load_frequency(scene), harmonic_order)
             for harmonic_order in harmonic_orders
         )
 

@@ -70,7 +70,10 @@ UNIVERSAL_FILE_SUFFIXES = (".uff", ".unv")
 """Suffixes of universal files."""
 
 
-@with_old_names(orders="harmonic_orders")
+@with_old_names(
+    natural="is_natural_frequency", resonance="is_resonant", shape="depends_on_shape_alone",
+    orders="harmonic_orders", load="get_load_frequency",
+)  # fmt: skip
 @dataclass(frozen=True)
 class Measurement:
     """One measured number.
@@ -128,7 +131,7 @@ class Measurement:
         is_displacement = self.quantity == "displacement"
         check_number("measurements.value", self.value, -math.inf if is_displacement else 0.0)
         check_number("measurements.deviation", self.deviation, 0.0, excludes_bound=True)
-        if self.natural:
+        if self.is_natural_frequency:
             if not (isinstance(self.mode, Integral) and 1 <= self.mode <= N_LOWEST_MODES):
                 allowed_text = f"a whole number from 1 to {N_LOWEST_MODES} with {self.quantity}"
                 raise InputError("measurements.mode", self.mode, allowed_text)
@@ -148,7 +151,7 @@ class Measurement:
         natural_frequency_keys = ("mode", "rpm", "temperature")
         allowed_keys = (
             natural_frequency_keys
-            if self.natural
+            if self.is_natural_frequency
             else ("frequency", "point", *["phase"] * is_displacement)
         )
         for key in OPTIONAL_COLUMN_NAMES:
@@ -171,19 +174,19 @@ class Measurement:
                 )
 
     @property
-    def natural(self) -> bool:
+    def is_natural_frequency(self) -> bool:
         """Return True for a natural frequency."""
         return self.quantity.startswith("frequency_")
 
     @property
-    def resonance(self) -> bool:
+    def is_resonant(self) -> bool:
         """Return True for a natural frequency with the crack in its state at resonance."""
         return self.quantity == "frequency_resonance"
 
     @property
-    def shape(self) -> bool:
+    def depends_on_shape_alone(self) -> bool:
         """Return True if only the motion's shape matters, not the size."""
-        return not self.natural and not self.quantity.startswith("harmonic")
+        return not self.is_natural_frequency and not self.quantity.startswith("harmonic")
 
     @property
     def harmonic_orders(self) -> tuple[int, ...]:
@@ -192,24 +195,24 @@ class Measurement:
         A ratio has the numerator first. Natural frequencies have none. Displacements have all
         harmonics, and none here.
         """
-        return () if self.natural else tuple(map(int, self.quantity.split("_")[1:]))
+        return () if self.is_natural_frequency else tuple(map(int, self.quantity.split("_")[1:]))
 
     @property
     def name(self) -> str:
         """Return the name in words: "frequency_open of mode 2", "ratio_2_1 at 250 Hz of tip.ux"."""
-        if self.natural:
+        if self.is_natural_frequency:
             speed_text = "" if math.isnan(self.rpm) else f" at {self.rpm:g} rpm"
             return f"{self.quantity} of mode {self.mode}{speed_text}"
         point_text = f" of {self.point}" if self.point else ""
         phase_text = "" if math.isnan(self.phase) else f" and {self.phase:.3g} rad"
         return f"{self.quantity} at {self.frequency:g} Hz{phase_text}{point_text}"
 
-    def load(self, scene: Scene) -> float:
+    def get_load_frequency(self, scene: Scene) -> float:
         """Return the scene's load frequency [Hz] for the measurement.
 
         For a natural frequency it is the load at the rotor's speed, and 0 at the scene's own speed.
         """
-        if not self.natural:
+        if not self.is_natural_frequency:
             return float(self.frequency)
         if math.isnan(self.rpm):
             return 0.0
@@ -596,7 +599,7 @@ class Measurements(Tabular):
         return values_by_column
 
     def _repr_text(self) -> str:
-        n_natural = sum(measurement.natural for measurement in self.rows)
+        n_natural = sum(measurement.is_natural_frequency for measurement in self.rows)
         return f"{n_natural} natural frequencies, {len(self) - n_natural} at loads"
 
 

@@ -466,7 +466,7 @@ class MeasurementPredictor:
         )
         self._face_states = (
             _list_face_states(model)
-            if any(measurement.resonance for measurement in self.rows)
+            if any(measurement.is_resonant for measurement in self.rows)
             else (BREATHING_STATE,)
         )
         self._scales_with_load_at_rest = is_response_proportional_to_load(
@@ -982,11 +982,11 @@ class MeasurementPredictor:
         ):
             if row.quantity == "displacement" or not self.is_predictable[row_index]:
                 continue
-            row_face_state = (
+            row_state = (
                 BREATHING_STATE if row.rpm == 0.0 and self._scales_with_load_at_rest else face_state
             )
             state_index = (
-                RESONANCE_STATE_NAMES.index(row_face_state.resonance_state) if row.resonance else 0
+                RESONANCE_STATE_NAMES.index(row_state.resonance_state) if row.is_resonant else 0
             )
             predictions[:, row_index], row_size_slopes = _combine_features_with_slopes(
                 row, feature_sizes[:, feature_indices], state_index
@@ -994,11 +994,11 @@ class MeasurementPredictor:
             complex_slopes[:, row_index, feature_indices] = (
                 row_size_slopes * size_slopes[:, feature_indices]
             )
-            if row.resonance:
+            if row.is_resonant:
                 _, open_frequencies, bonded_frequencies = feature_sizes[:, feature_indices].T
                 frequency_split = bonded_frequencies - open_frequencies
                 damping_shift = predictions[:, row_index] * damping_ratio_of_points[:, 0] ** 2
-                common_errors[:, row_index, 0] = row_face_state.common_deviation * frequency_split
+                common_errors[:, row_index, 0] = row_state.common_deviation * frequency_split
                 mode_deviation = (
                     identify_table.first_resonance_deviation
                     if row.mode == 1
@@ -1008,7 +1008,7 @@ class MeasurementPredictor:
                     (state_index == 0) * mode_deviation * frequency_split
                 )
                 independent_variances[:, row_index] = (
-                    row_face_state.independent_deviation * frequency_split
+                    row_state.independent_deviation * frequency_split
                 ) ** 2 + damping_shift**2
         for cracked_index, uncracked_index in zip(
             self._cracked_indices, self._uncracked_indices, strict=True
@@ -1165,7 +1165,7 @@ def _combine_features_with_slopes(
     Returns the quantity (m,) and its slopes (m, k) by the sizes. A resonance is near the frequency
     with the state's index.
     """
-    if measurement.natural or feature_sizes.shape[1] == 1:
+    if measurement.is_natural_frequency or feature_sizes.shape[1] == 1:
         return feature_sizes[:, state_index], np.eye(1, feature_sizes.shape[1], state_index).repeat(
             len(feature_sizes), axis=0
         )

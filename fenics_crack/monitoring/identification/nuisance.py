@@ -368,7 +368,9 @@ class UncrackedPlate:
         is refused only for all of them together. Otherwise a frequency without the crack must be
         nearest to its own mode.
         """
-        for row in [row for row in measurements.rows if load_frequencies and not row.natural]:
+        for row in [
+            row for row in measurements.rows if load_frequencies and not row.is_natural_frequency
+        ]:
             nearest_load_frequency = load_frequencies[
                 int(np.abs(np.log(np.divide(load_frequencies, row.frequency))).argmin())
             ]
@@ -380,7 +382,7 @@ class UncrackedPlate:
                     f"so that the value seems to be in {unit_name}"
                 )
                 raise InputError(f"measurements.frequency, {row.name}", row.frequency, allowed_text)
-        rows = [row for row in measurements.rows if row.natural and row.value > 0.0]
+        rows = [row for row in measurements.rows if row.is_natural_frequency and row.value > 0.0]
         rows = [row for row in rows if row.mode <= len(self.natural_frequencies_hz)]
         speed_ratios = [
             1.0 if np.isnan(row.rpm) else RAD_PER_S_PER_RPM * row.rpm / self.rotor_speed
@@ -490,7 +492,7 @@ class BaselineChanges:
         for row_index, (measurement, speed_ratio) in enumerate(
             zip(rows, speed_ratios, strict=True)
         ):
-            if measurement.natural and measurement.mode <= n_modes:
+            if measurement.is_natural_frequency and measurement.mode <= n_modes:
                 clamp_sensitivities, temperature_sensitivities = sensitivities_by_speed_ratio[
                     speed_ratio
                 ]

@@ -26,6 +26,7 @@ import numpy as np
 
 from fenics_crack.basics.atomic_files import write_file_whole
 from fenics_crack.basics.errors import InputError, check_number
+from fenics_crack.basics.suggestions import with_old_names
 from fenics_crack.basics.tables import Table, Tabular, format_count
 from fenics_crack.files.store import IDENTIFICATION_KIND, write_result_file
 from fenics_crack.monitoring.identification.measurements import Measurement, Measurements
@@ -53,6 +54,10 @@ FIT_COLUMN_NAMES = "measurement", "value", "deviation", "predicted", "of the mod
 """Column names of the table of measurements and predictions."""
 
 
+@with_old_names(
+    information="information_gains", deviations="improved_deviations_by_key",
+    now="current_deviation_by_key",
+)  # fmt: skip
 @dataclass(frozen=True, repr=False)
 class Worth(Tabular):
     """Possible measurements, most informative first.
@@ -61,18 +66,18 @@ class Worth(Tabular):
     ----------
     measurements : tuple of Measurement
         With the predicted values and the assumed standard deviations.
-    information : (n,)
+    information_gains : (n,)
         Information gained by each [nats].
-    deviations : dict of str to (n,)
+    improved_deviations_by_key : dict of str to (n,)
         Standard deviation of each unknown with it.
-    now : dict of str to float
+    current_deviation_by_key : dict of str to float
         Standard deviation of each unknown without it.
     """
 
     measurements: tuple[Measurement, ...]
-    information: np.ndarray
-    deviations: dict[str, np.ndarray]
-    now: dict[str, float]
+    information_gains: np.ndarray
+    improved_deviations_by_key: dict[str, np.ndarray]
+    current_deviation_by_key: dict[str, float]
 
     def to_dict(self) -> dict[str, Any]:
         """Return columns with a row for every measurement."""
@@ -81,21 +86,23 @@ class Worth(Tabular):
             "measurement": [measurement.name for measurement in rows],
             "value": [measurement.value for measurement in rows],
             "deviation": [measurement.deviation for measurement in rows],
-            "information": self.information.tolist(),
+            "information": self.information_gains.tolist(),
         }
         return values_by_column | {
             f"left_of_{key}": deviation_array.tolist()
-            for key, deviation_array in self.deviations.items()
+            for key, deviation_array in self.improved_deviations_by_key.items()
         }
 
     def _unit_by_name(self) -> Mapping[str, str]:
-        unit_by_column = {f"left_of_{key}": unit_of_key(key) for key in self.now}
+        unit_by_column = {
+            f"left_of_{key}": unit_of_key(key) for key in self.current_deviation_by_key
+        }
         return unit_by_column | {"information": "nats"}
 
     def _repr_text(self) -> str:
         if not self.measurements:
             return "nothing to measure"
-        return f"{self.measurements[0].name} adds {self.information[0]:.3g} nats"
+        return f"{self.measurements[0].name} adds {self.information_gains[0]:.3g} nats"
 
 
 def rank_measurements_by_information(
@@ -192,7 +199,7 @@ def _assume_candidate_deviations(
         [measurement.quantity == "displacement" for measurement in candidate_rows]
     )
     row_relative_deviations = np.where(
-        [measurement.natural for measurement in candidate_rows], *relative_deviations
+        [measurement.is_natural_frequency for measurement in candidate_rows], *relative_deviations
     )
     return np.where(is_at_probe, own_deviations, row_relative_deviations * predictions)
 
@@ -204,10 +211,9 @@ def list_advice_texts(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> li
     measurement. Advice that changes no printed digit is left out.
     """
     model, measured_rows = likelihood.predictor.model, likelihood.predictor.rows
-    measured_modes = {measurement.mode for measurement in measured_rows if measurement.natural} or {
-        1,
-        2,
-    }
+    measured_modes = {
+        measurement.mode for measurement in measured_rows if measurement.is_natural_frequency
+    } or {1, 2}
     calibrated_modes = {
         measurement.mode
         for measurement in measured_rows
@@ -236,7 +242,8 @@ def list_advice_texts(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> li
             f"natural frequenc{modes_text} without the crack (frequency_uncracked)"
         )
         if gain_text := _describe_gain_or_empty(
-            worth.now, _compute_deviation_by_key_with(likelihood, x, missing_measurements)
+            worth.current_deviation_by_key,
+            _compute_deviation_by_key_with(likelihood, x, missing_measurements),
         ):
             advice_texts.append(
                 f"{missing_frequencies_text}, with a standard deviation of "
@@ -244,9 +251,10 @@ def list_advice_texts(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> li
             )
     if worth.measurements:
         deviation_by_key = {
-            key: float(deviations[0]) for key, deviations in worth.deviations.items()
+            key: float(deviations[0])
+            for key, deviations in worth.improved_deviations_by_key.items()
         }
-        if gain_text := _describe_gain_or_empty(worth.now, deviation_by_key):
+        if gain_text := _describe_gain_or_empty(worth.current_deviation_by_key, deviation_by_key):
             advice_texts.append(f"{worth.measurements[0].name}: {gain_text}")
     return advice_texts
 
@@ -797,7 +805,7 @@ def _list_small_deviation_warnings(measurements: Measurements) -> list[str]:
     rows = [
         measurement
         for measurement in measurements.rows
-        if measurement.natural and measurement.deviation < 1e-5 * measurement.value
+        if measurement.is_natural_frequency and measurement.deviation < 1e-5 * measurement.value
     ]
     return [
         f"{measurement.name} has a standard deviation of {measurement.deviation:.3g} Hz, less than "
@@ -880,7 +888,7 @@ def _describe_single_crack_condition_or_empty(identification: Identification) ->
         measurement.mode for measurement in rows if measurement.quantity != "frequency_uncracked"
     }
     if (
-        not all(measurement.natural for measurement in rows)
+        not all(measurement.is_natural_frequency for measurement in rows)
         or len(measured_modes) > 2 * n_crack_unknowns
     ):
         return ""

@@ -234,12 +234,12 @@ def test_linear_model() -> None:
     later_covariance = np.linalg.inv(
         weights.T @ weights + np.outer(matrix[0], matrix[0]) / 0.01 + np.diag([0.12, 0.03])
     )
-    assert worth.deviations["crack.length"][0] == pytest.approx(
+    assert worth.improved_deviations_by_key["crack.length"][0] == pytest.approx(
         math.sqrt(later_covariance[0, 0]), rel=1e-3
     )
     earlier_covariance = np.linalg.inv(weights.T @ weights + np.diag([0.12, 0.03]))
     gain = 0.5 * math.log(np.linalg.det(earlier_covariance) / np.linalg.det(later_covariance))
-    assert worth.information[0] == pytest.approx(gain, rel=1e-3)
+    assert worth.information_gains[0] == pytest.approx(gain, rel=1e-3)
 
 
 def test_misfit_of_what_is_fitted() -> None:
