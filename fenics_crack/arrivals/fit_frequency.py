@@ -110,10 +110,13 @@ def fit_frequency(
         np.arange(arrivals_shape[1]) * bool(angle_deviation) * np.ones(arrivals_shape, dtype=int)
     )
     displacements, omega_bounds = arrivals.displacement, (low, high)
-    fit, chance = _FrequencySearch(
+    fit, noise_probability = _FrequencySearch(
         arrivals, displacements, constant_numbers, harmonics, angle_deviation, omega_bounds
     ).find_best_fit_and_noise_probability()
-    if len(arrivals.probes) == 1 and chance > CONFIDENCE_LEVELS.vibration_significance_level:
+    if (
+        len(arrivals.probes) == 1
+        and noise_probability > CONFIDENCE_LEVELS.vibration_significance_level
+    ):
         probe_text = (
             f"one at {np.degrees(arrivals.probes[0]):g} degrees, whose arrivals do not vary"
         )
@@ -162,10 +165,10 @@ def find_lines_and_residuals(
     residuals = np.array(displacements)
     n_constants = len(np.unique(constant_numbers[np.isfinite(displacements)]))
     while len(line_fits) < max_lines and np.isfinite(residuals).sum() > 2 * (n_constants + 3):
-        fit, chance = _FrequencySearch(
+        fit, noise_probability = _FrequencySearch(
             arrivals, residuals, constant_numbers, 1, np.inf, omega_bounds
         ).find_best_fit_and_noise_probability()
-        if chance > CONFIDENCE_LEVELS.vibration_significance_level:
+        if noise_probability > CONFIDENCE_LEVELS.vibration_significance_level:
             break
         line_fits.append(fit)
         residuals -= fit.displacement(fit.phases(arrivals)) - fit.coefficients[0]
@@ -300,11 +303,11 @@ class _FrequencySearch:
         def evaluate(unit_step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             nonlocal best_omega, fit
             best_omega = omega + omega_unit * float(unit_step[0])
-            _, residuals, columns = fit = self._fit_harmonics(
+            _, residuals, harmonic_columns = fit = self._fit_harmonics(
                 best_omega, weights, self._displacements, self._times
             )
-            weighted_columns = sqrt_weights * columns[:, :-1]
-            omega_slopes = -omega_unit * sqrt_weights * columns[:, -1:]
+            weighted_columns = sqrt_weights * harmonic_columns[:, :-1]
+            omega_slopes = -omega_unit * sqrt_weights * harmonic_columns[:, -1:]
             omega_slopes -= (
                 weighted_columns @ np.linalg.lstsq(weighted_columns, omega_slopes, rcond=1e-10)[0]
             )
@@ -326,9 +329,15 @@ class _FrequencySearch:
         refined_peaks: list[tuple[bool, float, float]] = []
         weights = self._null_noise.weights
         for initial_omega in self._find_peak_omegas().tolist():
-            omega, (_, residuals, columns) = self._refine_omega_and_fit(initial_omega, weights)
+            omega, (_, residuals, harmonic_columns) = self._refine_omega_and_fit(
+                initial_omega, weights
+            )
             refined_peaks.append(
-                (self._constants_absorb_vibration(columns), float(weights @ residuals**2), omega)
+                (
+                    self._constants_absorb_vibration(harmonic_columns),
+                    float(weights @ residuals**2),
+                    omega,
+                )
             )
         separate_omegas: list[float] = []
         for _, _, omega in sorted(refined_peaks):  # nearer to a higher one they are its side lobes
@@ -430,21 +439,32 @@ class _FrequencySearch:
         """
         weights = self.noise.weights
         allowed_difference = CONFIDENCE_LEVELS.allowed_cost_difference * self.noise.scale**2
-        fits = [
+        harmonic_fits = [
             self._fit_harmonics(omega, weights, self._displacements, self._times)
             for omega in omegas
         ]
-        residual_square_sums = np.array([weights @ residuals**2 for _, residuals, _ in fits])
-        vibration_sizes = np.array([np.linalg.norm(coefficients) for coefficients, _, _ in fits])
-        condition_numbers = np.array([condition_number(columns[:, :-1]) for _, _, columns in fits])
-        is_hidden = np.array([self._constants_absorb_vibration(columns) for _, _, columns in fits])
+        residual_square_sums = np.array(
+            [weights @ residuals**2 for _, residuals, _ in harmonic_fits]
+        )
+        vibration_sizes = np.array(
+            [np.linalg.norm(coefficients) for coefficients, _, _ in harmonic_fits]
+        )
+        condition_numbers = np.array(
+            [condition_number(harmonic_columns[:, :-1]) for _, _, harmonic_columns in harmonic_fits]
+        )
+        is_hidden = np.array(
+            [
+                self._constants_absorb_vibration(harmonic_columns)
+                for _, _, harmonic_columns in harmonic_fits
+            ]
+        )
         is_equivalent, best_index = select_candidate(
             residual_square_sums, vibration_sizes, allowed_difference, ~is_hidden
         )
         # Arrivals that are not where they were expected distinguish aliases, but not reliably.
         expected_wave = (
             fourier_basis(omegas[best_index] * self._expected_times, self._multiples)[:, 1:]
-            @ fits[best_index][0]
+            @ harmonic_fits[best_index][0]
         )
         wave_residuals = [
             self._fit_harmonics(omega, weights, expected_wave, self._expected_times)[1]

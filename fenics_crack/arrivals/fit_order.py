@@ -146,9 +146,9 @@ def _fit_best_order(
         raise_too_few_probes(arrivals, n_unknowns)
     is_hidden = np.full(len(orders), True)
     residual_square_sums, vibration_sizes, costs = np.full((3, len(orders)), np.inf)
-    for index, fit in fit_by_index.items():
-        is_hidden[index], residual_square_sums[index] = False, fit.sum_of_squares
-        vibration_sizes[index] = np.linalg.norm(fit.coefficients[1:])
+    for order_index, fit in fit_by_index.items():
+        is_hidden[order_index], residual_square_sums[order_index] = False, fit.sum_of_squares
+        vibration_sizes[order_index] = np.linalg.norm(fit.coefficients[1:])
     variance_ratio, misfit, freedom = means.run_misfit_f_test(
         float(residual_square_sums.min()), n_unknowns
     )
@@ -171,8 +171,10 @@ def _fit_best_order(
     covariance_factor = finite_ratio = variance_ratio if np.isfinite(variance_ratio) else np.nan
     if means.freedom_within_groups > 0 and len(means.displacements) > n_unknowns + 1:
         # Nor do harmonics that are left out make another order less likely.
-        for index, fit in fit_by_index.items():
-            costs[index], fit_by_index[index] = means.find_cost_and_fit_with_omitted(fit)
+        for order_index, fit in fit_by_index.items():
+            costs[order_index], fit_by_index[order_index] = means.find_cost_and_fit_with_omitted(
+                fit
+            )
         is_equivalent |= costs - costs.min() < CONFIDENCE_LEVELS.allowed_cost_difference
         best_fit = fit_by_index[best_index]
         covariance_factor, _, freedom = means.run_misfit_f_test(best_fit.sum_of_squares, n_unknowns)
@@ -305,20 +307,21 @@ class _Sample:
         Return None if the probes cannot measure the order, or if the blade tip would move
         backwards.
         """
-        columns = fourier_basis(order * self.angles, multiples)
+        wave_columns = fourier_basis(order * self.angles, multiples)
         nominal_columns = fourier_basis(order * self.nominal_angles, multiples)
-        if np.isinf(condition_number(nominal_columns)) or np.isinf(condition_number(columns)):
+        if np.isinf(condition_number(nominal_columns)) or np.isinf(condition_number(wave_columns)):
             return None
-        residual_per_error = np.ones(len(columns))
+        residual_per_error = np.ones(len(wave_columns))
         # An arrival that is late by e leaves R W e (1 + u' / R): it is elsewhere, too.
         for _ in range(2):
             fitted_residual_per_error = residual_per_error
             (whitened_columns, whitened_displacements) = self._whiten_columns_and_values(
-                columns, self.displacements, residual_per_error
+                wave_columns, self.displacements, residual_per_error
             )
             coefficients = np.linalg.lstsq(whitened_columns, whitened_displacements, rcond=None)[0]
             quadrature_waves = (
-                columns[:, 1::2] * coefficients[2::2] - columns[:, 2::2] * coefficients[1::2]
+                wave_columns[:, 1::2] * coefficients[2::2]
+                - wave_columns[:, 2::2] * coefficients[1::2]
             )
             residual_per_error = 1.0 + order * quadrature_waves @ multiples / self._radius
             if np.any(residual_per_error <= 0.0):
@@ -397,10 +400,10 @@ class _Sample:
         fitted_amplitudes, fitted_errors = compute_amplitudes_and_errors(
             fit.coefficients, fit.covariance
         )
-        amplitudes, errors = compute_amplitudes_and_errors(*estimate_arrays)
+        amplitudes, amplitude_errors = compute_amplitudes_and_errors(*estimate_arrays)
         allowed_deviations = CONFIDENCE_LEVELS.allowed_standard_errors * fitted_errors
         upper_cdf, lower_cdf = (
-            ndtr((fitted_amplitudes + interval_end - amplitudes) / errors)
+            ndtr((fitted_amplitudes + interval_end - amplitudes) / amplitude_errors)
             for interval_end in (allowed_deviations, -allowed_deviations)
         )
         return 1.0 - float(
@@ -562,14 +565,16 @@ class ProbeMeans(_Sample):
             ) / np.bincount(group_indices, weights)
             return self._arrival_displacements - self.displacements[group_indices]
 
-        noise = fit_noise_by_reweighting(
+        student_noise = fit_noise_by_reweighting(
             solve, np.ones(len(group_indices)), len(group_numbers), arrivals.displacement_rounding
         )
         group_columns = np.eye(len(group_numbers))[group_indices]
         self.scatter, covariance = 1.0, np.diag(1.0 / np.bincount(group_indices))
         if freedom_within_groups > 0:
-            self.scatter = max(float(np.sqrt(noise.variance)), arrivals.displacement_rounding)
-            covariance = noise.coefficient_covariance(group_columns, places)
+            self.scatter = max(
+                float(np.sqrt(student_noise.variance)), arrivals.displacement_rounding
+            )
+            covariance = student_noise.coefficient_covariance(group_columns, places)
             covariance += np.eye(len(group_numbers)) * arrivals.displacement_rounding**2
             probe_indices = group_numbers % n_probes
             angle_variance = (arrivals.tip_radius * angle_deviation) ** 2
@@ -619,9 +624,9 @@ class ProbeMeans(_Sample):
 
     def compute_rms_residual(self, order: float, multiples: np.ndarray) -> float:
         """Return the root mean square residual of an order [m]."""
-        columns = fourier_basis(order * self.angles, multiples)
-        coefficients = np.linalg.lstsq(columns, self.displacements, rcond=1e-10)[0]
-        residuals = self._arrival_displacements - (columns @ coefficients)[self._group_indices]
+        wave_columns = fourier_basis(order * self.angles, multiples)
+        coefficients = np.linalg.lstsq(wave_columns, self.displacements, rcond=1e-10)[0]
+        residuals = self._arrival_displacements - (wave_columns @ coefficients)[self._group_indices]
         return float(np.sqrt(np.mean(residuals**2)))
 
 
@@ -840,17 +845,17 @@ def _fit_samples_by_group(
     covariance = variance * np.eye(len(probe_indices))
     covariance += (arrivals.tip_radius * angle_deviation) ** 2 * shares_probe_matrix
     sample_fit_by_group = {}
-    for group in fitted_groups.tolist():
-        is_used = has_arrival[group]
+    for group_index in fitted_groups.tolist():
+        is_used = has_arrival[group_index]
         sample = _Sample(
-            nominal_angles[group, is_used],
-            displacements[group, is_used],
+            nominal_angles[group_index, is_used],
+            displacements[group_index, is_used],
             covariance[np.ix_(is_used, is_used)],
             freedom,
             arrivals.tip_radius,
         )
         if (fit := sample.fit_order_or_none(order, multiples)) is not None:
-            sample_fit_by_group[group] = sample, fit
+            sample_fit_by_group[group_index] = sample, fit
     return sample_fit_by_group
 
 
@@ -881,13 +886,17 @@ def _find_coefficients_and_covariances(
     coefficients = np.full(coefficient_changes.shape, np.nan)
     n_unknowns = coefficient_changes.shape[1]
     covariances = np.full((len(n_arrivals), n_unknowns, n_unknowns), np.nan)
-    for group, (sample, fit) in sample_fit_by_group.items():
-        coefficients[group] = fit.coefficients
-        if n_arrivals[group] > n_unknowns:
+    for group_index, (sample, fit) in sample_fit_by_group.items():
+        coefficients[group_index] = fit.coefficients
+        if n_arrivals[group_index] > n_unknowns:
             factor, _, total_freedom = sample.run_misfit_f_test(fit.sum_of_squares, n_unknowns)
             factor = max(factor, 1.0) if freedom else factor
-            covariances[group] = factor * student_variance_ratio(total_freedom) * fit.covariance
-            covariances[group] += np.outer(coefficient_changes[group], coefficient_changes[group])
+            covariances[group_index] = (
+                factor * student_variance_ratio(total_freedom) * fit.covariance
+            )
+            covariances[group_index] += np.outer(
+                coefficient_changes[group_index], coefficient_changes[group_index]
+            )
     return coefficients, covariances
 
 
@@ -956,9 +965,10 @@ def _refit_groups_with_omitted_harmonics(
     ]
     freedoms = np.maximum(spare_counts, 1)
     joint_fit_by_group = {}
-    for position, (group, (sample, _)) in enumerate(sample_fit_by_group.items()):
+    for sample_position, (group_index, (sample, _)) in enumerate(sample_fit_by_group.items()):
         window_slice = slice(
-            max(position - N_NEIGHBOURS_PER_SIDE, 0), position + N_NEIGHBOURS_PER_SIDE + 1
+            max(sample_position - N_NEIGHBOURS_PER_SIDE, 0),
+            sample_position + N_NEIGHBOURS_PER_SIDE + 1,
         )
         max_trusted_squares = _estimate_quartile_variance(
             residual_square_sums[window_slice], freedoms[window_slice]
@@ -967,9 +977,9 @@ def _refit_groups_with_omitted_harmonics(
         trusted_cost_rows = np.array(group_costs[window_slice])[
             residual_square_sums[window_slice] <= max_trusted_squares
         ]
-        joint_fit_by_group[group] = (
+        joint_fit_by_group[group_index] = (
             sample,
-            group_fits[position][int(np.argmin(trusted_cost_rows.sum(axis=0)))],
+            group_fits[sample_position][int(np.argmin(trusted_cost_rows.sum(axis=0)))],
         )
     return joint_fit_by_group
 

@@ -232,9 +232,11 @@ class PassageFit(Tabular):
         mode_pole = complex(compute_poles(self.omega, self.damping / (1.0 - self.stiffening)))
         record = Record(arrivals, _make_stiffening_function(self.stiffening))
         passage_comparisons = []
-        for (begin_revolution, end_revolution), force in zip(self.ends, self.forces, strict=True):
+        for (begin_revolution, end_revolution), complex_force in zip(
+            self.ends, self.forces, strict=True
+        ):
             run = Run(record, arrivals.displacement, int(begin_revolution), int(end_revolution))
-            fitted_motion = (force * run.compute_wave(Mode(self.order, mode_pole))).real
+            fitted_motion = (complex_force * run.compute_wave(Mode(self.order, mode_pole))).real
             weighted_residuals = run.subtract_weighted_drifts(
                 run.displacements - fitted_motion, run.has_arrival.astype(float)
             )
@@ -291,9 +293,10 @@ class PassageFit(Tabular):
 
 def _differ_significantly(values: np.ndarray, errors: np.ndarray) -> bool:
     """Return True unless all values (n,) agree within three standard errors."""
-    differences = np.abs(values[:, None] - values)
+    pairwise_differences = np.abs(values[:, None] - values)
     return not np.all(
-        differences <= CONFIDENCE_LEVELS.allowed_standard_errors * np.hypot(errors[:, None], errors)
+        pairwise_differences
+        <= CONFIDENCE_LEVELS.allowed_standard_errors * np.hypot(errors[:, None], errors)
     )
 
 
@@ -611,11 +614,14 @@ class _ResonanceSearch:
         if nothing is compared: for a single order, without a neighbour, or if a larger resonance
         covers this one.
         """
-        resonances, amplitude = self.resonances, resonance.best_fit.largest_first_mode_amplitude
+        resonances, resonance_amplitude = (
+            self.resonances,
+            resonance.best_fit.largest_first_mode_amplitude,
+        )
         larger_resonances = [
             neighbour
             for neighbour in resonances
-            if neighbour.best_fit.largest_first_mode_amplitude > amplitude
+            if neighbour.best_fit.largest_first_mode_amplitude > resonance_amplitude
         ]
         if len(self.orders) < 2 or any(
             neighbour.has_within_width(resonance) for neighbour in larger_resonances
@@ -967,13 +973,16 @@ class _Resonance:
         margin_by_order = self.margins | {
             rival_resonance.best_fit.first_mode.order: 0.0 for rival_resonance in rival_resonances
         }
-        errors, orders = best_fit.omega_and_damping_errors, np.array(sorted(margin_by_order))
+        omega_and_damping_errors, compared_orders = (
+            best_fit.omega_and_damping_errors,
+            np.array(sorted(margin_by_order)),
+        )
         return PassageFit(
             order=mode.order,
             omega=mode.omega,
-            omega_error=float(errors[0]),
+            omega_error=float(omega_and_damping_errors[0]),
             damping=(1.0 - stiffening) * mode.damping_ratio,
-            damping_error=(1.0 - stiffening) * float(errors[1]),
+            damping_error=(1.0 - stiffening) * float(omega_and_damping_errors[1]),
             amplitude=best_fit.largest_first_mode_amplitude,
             forces=best_fit.forces[0],
             ends=np.array([(run.begin_revolution, run.end_revolution) for run in runs]),
@@ -983,8 +992,10 @@ class _Resonance:
             * np.array([fit.first_mode.damping_ratio for fit in single_run_fits]),
             damping_errors=(1.0 - stiffening)
             * np.array([fit.omega_and_damping_errors[1] for fit in single_run_fits]),
-            orders=orders,
-            margins=np.array([margin_by_order[order] for order in orders]),
+            orders=compared_orders,
+            margins=np.array(
+                [margin_by_order[compared_order] for compared_order in compared_orders]
+            ),
             probes=max(run.n_probes for run in runs),
             scatter=float(np.sqrt(best_fit.noise.variance)),
             whiteness=best_fit.whiteness_p_value,

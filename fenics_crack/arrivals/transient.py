@@ -96,25 +96,27 @@ class Run:
 
         The poles lambda (m,) [1/s] are equally far apart.
         """
-        times, phases, phase_rates, rotations = self._compute_times_phases_rotations(order)
+        times, wave_phases, phase_rates, rotations = self._compute_times_phases_rotations(order)
         one_minus_stiffening = self._compute_one_minus_stiffening(order, poles)
         poles = poles[:, None]
         envelopes = np.empty((len(poles), len(times)), dtype=complex)
         envelopes[:, :1] = 1.0 / (1j * phase_rates[0] - poles)
-        responses = 1.0 / (1j * phase_rates - poles)
+        steady_responses = 1.0 / (1j * phase_rates - poles)
         for part_slice in self._list_slices_without_overflow(
             one_minus_stiffening * poles.real.min()
         ):
             durations = one_minus_stiffening * (times[part_slice] - times[part_slice.start])
             first_growths = np.exp(
-                1j * one_minus_stiffening * (phases[part_slice] - phases[part_slice.start])
+                1j
+                * one_minus_stiffening
+                * (wave_phases[part_slice] - wave_phases[part_slice.start])
                 - poles[0] * durations
             )
             growth_ratios = np.exp((poles[0] - poles[-1]) / max(len(poles) - 1, 1) * durations)
             growths_by_pole = np.cumprod(
                 [first_growths, *[growth_ratios] * (len(poles) - 1)], axis=0
             )
-            response_sums = (growths_by_pole[:, 1:] - growths_by_pole[:, :-1]) * responses[
+            response_sums = (growths_by_pole[:, 1:] - growths_by_pole[:, :-1]) * steady_responses[
                 :, part_slice.start : part_slice.stop - 1
             ]
             np.cumsum(response_sums, axis=1, out=response_sums)
@@ -135,19 +137,21 @@ class Run:
         The slope is the derivative by ln lambda, with the factor zeta w_n held constant.
         """
         order, mode_pole = mode.order, mode.pole
-        times, phases, phase_rates, rotations = self._compute_times_phases_rotations(order)
+        times, wave_phases, phase_rates, rotations = self._compute_times_phases_rotations(order)
         one_minus_stiffening = self._compute_one_minus_stiffening(order, np.array([mode_pole]))
         envelopes = np.empty((2, len(times)), dtype=complex)
-        responses = 1.0 / (1j * phase_rates - mode_pole)
-        envelopes[0, 0], envelopes[1, 0] = responses[0], responses[0] ** 2
+        steady_responses = 1.0 / (1j * phase_rates - mode_pole)
+        envelopes[0, 0], envelopes[1, 0] = steady_responses[0], steady_responses[0] ** 2
         for part_slice in self._list_slices_without_overflow(one_minus_stiffening * mode_pole.real):
             durations = one_minus_stiffening * (times[part_slice] - times[part_slice.start])
             growths = np.exp(
-                1j * one_minus_stiffening * (phases[part_slice] - phases[part_slice.start])
+                1j
+                * one_minus_stiffening
+                * (wave_phases[part_slice] - wave_phases[part_slice.start])
                 - mode_pole * durations
             )
             growth_and_slope = np.stack([growths, -durations * growths])
-            part_responses = responses[part_slice.start : part_slice.stop - 1]
+            part_responses = steady_responses[part_slice.start : part_slice.stop - 1]
             envelope_changes = (growth_and_slope[:, 1:] - growth_and_slope[:, :-1]) * part_responses
             envelope_changes[1] += envelope_changes[0] * part_responses
             part_envelopes = (
@@ -169,12 +173,12 @@ class Run:
         rotation : (n,)
             exp(i p alpha) with vibration.
         """
-        phases = order * self.nominal_angle.ravel()
+        wave_phases = order * self.nominal_angle.ravel()
         rotations = np.exp(1j * order * self.angle.ravel())
         return (
             self._elapsed_times,
-            phases,
-            np.diff(phases) / np.diff(self._elapsed_times),
+            wave_phases,
+            np.diff(wave_phases) / np.diff(self._elapsed_times),
             rotations,
         )
 
@@ -416,11 +420,14 @@ class Fit:
         def residuals_and_slopes(steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             mode_step_pairs = zip(initial_modes, steps.reshape(-1, 2), strict=True)
             self.modes = tuple(
-                mode.with_step(step) if any(step) else mode for mode, step in mode_step_pairs
+                mode.with_step(mode_step) if any(mode_step) else mode
+                for mode, mode_step in mode_step_pairs
             )
-            units = np.array([unit for mode in initial_modes for unit in (mode.damping_ratio, 1.0)])
+            step_units = np.array(
+                [step_unit for mode in initial_modes for step_unit in (mode.damping_ratio, 1.0)]
+            )
             residual_vector, self._slopes = self._fit_forces_and_return_residuals(run_weights)
-            return residual_vector, self._slopes * units
+            return residual_vector, self._slopes * step_units
 
         lower_bounds, upper_bounds = np.concatenate(step_bounds, axis=1)
         return find_least_squares_residuals(
@@ -517,8 +524,10 @@ class Fit:
     @cached_property
     def omega_and_damping_errors(self) -> np.ndarray:
         """Standard errors of the first mode's frequency [rad/s] and damping: (2,)."""
-        columns = self._slopes / np.sqrt(self.noise.weights)[:, None]
-        covariance = self.noise.coefficient_covariance(columns, self.revolutions_and_probes)
+        unweighted_slopes = self._slopes / np.sqrt(self.noise.weights)[:, None]
+        covariance = self.noise.coefficient_covariance(
+            unweighted_slopes, self.revolutions_and_probes
+        )
         return np.sqrt(np.diag(covariance)[:2]) * [
             self.first_mode.omega,
             self.first_mode.damping_ratio,
@@ -530,8 +539,8 @@ class Fit:
         force_run_pairs = zip(self.forces[0], self._runs, strict=True)
         return float(
             max(
-                np.abs(force * run.compute_wave(self.first_mode)).max()
-                for force, run in force_run_pairs
+                np.abs(complex_force * run.compute_wave(self.first_mode)).max()
+                for complex_force, run in force_run_pairs
             )
         )
 
@@ -547,13 +556,13 @@ class Fit:
         ]
         revolution_ranges = itertools.pairwise([0, *halfway_revolutions, n_revolutions])
         zero_displacements = np.zeros(record.arrivals.time.shape)
-        for (begin_revolution, end_revolution), force in zip(
+        for (begin_revolution, end_revolution), complex_force in zip(
             revolution_ranges, self.forces[mode_index], strict=True
         ):
             wave = Run(record, zero_displacements, begin_revolution, end_revolution).compute_wave(
                 self.modes[mode_index]
             )
-            run_motions.append((force * wave).real)
+            run_motions.append((complex_force * wave).real)
         return np.concatenate(run_motions)
 
     @property
@@ -586,9 +595,11 @@ class Fit:
         n_probes = self._runs[0].nominal_angle.shape[1]
         matrices, vectors = np.zeros((n_probes, 2, 2)), np.zeros((n_probes, 2))
         size_ratios = np.ones(n_probes)
-        for run, force, run_weights in zip(self._runs, self.forces[0], self.weights, strict=True):
+        for run, complex_force, run_weights in zip(
+            self._runs, self.forces[0], self.weights, strict=True
+        ):
             run_equations = run.build_equations_by_probe(
-                force * run.compute_wave(self.first_mode), run_weights
+                complex_force * run.compute_wave(self.first_mode), run_weights
             )
             matrices, vectors = matrices + run_equations[0], vectors + run_equations[1]
         has_motion = matrices.any(axis=(1, 2))

@@ -384,12 +384,12 @@ def convert_to_unit_or_none(text: str, unit: str) -> float | None:
     given_unit = re.sub(r"([a-z])([23])\b", r"\1^\2", (number_match[2] or unit).strip())
     if given_unit == unit:
         return number
-    factor = FOREIGN_FACTORS_BY_UNIT.get(unit, {}).get(given_unit)
-    if factor is None and unit and given_unit.endswith(unit):
-        factor = FACTOR_BY_UNIT_PREFIX.get(given_unit.removesuffix(unit))
-    if factor is None or not math.isfinite(number * factor):
+    unit_factor = FOREIGN_FACTORS_BY_UNIT.get(unit, {}).get(given_unit)
+    if unit_factor is None and unit and given_unit.endswith(unit):
+        unit_factor = FACTOR_BY_UNIT_PREFIX.get(given_unit.removesuffix(unit))
+    if unit_factor is None or not math.isfinite(number * unit_factor):
         return None
-    return float(f"{number * factor:.12g}")  # no 0.30000000000000004
+    return float(f"{number * unit_factor:.12g}")  # no 0.30000000000000004
 
 
 def yield_candidate_values(value: object, unit: str) -> Iterator[object]:

@@ -402,8 +402,10 @@ class NodalDiameterSolver:
     def apply(self, rhs: Any, solution: Any) -> None:
         """Apply K_n^-1 to a PETSc vector in real form, as :meth:`Factor.apply`."""
         force_parts = rhs.array_r.reshape(2 if self.phase_factor.imag else 1, -1)
-        force = force_parts[0] + 1j * force_parts[1] if self.phase_factor.imag else force_parts[0]
-        displacement = self.solve(force[:, None])[:, 0]
+        complex_force = (
+            force_parts[0] + 1j * force_parts[1] if self.phase_factor.imag else force_parts[0]
+        )
+        displacement = self.solve(complex_force[:, None])[:, 0]
         solution.array_w[:] = np.concatenate(
             [displacement.real, displacement.imag][: len(force_parts)]
         )
@@ -735,10 +737,12 @@ def _make_diameter_basis(
     """
     sector = diameter_solver.sector
     load_response = diameter_solver.static_response(load)
-    responses = np.hstack([diameter_solver.static_response(side_force_patterns), load_response])
-    new_motions = responses - shapes @ (shapes.conj().T @ (sector.mass @ responses))
+    static_responses = np.hstack(
+        [diameter_solver.static_response(side_force_patterns), load_response]
+    )
+    new_motions = static_responses - shapes @ (shapes.conj().T @ (sector.mass @ static_responses))
     new_norms, response_norms = (
-        np.sqrt(np.sum(np.abs(motions) ** 2, axis=0)) for motions in (new_motions, responses)
+        np.sqrt(np.sum(np.abs(motions) ** 2, axis=0)) for motions in (new_motions, static_responses)
     )
     is_kept = new_norms > MULTIPLE_FREQUENCY_TOLERANCE * response_norms
     new_motions = new_motions[:, is_kept] / new_norms[is_kept]
@@ -754,10 +758,18 @@ def _make_diameter_loads(sector: Sector, engine_order: int) -> list[np.ndarray]:
     The responses turn with the sectors as modes do. The load's harmonics are f - i g.
     """
     load_parts_of_diameters: list[list[np.ndarray]] = [[] for _ in sector.nodal_diameter_range]
-    for harmonic, force in enumerate(to_complex(sector.structure.force)):
+    for harmonic, complex_force in enumerate(to_complex(sector.structure.force)):
         diameter = excited_diameter(harmonic * engine_order, sector.n_sectors)
-        force = force if diameter == harmonic * engine_order % sector.n_sectors else force.conj()
-        force_parts = [force.real, force.imag] if sector.has_single_wave(diameter) else [force]
+        complex_force = (
+            complex_force
+            if diameter == harmonic * engine_order % sector.n_sectors
+            else complex_force.conj()
+        )
+        force_parts = (
+            [complex_force.real, complex_force.imag]
+            if sector.has_single_wave(diameter)
+            else [complex_force]
+        )
         load_parts_of_diameters[diameter] += [
             force_part for force_part in force_parts if np.any(force_part)
         ]
@@ -826,8 +838,8 @@ def _find_opening_shapes(
         0.5 * (opening_stiffness + opening_stiffness.T), lower=True
     )
     contact_patterns, bond_forces = (
-        scipy.linalg.solve_triangular(lower_factor, forces, lower=True)
-        for forces in (
+        scipy.linalg.solve_triangular(lower_factor, face_forces, lower=True)
+        for face_forces in (
             sparse.hstack(gap_matrices).tocsr()[upper_face_members].toarray(),
             bond_forces,
         )
@@ -874,8 +886,10 @@ def _find_side_force_patterns(
     """
     scaled_force_parts, is_on_right_side = [], sector.dof_numbering.belongs_to_next_sector
     for omega, shapes in omega_shapes_pairs:
-        force = (sector.stiffness @ shapes - sector.mass @ shapes * omega**2)[is_on_right_side]
-        scaled_force = force / np.maximum(omega, 1e-300) ** 2
+        right_side_forces = (sector.stiffness @ shapes - sector.mass @ shapes * omega**2)[
+            is_on_right_side
+        ]
+        scaled_force = right_side_forces / np.maximum(omega, 1e-300) ** 2
         scaled_force_parts += [scaled_force.real, scaled_force.imag]
     force_patterns, pattern_sizes, _ = np.linalg.svd(
         np.hstack(scaled_force_parts), full_matrices=False

@@ -159,8 +159,8 @@ def draw_laws(
     [panel] = picture = Picture(**picture_options)
     line_styles = zip(distinct_colours(len(laws)), cycle(("-", "--", ":", "-.", "-")), strict=False)
     for (label, law), (colour, style) in zip(laws.items(), line_styles, strict=True):
-        force = law.force(closing[:, None])[:, 0]
-        panel.plot(closing, force, style, color=colour, label=label, lw=1.8)
+        contact_force = law.force(closing[:, None])[:, 0]
+        panel.plot(closing, contact_force, style, color=colour, label=label, lw=1.8)
     label_axis(panel.xaxis, "closing g (penetration where g > 0)", "m")
     label_axis(panel.yaxis, "contact force", "N")
     return picture.finish()
@@ -569,8 +569,8 @@ def draw_spectrum(
     """
     displacements_by_label = {}
     if solution.structure.n_pairs:
-        time = np.linspace(0.0, solution.period, 257)
-        pair_index = int(np.argmax(np.ptp(solution.gap(time), axis=0)))
+        instants = np.linspace(0.0, solution.period, 257)
+        pair_index = int(np.argmax(np.ptp(solution.gap(instants), axis=0)))
         displacements_by_label[f"gap {solution.structure.describe_pair(pair_index)}"] = (
             solution.gap_coefficients[:, pair_index]
         )
@@ -582,8 +582,8 @@ def draw_spectrum(
     force_coefficients = solution.force_coefficients.sum(axis=1)
     axes = read_axes_option(picture_options)
     n_panels = 1 + bool(np.any(force_coefficients)) if axes is None else min(2, np.size(axes))
-    size, comm = (7.0, 2.4 + 2.2 * n_panels), solution.structure.comm
-    picture = Picture(n_panels, size=size, sharex=True, comm=comm, **picture_options)
+    figure_size, comm = (7.0, 2.4 + 2.2 * n_panels), solution.structure.comm
+    picture = Picture(n_panels, size=figure_size, sharex=True, comm=comm, **picture_options)
     force_content = {"contact force, all pairs": force_coefficients}, "contact force", "N"
     for panel, panel_content in zip(
         picture, ((displacements_by_label, "displacement", "m"), force_content), strict=False
@@ -683,8 +683,8 @@ def draw_orbits(
     --------
     >>> figure = fc.draw_orbits(solution, tip, path="orbits.png")
     """
-    time = np.linspace(0.0, solution.period, instants + 1)
-    is_closed = solution.contact_force(time) > 0.0
+    times = np.linspace(0.0, solution.period, instants + 1)
+    is_closed = solution.contact_force(times) > 0.0
     orbit_contents: list[tuple[DisplacementFunction, np.ndarray, str, str]] = []
     if solution.structure.n_pairs:
         pair_index = solution.structure.first_watched_pair
@@ -707,8 +707,8 @@ def draw_orbits(
     if not orbit_contents:
         raise InputError("dof", None, "given where there is no contact pair")
     n_panels = len(orbit_contents)
-    size, comm = (1.0 + 4.2 * n_panels, 4.4), solution.structure.comm
-    picture = Picture(n_panels, n_columns=n_panels, size=size, comm=comm, **picture_options)
+    figure_size, comm = (1.0 + 4.2 * n_panels, 4.4), solution.structure.comm
+    picture = Picture(n_panels, n_columns=n_panels, size=figure_size, comm=comm, **picture_options)
     for panel, orbit_content in zip(picture, orbit_contents, strict=True):
         _draw_orbit(panel, solution, *orbit_content)
     return picture.finish()
@@ -737,8 +737,8 @@ def _draw_orbit(
 
     def evaluate_orbit(time: np.ndarray) -> np.ndarray:
         displacement_before, displacement, displacement_after = (
-            np.ravel(displacement_function(time + offset))
-            for offset in (-time_step, 0.0, time_step)
+            np.ravel(displacement_function(time + time_offset))
+            for time_offset in (-time_step, 0.0, time_step)
         )
         return np.array(
             [displacement, (displacement_after - displacement_before) / (2.0 * time_step)]

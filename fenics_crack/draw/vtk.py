@@ -189,8 +189,8 @@ def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) 
     displacement_by_node = np.moveaxis(displacement, -2, 0)
     flat_displacement = displacement_by_node.reshape(len(displacement_by_node), -1)
     derivative_fields = [
-        (matrix @ flat_displacement).reshape(displacement_by_node.shape)
-        for matrix in _make_derivative_matrices(mesh)
+        (derivative_matrix @ flat_displacement).reshape(displacement_by_node.shape)
+        for derivative_matrix in _make_derivative_matrices(mesh)
     ]
     displacement_gradient = np.moveaxis(np.stack(derivative_fields, axis=-1), 0, -3)
     nu = material.poisson
@@ -337,11 +337,13 @@ def write_modes(modes: Modes, path: str | Path) -> None:
     >>> fc.write_modes(fc.solve_modes(structure, 2), "modes.vtu")
     """
     mesh = NodalMesh(modes.structure)
-    shapes = mesh.nodal_vectors(modes.structure.expand(modes.shapes.T))
+    nodal_shapes = mesh.nodal_vectors(modes.structure.expand(modes.shapes.T))
 
     def write_file() -> None:
         grid = make_grid_at_rest(mesh)
-        for mode_number, (omega, shape) in enumerate(zip(modes.omega, shapes, strict=True), 1):
+        for mode_number, (omega, shape) in enumerate(
+            zip(modes.omega, nodal_shapes, strict=True), 1
+        ):
             magnification = magnification_to_tenth(shape, mesh.size)
             field_name = f"mode {mode_number}: {omega:.1f} rad/s"
             grid.point_data[field_name] = pad_to_space(magnification * shape)

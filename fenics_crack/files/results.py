@@ -213,22 +213,28 @@ def _unpack_modes(datasets: Datasets, structure: Structure, contact: OptionalLaw
     assert whole_structure.nodes is not None
     from scipy.spatial import cKDTree  # takes a while, and is needed here alone
 
-    positions = _find_node_positions_and_midpoints(nodal_mesh)
-    stored_positions = datasets["nodes"]
+    positions_and_midpoints = _find_node_positions_and_midpoints(nodal_mesh)
+    stored_positions_and_midpoints = datasets["nodes"]
     dimension = nodal_mesh.dimension
     check_shapes(
         datasets,
-        {"shapes": (len(omegas), len(stored_positions), dimension), "nodes": (-1, 2 * dimension)},
+        {
+            "shapes": (len(omegas), len(stored_positions_and_midpoints), dimension),
+            "nodes": (-1, 2 * dimension),
+        },
     )
-    nearest_distances, stored_node_indices = cKDTree(stored_positions).query(positions)
-    is_one_to_one = len(stored_positions) == len(positions) and len(
+    nearest_distances, stored_node_indices = cKDTree(stored_positions_and_midpoints).query(
+        positions_and_midpoints
+    )
+    is_one_to_one = len(stored_positions_and_midpoints) == len(positions_and_midpoints) and len(
         set(stored_node_indices)
     ) == len(stored_node_indices)
     if not is_one_to_one or nearest_distances.max() > 1e-6 * nodal_mesh.size:
         raise InputError(
             "structure",
-            f"{len(positions)} nodes",
-            f"the structure of the file, with {len(stored_positions)} nodes at the same places",
+            f"{len(positions_and_midpoints)} nodes",
+            f"the structure of the file, with {len(stored_positions_and_midpoints)} nodes "
+            "at the same places",
         )
     first_node = whole_structure.comm.exscan(len(whole_structure.nodes.points)) or 0
     local_shapes = nodal_mesh.to_nodal_frames(stored_shapes[:, stored_node_indices])[
@@ -427,9 +433,9 @@ def _pack_orbit_displacements_and_velocities(curve: ResponseCurve) -> Datasets:
         With friction, the gaps [m] at which pairs stick.
     """
     dof_states, sticking_gaps = [], []
-    for parameter_value, state in zip(curve.values.tolist(), curve.points, strict=True):
+    for parameter_value, orbit_state in zip(curve.values.tolist(), curve.points, strict=True):
         mode_shapes = all_modes(curve.problem_at(parameter_value).structure).shapes
-        modal_state, sticking_gap = np.split(state, [2 * mode_shapes.shape[1]])
+        modal_state, sticking_gap = np.split(orbit_state, [2 * mode_shapes.shape[1]])
         dof_states.append(modal_state.reshape(2, -1) @ mode_shapes.T)
         sticking_gaps.append(sticking_gap)
     structure, n_points = curve.structure, len(curve)

@@ -165,17 +165,19 @@ def _start_state_from_run(
     places : (n_pairs,) [m]
         Only with friction.
     """
-    motion, whole_structure = earlier_run.result, structure.whole
-    if isinstance(motion, TimeHistory):
-        state = motion.final_state
+    earlier_motion, whole_structure = earlier_run.result, structure.whole
+    if isinstance(earlier_motion, TimeHistory):
+        final_state = earlier_motion.final_state
     else:
-        state = initial_state(motion.structure, motion.contact, motion)
-    local_states = motion.structure.expand(np.array(state[:2]))
+        final_state = initial_state(
+            earlier_motion.structure, earlier_motion.contact, earlier_motion
+        )
+    local_states = earlier_motion.structure.expand(np.array(final_state[:2]))
     points_of_meshes = [
         np.zeros((meshed_structure.n_local, 1))
         if meshed_structure.nodes is None
         else meshed_structure.nodes.points
-        for meshed_structure in (whole_structure, motion.structure.whole)
+        for meshed_structure in (whole_structure, earlier_motion.structure.whole)
     ]
     has_same_mesh = local_states.shape[1] == whole_structure.n_local and np.array_equal(
         *points_of_meshes
@@ -187,7 +189,7 @@ def _start_state_from_run(
         modal_states = whole_structure.sum_over_ranks(mass_products @ structure.basis)
         n_missing_coordinates = structure.n_dofs - modal_states.shape[1]
         local_states = np.pad(modal_states, ((0, 0), (0, n_missing_coordinates)))
-    return local_states[0], local_states[1], *state[2:]
+    return local_states[0], local_states[1], *final_state[2:]
 
 
 def _choose_method(study: Study, integration_table: Integration, law: ContactLaw) -> str:

@@ -544,9 +544,9 @@ class Table:
 
     def with_unchecked_values(self, **value_by_key: Any) -> Self:
         """Return a copy with other values, which are not checked."""
-        table = copy(self)
-        vars(table).update(value_by_key)
-        return table
+        changed_table = copy(self)
+        vars(changed_table).update(value_by_key)
+        return changed_table
 
     def __post_init__(self) -> None:
         for key, key_field in self.field_by_key().items():

@@ -1234,11 +1234,11 @@ class Growth(Table):
         """Load cycles in one repeat of the spectrum, and duration [s]; None without a spectrum."""
         if self.cycles is None or self.frequencies is None:
             return None
-        duration = sum(
+        repeat_duration = sum(
             n_cycles / frequency
             for n_cycles, frequency in zip(self.cycles, self.frequencies, strict=True)
         )
-        return sum(self.cycles), duration
+        return sum(self.cycles), repeat_duration
 
 
 @dataclass(frozen=True)

@@ -141,9 +141,9 @@ def compute_clamp_reactions(record: Record) -> ClampReactions:
             )
         )
     subharmonic, base_omega = record.subharmonic, load_omega / record.subharmonic
-    phases = base_omega * record.time
+    base_phases = base_omega * record.time
     forces_and_moments = clamp.reaction_of_waves(
-        record.coefficients, base_omega, subharmonic, rayleigh_mass_factor, phases
+        record.coefficients, base_omega, subharmonic, rayleigh_mass_factor, base_phases
     )
     return ClampReactions(*forces_and_moments)
 
@@ -215,12 +215,14 @@ class CrackTipHistory(NamedTuple):
         """
         assert self.growth_law is not None
         maxima, minima = find_rainflow_cycles(np.maximum(self.K_I, 0.0)).T
-        ranges = maxima - minima
-        if not ranges.size:
+        cycle_ranges = maxima - minima
+        if not cycle_ranges.size:
             return 0.0
         load_ratios = np.minimum(minima / maxima, 1.0 - 1e-9)
-        driving_ranges = ranges / (1.0 - load_ratios) ** (1.0 - self.growth_law.ratio_exponent)
-        is_growing = ranges >= min(self.growth_law.threshold, ranges.max())
+        driving_ranges = cycle_ranges / (1.0 - load_ratios) ** (
+            1.0 - self.growth_law.ratio_exponent
+        )
+        is_growing = cycle_ranges >= min(self.growth_law.threshold, cycle_ranges.max())
         relative_growth_terms = (
             np.where(is_growing, driving_ranges / driving_ranges.max(), 0.0)
             ** self.growth_law.exponent

@@ -145,7 +145,7 @@ def find_key_figures(study: Study) -> KeyFigures:
     search_modes, modes, bonded_modes, static_displacements, face_compliance = (
         _solve_modes_and_static_responses(structure)
     )
-    modal_damping_ratios = damping_ratios(structure, modes.omega)
+    modal_damping_ratios = list_modal_damping_ratios(structure, modes.omega)
     bilinear_frequencies = BilinearFrequencies(
         modes.omega, bonded_modes.omega[find_bonded_mode_indices(modes, bonded_modes)]
     )
@@ -232,15 +232,15 @@ def _solve_modes_and_static_responses(
     )
     n_modes = min(N_KEY_FIGURE_MODES, n_available_modes)
     n_search_modes = min(N_SEARCH_MODES, n_available_modes)
-    with Factor(structure.stiffness, definite=True) as factor:
-        search_modes = solve_modes_with_factor(factor, structure, n_search_modes)
+    with Factor(structure.stiffness, definite=True) as stiffness_factor:
+        search_modes = solve_modes_with_factor(stiffness_factor, structure, n_search_modes)
         modes = Modes(search_modes.omega[:n_modes], search_modes.shapes[:, :n_modes], structure)
-        static_displacements = _static_displacements(factor, modes, structure.force)
+        static_displacements = _static_displacements(stiffness_factor, modes, structure.force)
         face_compliance = structure.apply_bt(
-            _static_displacements(factor, modes, structure.gap.T.toarray())
+            _static_displacements(stiffness_factor, modes, structure.gap.T.toarray())
         )
         bonded_modes = (
-            solve_bonded_modes(structure, n_modes, factor) if structure.n_pairs else modes
+            solve_bonded_modes(structure, n_modes, stiffness_factor) if structure.n_pairs else modes
         )
     return search_modes, modes, bonded_modes, static_displacements, face_compliance
 
@@ -330,7 +330,7 @@ def _count_modes_below(structure: Structure, modes: Modes, omega: float) -> int:
     return count_modes_below(structure, omega**2)
 
 
-def _static_displacements(factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
+def _static_displacements(stiffness_factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
     """Return static responses to forces (m, n_local) [N]: (m, n_local) [m] (collective).
 
     For a structure with rigid-body motions it is the deformation alone, while the structure
@@ -341,9 +341,9 @@ def _static_displacements(factor: Factor, modes: Modes, forces: np.ndarray) -> n
         structure, rigid_body_shapes, np.zeros(rigid_body_shapes.shape[1]), structure.gap
     )
     return (
-        residual_flexibility.solve(factor, forces)
+        residual_flexibility.solve(stiffness_factor, forces)
         if rigid_body_shapes.size
-        else factor.solve(forces)
+        else stiffness_factor.solve(forces)
     )
 
 
@@ -414,7 +414,7 @@ def distances_from_clamp(whole_structure: Structure, dofs: Sequence[int]) -> np.
     )
 
 
-def damping_ratios(whole_structure: Structure, natural_omegas: np.ndarray) -> np.ndarray:
+def list_modal_damping_ratios(whole_structure: Structure, natural_omegas: np.ndarray) -> np.ndarray:
     """Return ratios of critical damping of the lowest modes: (n,).
 
     ``natural_omegas`` (n,) are in rad/s. Modes without damping, and all modes of a structure with a
@@ -429,14 +429,14 @@ def damping_ratios(whole_structure: Structure, natural_omegas: np.ndarray) -> np
             out=np.zeros_like(natural_omegas),
             where=natural_omegas > 0.0,
         )
-    ratios = np.zeros(len(natural_omegas))
+    modal_damping_ratios = np.zeros(len(natural_omegas))
     if isinstance(damping_rule, ModalDamping):
         n_damped_modes = min(count_damped_modes(whole_structure), len(natural_omegas))
         given_ratio = np.asarray(damping_rule.ratio)
-        ratios[:n_damped_modes] = (
+        modal_damping_ratios[:n_damped_modes] = (
             given_ratio if given_ratio.ndim == 0 else given_ratio[:n_damped_modes]
         )
-    return ratios
+    return modal_damping_ratios
 
 
 def _modal_receptance_increase(
@@ -705,17 +705,17 @@ def _iterate_remarks(
     for rule in rules:
         for key, value in _list_first_given_key_and_value(scene, rule.keys_text):
             number_and_values = rule.compute_number(value, scene, *rule_arguments)
-            number, *further_values = (
+            checked_number, *further_values = (
                 number_and_values if isinstance(number_and_values, tuple) else (number_and_values,)
             )
-            if number is None or rule.lower_limit <= number <= rule.upper_limit:
+            if checked_number is None or rule.lower_limit <= checked_number <= rule.upper_limit:
                 continue
             remark_text = rule.text_template.format(
-                number, *further_values, kind=body_kind, faces=word_for_crack_faces(scene)
+                checked_number, *further_values, kind=body_kind, faces=word_for_crack_faces(scene)
             )
-            for unit, factor in rule.factor_by_unit.items():
-                if rule.lower_limit <= factor * number <= rule.upper_limit:
-                    remark_text += f"; in {unit}? then {factor * float(np.max(value)):g}"  # type: ignore[call-overload]
+            for unit, unit_factor in rule.factor_by_unit.items():
+                if rule.lower_limit <= unit_factor * checked_number <= rule.upper_limit:
+                    remark_text += f"; in {unit}? then {unit_factor * float(np.max(value)):g}"  # type: ignore[call-overload]
                     break
             yield Remark(key, list(value) if isinstance(value, tuple) else value, remark_text)
 
@@ -883,12 +883,14 @@ def _clamp_bending_ratio_and_stress(
         rotation.force[free_dofs].sum(axis=0),
         (clamp.inertia[3:, free_dofs] @ in_plane_offset).sum(axis=1),
     ]
-    force, moment = rotation.speed**2 * structure.sum_over_ranks(np.stack(local_force_and_moment))
+    clamp_force, clamp_moment = rotation.speed**2 * structure.sum_over_ranks(
+        np.stack(local_force_and_moment)
+    )
     first_side, second_side = np.delete(clamp_sides, normal_axis_index)
     bending_force = 6.0 * (
-        np.abs(np.delete(moment, normal_axis_index)) @ [1.0 / second_side, 1.0 / first_side]
+        np.abs(np.delete(clamp_moment, normal_axis_index)) @ [1.0 / second_side, 1.0 / first_side]
     )
-    return bending_force / float(np.linalg.norm(force)), 1e-6 * bending_force / (
+    return bending_force / float(np.linalg.norm(clamp_force)), 1e-6 * bending_force / (
         first_side * second_side
     )
 
@@ -992,13 +994,13 @@ def _missed_first_omega_and_text(
     unit = FACTOR_AND_UNIT_BY_CURVE_PARAMETER[curve_table.parameter][1]
     first_omega_range = key_figures.omega_open[0], key_figures.omega_tied[0]
     range_text = format_in_unit(choose_frequency_factor_name_unit(True), *first_omega_range)
-    text = f"{curve_table.stop:g} {unit}: the first is between {range_text}"
+    end_and_range_text = f"{curve_table.stop:g} {unit}: the first is between {range_text}"
     if proposed_curve_table is not None:
-        text += (
+        end_and_range_text += (
             f"; start = {proposed_curve_table.start:g} and stop = {proposed_curve_table.stop:g} "
             "hold one"
         )
-    return float(first_omega_range[0]), text
+    return float(first_omega_range[0]), end_and_range_text
 
 
 def _peak_rotation_and_displacement(

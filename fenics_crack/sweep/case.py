@@ -34,7 +34,7 @@ from fenics_crack.motion.motions import dof_selection_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCE_KEYS
 from fenics_crack.study.observer import make_requested_rows_and_readers
-from fenics_crack.study.plausibility import damping_ratios
+from fenics_crack.study.plausibility import list_modal_damping_ratios
 from fenics_crack.study.prepare import (
     REFUSAL_EXCEPTIONS,
     Study,
@@ -438,7 +438,7 @@ class CaseSolver:
         """
         natural_frequencies = self._geometry.bilinear_frequencies
         nearest_value_by_name = natural_frequencies.nearest(problem.omega)
-        mode_damping_ratios = damping_ratios(
+        mode_damping_ratios = list_modal_damping_ratios(
             self._geometry.structure.whole, natural_frequencies.omega_open
         )
         damping_ratio = float(mode_damping_ratios[int(nearest_value_by_name["mode"]) - 1])

@@ -662,9 +662,9 @@ def _read_intact_states(sweep_header: store.StoredFile, scene: Scene) -> np.ndar
     case_states: np.ndarray = _read_columns_and_find_damage(sweep_header, scene)[0][
         "state"
     ].reshape(scene.given("sweep").shape)
-    for index in np.argwhere(case_states == CaseState.CONVERGED):
-        if _read_intact_coefficients(sweep_header, tuple(map(int, index))) is None:
-            case_states[tuple(index)] = CaseState.PENDING
+    for case_index in np.argwhere(case_states == CaseState.CONVERGED):
+        if _read_intact_coefficients(sweep_header, tuple(map(int, case_index))) is None:
+            case_states[tuple(case_index)] = CaseState.PENDING
     return case_states
 
 

@@ -319,8 +319,8 @@ class SweepResult(Tabular):
             self.converged & (self["verdict"] == "undecided")
         )
         return [
-            (index, status.partition(UNDECIDED_PREFIX)[2] or "its reason is not kept")
-            for index, status in indices_and_statuses
+            (case_index, status.partition(UNDECIDED_PREFIX)[2] or "its reason is not kept")
+            for case_index, status in indices_and_statuses
         ]
 
     @property
@@ -335,8 +335,8 @@ class SweepResult(Tabular):
             self.converged & (self["verdict"] != "undecided")
         )
         return [
-            (index, contradiction_text)
-            for index, status in indices_and_statuses
+            (case_index, contradiction_text)
+            for case_index, status in indices_and_statuses
             if (contradiction_text := status.partition(CONTRADICTION_PREFIX)[2])
         ]
 
@@ -345,8 +345,8 @@ class SweepResult(Tabular):
     ) -> list[tuple[tuple[int, ...], str]]:
         """Return index and status of each selected case."""
         return [
-            (tuple(map(int, index)), str(self["status"][tuple(index)]))
-            for index in np.argwhere(is_selected)
+            (tuple(map(int, case_index)), str(self["status"][tuple(case_index)]))
+            for case_index in np.argwhere(is_selected)
         ]
 
     def gap(self, index: tuple[int, ...] | int) -> np.ndarray:
@@ -601,19 +601,19 @@ def iterate_texts_by_reason(
     Differences in numbers do not count. Small groups share the last text.
     """
     indices_and_reasons_by_pattern: dict[str, list[tuple[tuple[int, ...], str]]] = {}
-    for index, reason in indices_and_reasons:
+    for case_index, reason in indices_and_reasons:
         indices_and_reasons_by_pattern.setdefault(
             re.sub(r"[-+]?\d[\d.e+-]*", "#", reason), []
-        ).append((index, reason))
-    groups = sorted(indices_and_reasons_by_pattern.values(), key=len, reverse=True)
+        ).append((case_index, reason))
+    groups_largest_first = sorted(indices_and_reasons_by_pattern.values(), key=len, reverse=True)
     n_described_groups = 4
-    for group_indices_and_reasons in groups[:n_described_groups]:
-        index, reason = group_indices_and_reasons[0]
+    for group_indices_and_reasons in groups_largest_first[:n_described_groups]:
+        case_index, reason = group_indices_and_reasons[0]
         count_text = (
             f"{format_count(len(group_indices_and_reasons), 'case')} {outcome_text}, the first at"
         )
-        yield f"{count_text} {describe_swept_values(sweep_result.axes, index)}: {reason}"
-    if further_groups := groups[n_described_groups:]:
+        yield f"{count_text} {describe_swept_values(sweep_result.axes, case_index)}: {reason}"
+    if further_groups := groups_largest_first[n_described_groups:]:
         n_further_cases = sum(map(len, further_groups))
         yield (
             f"{format_count(n_further_cases, 'case')} {outcome_text} for other reasons: "
