@@ -246,7 +246,7 @@ def _front_tables_by_heading(run: Run[Any]) -> dict[str, Table]:
     columns_by_name = {
         "position": stress_intensities.positions,
         **stress_intensities.numbers,
-        "K_I while closed": stress_intensities.closed,
+        "K_I while closed": stress_intensities.closed_front_errors,
     }
     units_by_name = {name: "m" if name == "position" else "Pa m^0.5" for name in columns_by_name}
     lists_by_name = {

@@ -858,9 +858,9 @@ def draw_stress_intensity(
     --------
     >>> figure = fc.draw_stress_intensity(fc.stress_intensity(fc.solve(scene)), path="tips.png")
     """
-    n_panels = 1 if found.three is None else 2
+    n_panels = 1 if found.K_III is None else 2
     picture = Picture(n_panels, size=(7.0, 1.0 + 3.3 * n_panels), **picture_options)
-    if found.three is not None:
+    if found.K_III is not None:
         _draw_intensity_along_fronts(found, picture.panels[0])
     _draw_intensity_over_time(found, picture.panels[-1])
     label_axis(picture.panels[-1].xaxis, "time", "s")
@@ -873,26 +873,26 @@ def draw_stress_intensity(
 def _draw_intensity_over_time(intensity: StressIntensity, panel: Axes) -> None:
     """Draw K_I and K_II of each tip, or all K at the leading front station, over time."""
     time = intensity.time - intensity.time[0]
-    if intensity.three is not None:
+    if intensity.K_III is not None:
         component_curves = zip(
-            ("K_I", "K_II", "K_III"), (intensity.one, intensity.two, intensity.three), strict=True
+            ("K_I", "K_II", "K_III"), (intensity.K_I, intensity.K_II, intensity.K_III), strict=True
         )
         for (component_name, component_values), colour in zip(
             component_curves, distinct_colours(3), strict=True
         ):
             panel.plot(
                 time,
-                component_values[:, intensity.leading],
+                component_values[:, intensity.leading_tip_index],
                 color=colour,
                 lw=1.8,
                 label=f"_{component_name}",
             )
-        panel.set_title(f"at {intensity.tips[intensity.leading]}", fontsize="medium")
+        panel.set_title(f"at {intensity.tips[intensity.leading_tip_index]}", fontsize="medium")
         return
     closed_label = "crack tip closed"
     tip_styles = zip(intensity.tips, distinct_colours(len(intensity.tips)), strict=True)
     for tip_index, (tip, colour) in enumerate(tip_styles):
-        mode_one, mode_two = intensity.one[:, tip_index], intensity.two[:, tip_index]
+        mode_one, mode_two = intensity.K_I[:, tip_index], intensity.K_II[:, tip_index]
         panel.plot(time, mode_one, color=colour, lw=1.8, label=f"K_I, {tip}")
         panel.plot(time, mode_two, color=colour, lw=1.0, ls="--", label=f"K_II, {tip}")
         # Closed to drawing accuracy.
@@ -912,15 +912,15 @@ def _draw_intensity_over_time(intensity: StressIntensity, panel: Axes) -> None:
 
 def _draw_intensity_along_fronts(intensity: StressIntensity, panel: Axes) -> None:
     """Draw the largest sizes of K_I, K_II and K_III over the distance along each front."""
-    assert intensity.three is not None
+    assert intensity.K_III is not None
     component_curves = zip(
-        ("K_I", "K_II", "K_III"), (intensity.one, intensity.two, intensity.three), strict=True
+        ("K_I", "K_II", "K_III"), (intensity.K_I, intensity.K_II, intensity.K_III), strict=True
     )
     for (component_name, component_values), colour in zip(
         component_curves, distinct_colours(3), strict=True
     ):
         largest_sizes = np.abs(component_values).max(axis=0)
-        for station_indices in intensity.fronts.values():
+        for station_indices in intensity.station_indices_by_front.values():
             line_options = {"color": colour, "lw": 1.8, "marker": "o", "label": component_name}
             panel.plot(
                 intensity.positions[station_indices], largest_sizes[station_indices], **line_options

@@ -378,17 +378,22 @@ def write_fronts(found: StressIntensity, path: str | Path) -> None:
     >>> along = fc.stress_intensity(fc.solve(solid))  # doctest: +SKIP
     >>> fc.write_fronts(along, "fronts.vtu")  # doctest: +SKIP
     """
-    if found.three is None:
+    if found.K_III is None:
         raise InputError("found", "of a plate", "of a solid, whose cracks have fronts")
 
     def write_file() -> None:
         front_edges = [
-            edge for stations in found.fronts.values() for edge in itertools.pairwise(stations)
+            edge
+            for stations in found.station_indices_by_front.values()
+            for edge in itertools.pairwise(stations)
         ]
         grid = _make_grid(found.points, np.array(front_edges, dtype=int).reshape(-1, 2), VTK_LINE)
-        for name, values in {**found.numbers, "K_I while closed": found.closed}.items():
+        for name, values in {
+            **found.numbers,
+            "K_I while closed": found.closed_front_errors,
+        }.items():
             grid.point_data[name] = values
-        grid.point_data["ahead"] = found.ahead
+        grid.point_data["ahead"] = found.growth_directions
         write_file_whole(path, _format_vtu(grid))
 
     on_root(found.comm, write_file)
