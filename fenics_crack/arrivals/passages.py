@@ -614,10 +614,8 @@ class _ResonanceSearch:
         if nothing is compared: for a single order, without a neighbour, or if a larger resonance
         covers this one.
         """
-        resonances, resonance_amplitude = (
-            self.resonances,
-            resonance.best_fit.largest_first_mode_amplitude,
-        )
+        resonances = self.resonances
+        resonance_amplitude = resonance.best_fit.largest_first_mode_amplitude
         larger_resonances = [
             neighbour
             for neighbour in resonances
@@ -817,24 +815,29 @@ class _Resonance:
         return self.best_fit.first_mode.speed
 
     def is_near(
-        self, resonance: _Resonance, width: float = 2.0 * RELATIVE_SPEED_HALF_WIDTH
+        self,
+        other_resonance: _Resonance,
+        allowed_relative_distance: float = 2.0 * RELATIVE_SPEED_HALF_WIDTH,
     ) -> bool:
         """Return True if another resonance is within a relative distance in speed."""
-        return resonance is not self and abs(resonance.speed / self.speed - 1.0) < width
+        return (
+            other_resonance is not self
+            and abs(other_resonance.speed / self.speed - 1.0) < allowed_relative_distance
+        )
 
     def list_neighbours(self, resonances: Sequence[_Resonance]) -> list[_Resonance]:
         """Return the other resonances with overlapping fitted speeds."""
         return [resonance for resonance in resonances if self.is_near(resonance)]
 
-    def has_within_width(self, resonance: _Resonance) -> bool:
+    def has_within_width(self, other_resonance: _Resonance) -> bool:
         """Return True if another resonance is nearer than this one's width."""
-        return self.is_near(resonance, 2.0 * self.best_fit.first_mode.damping_ratio)
+        return self.is_near(other_resonance, 2.0 * self.best_fit.first_mode.damping_ratio)
 
-    def may_be_residual_of(self, resonance: _Resonance) -> bool:
+    def may_be_residual_of(self, other_resonance: _Resonance) -> bool:
         """Return True if a larger resonance with the same order covers this one."""
-        larger_fit, own_fit = resonance.best_fit, self.best_fit
+        larger_fit, own_fit = other_resonance.best_fit, self.best_fit
         is_covered_at_order = (
-            resonance.has_within_width(self)
+            other_resonance.has_within_width(self)
             and larger_fit.first_mode.order == own_fit.first_mode.order
         )
         return (
@@ -954,10 +957,8 @@ class _Resonance:
             ]
             runs = record.find_runs(residuals + sum(resonance_motions), self.speed)
             best_fit = Fit(runs, modes, self._make_initial_weights(runs))
-        mode, stiffening = (
-            best_fit.first_mode,
-            record.stiffening(self.speed, best_fit.first_mode.omega),
-        )
+        mode = best_fit.first_mode
+        stiffening = record.stiffening(self.speed, best_fit.first_mode.omega)
         run_weight_pairs = list(zip(runs, best_fit.weights, strict=True))
         single_run_fits = (
             [Fit([run], best_fit.modes, [run_weights]) for run, run_weights in run_weight_pairs]
@@ -973,10 +974,8 @@ class _Resonance:
         margin_by_order = self.margins | {
             rival_resonance.best_fit.first_mode.order: 0.0 for rival_resonance in rival_resonances
         }
-        omega_and_damping_errors, compared_orders = (
-            best_fit.omega_and_damping_errors,
-            np.array(sorted(margin_by_order)),
-        )
+        omega_and_damping_errors = best_fit.omega_and_damping_errors
+        compared_orders = np.array(sorted(margin_by_order))
         return PassageFit(
             order=mode.order,
             omega=mode.omega,

@@ -68,13 +68,13 @@ def compute_and_print_key_figures(_: Namespace, inputs: CommandInputs, console: 
         key_figures = find_key_figures(study)
     with console.report_stage("resonance at the load"):
         load_resonance = find_study_resonance(
-            study, key_figures.omega_bilinear, key_figures.speed_slopes
+            study, key_figures.omega_bilinear, key_figures.squared_omega_slopes
         )
     with console.report_stage("errors due to the mesh"):
         bonded_omega_by_kind = {"tied": key_figures.omega_tied} if structure.n_pairs else {}
         omega_by_kind = {"open": key_figures.omega_open} | bonded_omega_by_kind
         mesh_errors = estimate_frequency_mesh_errors(
-            study, omega_by_kind, load_resonance, key_figures.speed_slopes
+            study, omega_by_kind, load_resonance, key_figures.squared_omega_slopes
         )
         vibration_mesh_error = (
             0.0 if scene.structure is not None else mesh_errors.stated("vibration")[0]

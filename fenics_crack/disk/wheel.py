@@ -458,11 +458,9 @@ class WheelInFewCoordinates(Structure):
             Number of modes for each nodal diameter.
         """
         begin_stage(f"modes of {len(wheel.sector.nodal_diameter_range)} nodal diameters")
-        cyclic_basis, sector_structure, comm = (
-            wheel.basis(families),
-            wheel.sector.structure,
-            MPI.COMM_SELF,
-        )
+        cyclic_basis = wheel.basis(families)
+        sector_structure = wheel.sector.structure
+        comm = MPI.COMM_SELF
         begin_stage("matrices of the bladed disk")
         mass, stiffness = cyclic_basis.tuned_mass_and_stiffness
         if np.any(wheel.mistuning):

@@ -203,7 +203,7 @@ def estimate_frequency_mesh_errors(
     study: Study,
     omega_by_kind: Mapping[str, np.ndarray],
     load_resonance: LoadResonance = UNSOUGHT_RESONANCE,
-    speed_slopes: np.ndarray | None = None,
+    squared_omega_slopes: np.ndarray | None = None,
 ) -> Verification:
     """Return mesh errors of natural frequencies and the load's resonance (collective).
 
@@ -215,7 +215,7 @@ def estimate_frequency_mesh_errors(
         Natural frequencies with "open" and "tied" (bonded) crack faces.
     load_resonance : LoadResonance
         Resonance at the load on the same structure; the result includes the ``numbers``.
-    speed_slopes : (m,), optional
+    squared_omega_slopes : (m,), optional
         Slope S of each mode (:func:`find_study_resonance`).
     """
     scene = study.scene
@@ -239,12 +239,12 @@ def estimate_frequency_mesh_errors(
         if "tied" in omega_by_kind:
             coarse_omega_by_kind["tied"] = solve_bonded_modes(coarse_study.structure, n_modes).omega
         coarse_mesh_values = name_frequencies(coarse_omega_by_kind)
-        if load_resonance.numbers and speed_slopes is not None:
+        if load_resonance.numbers and squared_omega_slopes is not None:
             coarse_bilinear = BilinearFrequencies(
                 coarse_omega_by_kind["open"], coarse_omega_by_kind["tied"]
             )
             coarse_mesh_values |= find_study_resonance(
-                coarse_study, coarse_bilinear.omega_bilinear, speed_slopes
+                coarse_study, coarse_bilinear.omega_bilinear, squared_omega_slopes
             ).numbers
         counts_and_values = zip(element_counts, (values_by_name, coarse_mesh_values), strict=True)
         return find_error_part_or_reason(

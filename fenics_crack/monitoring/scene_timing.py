@@ -325,7 +325,7 @@ def match_mode_or_give_reason(passage_fit: PassageFit, diagram: Campbell) -> tup
     str
         Reason without a match, else empty.
     """
-    omega_open, omega_tied = diagram.between(passage_fit.speed)
+    omega_open, omega_tied = diagram.interpolate_open_and_tied(passage_fit.speed)
 
     def compute_relative_mode_distances(omega: float) -> np.ndarray:
         return np.maximum(np.maximum(omega_open - omega, omega - omega_tied), 0.0) / omega

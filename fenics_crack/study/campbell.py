@@ -33,6 +33,7 @@ from scipy.optimize import brentq
 
 from fenics_crack.basics.errors import InputError, check_choice, check_count
 from fenics_crack.basics.report import Report
+from fenics_crack.basics.suggestions import with_old_names
 from fenics_crack.basics.tables import (
     RAD_PER_S_PER_RPM,
     Conclusion,
@@ -96,6 +97,7 @@ PeakAmplitudeFunction = Callable[[Modes], np.ndarray]
 """Function of modes (n): amplitudes of the modes at their resonances under a load (n,)."""
 
 
+@with_old_names(between="interpolate_open_and_tied", meetings="yield_crossing_texts")
 @dataclass(frozen=True, repr=False)
 class Campbell(SavedResult):
     """Natural frequencies over the speed.
@@ -297,7 +299,7 @@ class Campbell(SavedResult):
             for (mode, speed), resonance in zip(crossings, resonances, strict=False)
         ]
 
-    def meetings(self, order: int) -> Iterator[str]:
+    def yield_crossing_texts(self, order: int) -> Iterator[str]:
         """Yield a text for each crossing of an engine order.
 
         It names the mode, the resonance at the load if it is known, and the speeds at which the
@@ -350,7 +352,7 @@ class Campbell(SavedResult):
         mode_index = int(np.abs(np.sqrt(np.maximum(squares, 0.0)) - omega).argmin())
         return float(squared_omega_slopes[mode_index] * speed**2 / squares[mode_index])
 
-    def between(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
+    def interpolate_open_and_tied(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
         """Return open and bonded frequencies at a speed: (m,) [rad/s] each.
 
         They are interpolated as in :meth:`stiffening`.
@@ -571,7 +573,9 @@ def report_of_campbell(diagram: Campbell) -> Report:
         "frequency" if scene.is_frequency_in_hertz or scene.is_speed_in_rpm else "omega"
     )
     orders = [load_engine_order] if load_engine_order else [*range(1, MAX_REPORTED_ORDER + 1)]
-    notes = [crossing_text for order in orders for crossing_text in diagram.meetings(order)]
+    notes = [
+        crossing_text for order in orders for crossing_text in diagram.yield_crossing_texts(order)
+    ]
     if not notes and load_engine_order is None:
         notes = [f"engine orders 1 to {MAX_REPORTED_ORDER} meet none"]
     if coriolis_text := describe_coriolis(diagram.coriolis):

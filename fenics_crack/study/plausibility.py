@@ -88,7 +88,7 @@ class KeyFigures:
         Bilinear frequencies of the open modes.
     damping_ratios : (at most 4,)
         Ratios of critical damping of the open modes.
-    speed_slopes : (at most 4,)
+    squared_omega_slopes : (at most 4,)
         S = d(w^2) / d(W^2) of the open modes under rotation; 0 without rotation.
     face_stiffness : (n_pairs,) [N/m]
         Static stiffness of the crack faces at each pair, 1 / (B^T K^-1 B)_jj.
@@ -120,7 +120,7 @@ class KeyFigures:
     omega_tied: np.ndarray
     omega_bilinear: np.ndarray
     damping_ratios: np.ndarray
-    speed_slopes: np.ndarray
+    squared_omega_slopes: np.ndarray
     face_stiffness: np.ndarray
     contact_stiffness_ratio: np.ndarray | None
     opening_under_mean_load: float
@@ -194,7 +194,7 @@ def find_key_figures(study: Study) -> KeyFigures:
         n_face_elements=_count_elements_along_face(scene, structure),
         omega_open=modes.omega, omega_tied=bonded_modes.omega,
         omega_bilinear=bilinear_frequencies.omega_bilinear,
-        damping_ratios=modal_damping_ratios, speed_slopes=_slopes_of_squared_omegas(modes),
+        damping_ratios=modal_damping_ratios, squared_omega_slopes=_slopes_of_squared_omegas(modes),
         face_stiffness=face_stiffness,
         contact_stiffness_ratio=None if pair_stiffness is None else pair_stiffness / face_stiffness,
         opening_under_mean_load=float(np.max(-mean_load_gaps, initial=0.0)) + 0.0,
@@ -550,7 +550,10 @@ def propose_curve_or_none(scene: Scene, key_figures: KeyFigures) -> Curve | None
         return None
     bonded_omega = 1.0 / (2.0 / bilinear_omega - 1.0 / open_omega)  # of the same mode
     find_crossing_parameter = partial(
-        _curve_parameter_at_crossing, scene, parameter, slope=key_figures.speed_slopes[mode_index]
+        _curve_parameter_at_crossing,
+        scene,
+        parameter,
+        slope=key_figures.squared_omega_slopes[mode_index],
     )
     lowest_resonance_parameter, highest_resonance_parameter, start, stop = map(
         find_crossing_parameter,
@@ -660,7 +663,7 @@ class RemarkRule(NamedTuple):
         Plausible range.
     text_template : str
         Text with fields for the number, further values, {kind} and {faces}.
-    compute_number : callable, optional
+    number_function : callable, optional
         Function of the value, the scene, and in some tables the structure or the key figures. It
         returns the number, or a tuple of the number and further values; None if the rule does not
         apply.
@@ -672,7 +675,7 @@ class RemarkRule(NamedTuple):
     lower_limit: float
     upper_limit: float
     text_template: str
-    compute_number: Callable[..., Any] = lambda value, *_: float(np.max(value))
+    number_function: Callable[..., Any] = lambda value, *_: float(np.max(value))
     factor_by_unit: Mapping[str, float] = MappingProxyType({})
 
 
@@ -704,7 +707,7 @@ def _iterate_remarks(
     body_kind = "structure" if geometry_table is None else geometry_table.kind
     for rule in rules:
         for key, value in _list_first_given_key_and_value(scene, rule.keys_text):
-            number_and_values = rule.compute_number(value, scene, *rule_arguments)
+            number_and_values = rule.number_function(value, scene, *rule_arguments)
             checked_number, *further_values = (
                 number_and_values if isinstance(number_and_values, tuple) else (number_and_values,)
             )
@@ -976,7 +979,7 @@ def _missed_first_omega_and_text(
             _curve_parameter_at_crossing,
             scene,
             curve_table.parameter,
-            slope=key_figures.speed_slopes[0],
+            slope=key_figures.squared_omega_slopes[0],
         )
     )
     curve_start, curve_end = sorted(curve_table.parameter_and_range[1:])

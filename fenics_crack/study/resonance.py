@@ -134,7 +134,7 @@ def order_crossing_speed(
 
 
 def find_study_resonance(
-    study: Study, estimated_omegas: np.ndarray, speed_slopes: np.ndarray
+    study: Study, estimated_omegas: np.ndarray, squared_omega_slopes: np.ndarray
 ) -> LoadResonance:
     """Find the resonance of an unreduced study at its own load (collective).
 
@@ -142,7 +142,7 @@ def find_study_resonance(
     ----------
     estimated_omegas : (m,) [rad/s]
         Estimated resonance frequencies of the modes, at the study's rotor speed.
-    speed_slopes : (m,)
+    squared_omega_slopes : (m,)
         S of each mode, for an engine order.
 
     Returns
@@ -163,7 +163,7 @@ def find_study_resonance(
     try:
         if engine_order is not None and whole_structure.rotation is not None and scene.disk is None:
             crossing_speed = order_crossing_speed(
-                engine_order, scene.speed, estimated_omega, speed_slopes[mode_index]
+                engine_order, scene.speed, estimated_omega, squared_omega_slopes[mode_index]
             )
             if math.isnan(crossing_speed):
                 raise ConvergenceError(f"engine order {engine_order} does not meet it")

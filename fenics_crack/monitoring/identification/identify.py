@@ -662,7 +662,7 @@ def _join_sweeps(
 def _count_allowed_cases(scene: Scene) -> int:
     """Return the allowed number of solved cases."""
     unknown_axes = scene.given("identify").unknown
-    return OPTIONS.max_case_ratio * math.prod(
+    return OPTIONS.max_solved_case_ratio * math.prod(
         len(unknown_axis.values) for unknown_axis in unknown_axes
     )
 

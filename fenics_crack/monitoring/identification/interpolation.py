@@ -170,7 +170,7 @@ class Interpolation:
                 for axis_index, axis_values in enumerate(unknown_grid.axes)
             )
             self._node_errors_along_axes = [
-                OPTIONS.leave_one_out_fraction * errors_along_axis.reshape(node_values.shape)
+                OPTIONS.error_per_leave_one_out_error * errors_along_axis.reshape(node_values.shape)
                 for errors_along_axis in leave_one_out_errors_along_axes
             ]
             if fill_errors.any():
@@ -214,7 +214,7 @@ class Interpolation:
         node_coordinates = self.unknown_grid.find_node_coordinates(self.unknown_grid.nodes)
         weight_exponents = (
             -0.5
-            / OPTIONS.error_average_width**2
+            / OPTIONS.error_averaging_width_in_nodes**2
             * cdist(self.unknown_grid.find_node_coordinates(x), node_coordinates, "sqeuclidean")
         )
         n_averaged_nodes = min(OPTIONS.max_averaged_nodes, len(node_coordinates))

@@ -247,10 +247,8 @@ class Measurement:
                 "give identify.uncracked"
             )
             raise InputError("measurements.quantity", self.quantity, allowed_text)
-        highest_order, n_harmonics = (
-            max(self.harmonic_orders, default=0),
-            scene.harmonic_balance.harmonics,
-        )
+        highest_order = max(self.harmonic_orders, default=0)
+        n_harmonics = scene.harmonic_balance.harmonics
         if n_harmonics < highest_order:
             allowed_text = f"at least {highest_order} for {self.quantity}"
             raise InputError("harmonic_balance.harmonics", n_harmonics, allowed_text)

@@ -23,16 +23,16 @@ class Options:
 
     Above it cases are added.
     """
-    max_case_ratio: int = 8
+    max_solved_case_ratio: int = 8
     """Maximum number of solved cases over the number in ``[identify.unknown]``."""
 
     # Interpolation.
-    leave_one_out_fraction: float = 0.3
+    error_per_leave_one_out_error: float = 0.3
     """Interpolation error relative to the leave-one-out error, at twice the spacing.
 
     The ratio is 1/16 for smooth quantities, and 3/4 if meshes make them uneven.
     """
-    error_average_width: float = 1.25
+    error_averaging_width_in_nodes: float = 1.25
     """Width of the Gaussian weights that average errors at nodes [node spacings]."""
     max_averaged_nodes: int = 16
     """Maximum number of nodes in an average of errors."""
@@ -40,13 +40,13 @@ class Options:
     # Posterior.
     max_least_squares_starts: int = 8
     """Maximum number of starts of least squares."""
-    refined_half_width: float = 5.0
+    refined_half_width_in_deviations: float = 5.0
     """Half width [standard deviations] for the refined grid around an optimum."""
     allowed_optimum_log_drop: float = 8.0
     """Optima further below the maximum of log L are neglected."""
     allowed_grid_log_drop: float = 300.0
     """Grid points further below the maximum of log L are not evaluated again."""
-    batch_size: int = 500
+    points_per_batch: int = 500
     """Number of points per evaluation of the likelihood, to bound memory."""
     min_part_probability: float = 0.03
     """Minimum probability of a separate part of the region in reports."""
