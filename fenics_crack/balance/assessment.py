@@ -51,30 +51,33 @@ from fenics_crack.numerics.fourier import resize_harmonics
 from fenics_crack.numerics.newton import change_relative_to_motion
 
 MAX_ORBIT_DISTANCE = 0.1
-"""Relative distance up to which the nearest orbit is accepted.
+"""Maximum relative distance of the gaps at which the nearest orbit is accepted.
 
 Up to this predicted error, the search begins at the predicted state first. Measured on 680
 solutions of 170 systems: 99 % of chains, 83 % of plates and 79 % of stiff chains have a prediction
 within half to twice the distance.
 """
 MAX_ORBIT_DISTANCE_OF_MASSLESS_FACES = 0.5
-"""Relative distance up to which an orbit is accepted for crack faces without mass.
+"""Maximum relative distance of an accepted orbit for crack faces without mass.
 
-Of ten such orbits between 0.1 and 0.5 away, and within three predictions, nine belonged to the
-solution with many harmonics. All had the same verdict.
+Of ten such orbits between 0.1 and 0.5 away, and within three times the prediction, nine belonged to
+the solution with many harmonics. All had the same verdict on stability.
 """
 MAX_HARMONIC_DOUBLINGS = 2
-"""Number of times that the harmonics are doubled to find an orbit."""
+"""Maximum number of times that the harmonics are doubled to find an orbit."""
 
 
 class Assessment:
-    """Assessment of a harmonic-balance solution by the exact flow.
+    """Comparison of a harmonic-balance solution with exact motions.
 
-    Each part is computed on first request, from the solution alone.
+    Exact motions are integrated to rounding, from contact event to contact event (the exact flow).
+    The comparison has a predicted error and the nearest exact orbit. Each part is computed on first
+    request, from the solution alone.
 
     Parameters
     ----------
     wave : Wave
+        Motion of the solution.
     exact_orbit : PeriodicOrbit, optional
         Orbit whose Fourier coefficients the solution has.
     source_orbit : PeriodicOrbit, optional
@@ -106,7 +109,10 @@ class Assessment:
         self._failure_reasons: list[str] = []
 
     def holds_for(self, wave: Wave) -> bool:
-        """Return True if this assessment holds for a solution."""
+        """Return True if this assessment was made for a motion.
+
+        Arrays, structure and law must be the same objects, and numbers equal.
+        """
         attribute_pairs = [
             (getattr(self.wave, wave_field.name), getattr(wave, wave_field.name))
             for wave_field in fields(Wave)
@@ -119,7 +125,11 @@ class Assessment:
 
     @cached_property
     def flow(self) -> ContactFlow | None:
-        """Return the exact flow of the structure, or None."""
+        """Exact flow of structure and law, which integrates motions to rounding; or None.
+
+        None: a linear solution, no pairs, a smooth law, a large structure, or a rigid law with a
+        singular residual flexibility.
+        """
         if self.exact_orbit is not None or self._flow is not None:
             return self._flow if self.exact_orbit is None else self.exact_orbit.flow
         if self.wave.contact is None or not self.wave.structure.n_pairs:
@@ -128,19 +138,30 @@ class Assessment:
 
     @property
     def can_search_orbit(self) -> bool:
-        """True if there is a flow, and a search for orbits does not take long."""
+        """True if there is an exact flow, and a search for orbits is affordable.
+
+        See :func:`is_orbit_search_affordable`.
+        """
         flow, wave = self.flow, self.wave
         return flow is not None and is_orbit_search_affordable(flow, wave.omega, wave.subharmonic)
 
     @property
     def is_load_too_slow(self) -> bool:
-        """True if the load is too slow for time integration of exact motions with few modes."""
+        """True if the load is too slow to integrate exact motions.
+
+        Two periods then exceed the budget of Taylor pieces into which a motion is split. Always
+        False for models with more than 120 modes, or without an exact flow.
+        """
         flow, wave = self.flow, self.wave
         return flow is not None and is_load_too_slow(flow, wave.omega, wave.subharmonic)
 
     @cached_property
     def states_at_period_parts(self) -> np.ndarray:
-        """Return states of the solution at equal parts of its period: (32, flow.state_size)."""
+        """States of the solution at 32 equal parts of its period: (32, flow.state_size).
+
+        A state has modal displacements, then velocities; with friction also the sliders' positions:
+        tangential gap less the tangential spring's deformation.
+        """
         assert self.flow is not None
         wave, flow = self.wave, self.flow
         period_states = series_states_at_period_parts(
@@ -153,9 +174,9 @@ class Assessment:
 
     @cached_property
     def orbit_prediction(self) -> Prediction | None:
-        """Return one step of Newton's method for the whole solution.
+        """Newton step from the whole solution towards an exact orbit.
 
-        It is None if the motion cannot be followed.
+        None: the motion cannot be followed, or there is no exact flow.
         """
         flow, wave = self.flow, self.wave
         return (
@@ -166,25 +187,33 @@ class Assessment:
 
     @property
     def predicted_error(self) -> float:
-        """Return the predicted relative error of the gaps over the period; inf if unknown."""
+        """Predicted relative error of the gaps over the period, by one Newton step.
+
+        inf if it is unknown: the motion cannot be followed, or there is no exact flow.
+        """
         return np.inf if self.orbit_prediction is None else self.orbit_prediction.relative_gap_error
 
     @property
     def nearest_orbit(self) -> PeriodicOrbit | None:
-        """Return the nearest orbit, or None.
+        """Nearest exact orbit; None if none was found.
 
-        It is the orbit from which the solution was found, or the end of Newton's method.
+        It is the orbit from which the solution was found, or the end of Newton's method. It may be
+        too far away to be accepted (:attr:`is_accepted`).
         """
         return self._orbit_and_acceptance[0]
 
     @property
     def is_accepted(self) -> bool:
-        """True if the nearest orbit is accepted as the exact form of this solution."""
+        """True if the nearest orbit is accepted as the exact form of this solution.
+
+        Its relative distance is then at most 0.1, or 0.5 if crack faces have no mass. An orbit by
+        Newton's method from the solution must also lie within three times the prediction.
+        """
         return self._orbit_and_acceptance[1]
 
     @cached_property
     def _orbit_and_acceptance(self) -> tuple[PeriodicOrbit | None, bool]:
-        """Return the nearest orbit, and True if it is accepted as the solution's exact form."""
+        """Nearest orbit or None, and True if it is accepted as the solution's exact form."""
         if self.exact_orbit is not None:
             return self.exact_orbit, True
         orbit = self._source_orbit or self._search_nearest_orbit()
@@ -204,7 +233,10 @@ class Assessment:
         return orbit, orbit is not None and relative_gap_distance(self.wave, orbit) <= max_distance
 
     def _search_nearest_orbit(self) -> PeriodicOrbit | None:
-        """Search for an orbit by Newton's method from the solution; None without success."""
+        """Search for an exact orbit by Newton's method from the solution.
+
+        None: the load is too slow, the motion cannot be followed, or Newton's method fails.
+        """
         if self.orbit_prediction is None or self.is_load_too_slow:
             return None
         assert self.flow is not None
@@ -223,7 +255,11 @@ class Assessment:
         return next(filter(None, orbit_or_none_iterator), None)
 
     def _assessment_with_twice_harmonics(self) -> Assessment | None:
-        """Return the assessment of the solution with twice the harmonics, or None."""
+        """Return the assessment of the solution with twice the harmonics, or None.
+
+        None: crack faces have mass, orbits cannot be searched, the harmonics were doubled twice
+        already, or there is no such solution.
+        """
         flow, n_doublings_left = self.flow, self._n_harmonic_doublings - 1
         if (
             flow is None
@@ -240,9 +276,9 @@ class Assessment:
 
     @cached_property
     def irregular_attractor(self) -> Attractor | None:
-        """Return the exact motion that begins with the solution, if it is irregular.
+        """Exact motion that begins with the solution, if it is irregular.
 
-        It is None for a regular motion, and if an orbit is found.
+        None for a regular motion, if an orbit was found, or if the motion cannot be followed.
         """
         if (
             self.nearest_orbit is not None
@@ -257,9 +293,9 @@ class Assessment:
 
     @cached_property
     def relative_orbit_distance(self) -> float:
-        """Return the distance between the solution's gaps and the orbit's over the period.
+        """Relative distance between the gaps of solution and orbit over the period.
 
-        It is relative to the moving part of B^T u; nan without an orbit.
+        The reference is the vibrating part of the gaps without clearance; nan without an orbit.
         """
         return (
             np.nan
@@ -270,9 +306,9 @@ class Assessment:
     def gap_and_displacement_errors(self, *, search: bool = True) -> tuple[float, float]:
         """Return relative errors of the gap, and of the displacement at the load.
 
-        With ``search`` they are the distances to the nearest orbit. Without an orbit they are
-        :func:`stated_error` of the predictions. Without ``search`` they are the predictions. At
-        most :data:`ERROR_IF_UNKNOWN`.
+        With ``search`` they are the distances to the nearest orbit. Without an orbit they are 3 p /
+        (1 + 2 p) for the predictions p. Without ``search`` they are the predictions. Each is at
+        most 1, which stands for unknown.
         """
         wave = self.wave
         if self.exact_orbit is not None or (search and self.nearest_orbit is not None):
@@ -313,10 +349,10 @@ class Assessment:
 
     @cached_property
     def more_modes(self) -> MoreModes | None:
-        """Return the nearest orbit's motion with more modes, or None.
+        """Nearest orbit's motion if the structure has more modes.
 
-        The orbit need not be accepted. None: no orbit is found, no flow with more modes is known,
-        or it would take long.
+        None: no orbit is found, no flow with more modes is known, or it would take long. The orbit
+        need not be accepted.
         """
         if self._more_modes is not None:
             return self._more_modes
@@ -334,7 +370,7 @@ class Assessment:
 
     @property
     def rejection_reason(self) -> str:
-        """Return why no orbit is accepted for the solution; "" if one is."""
+        """Reason in words why no orbit is accepted for the solution; "" if accepted."""
         if self.is_accepted:
             return ""
         if self.is_load_too_slow:
@@ -371,12 +407,15 @@ class Assessment:
 
 
 def stated_error(predicted_error: float) -> float:
-    """Return the error stated for a prediction without an orbit, 3 p / (1 + 2 p)."""
+    """Return the error reported without an orbit, 3 p / (1 + 2 p).
+
+    p is the predicted relative error. The result is about 3 p for a small p, and never below p.
+    """
     return 3.0 * predicted_error / (1.0 + 2.0 * min(predicted_error, 1.0))
 
 
 def wave_with_twice_the_harmonics(wave: Wave) -> Wave | None:
-    """Solve with twice the harmonics, beginning at a solution; None if it fails."""
+    """Solve again with twice the harmonics, from a solution's motion; None if it fails."""
     assert wave.contact is not None
     problem = Problem(
         wave.structure, wave.omega, wave.contact, 2 * wave.harmonics,
@@ -403,9 +442,10 @@ def _relative_change_at_load(wave: Wave, change: np.ndarray, motion: np.ndarray)
 
 
 def relative_gap_distance(wave: Wave, orbit: PeriodicOrbit) -> float:
-    """Return the distance between a solution's gaps and an orbit's over the period.
+    """Return the relative distance between a solution's gaps and an orbit's over the period.
 
-    It is relative to the moving part of B^T u; 0 if that is rounding.
+    The reference is the vibrating part of the orbit's gaps without clearance. It is 0 if the load
+    presses the crack faces together and only rounding moves them.
     """
     orbit_samples = orbit.period_samples
     if are_crack_faces_still(orbit_samples):

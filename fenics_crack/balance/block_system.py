@@ -11,9 +11,9 @@ those of the load. b and T = db/ds follow from the integrals of the condensed fo
 harmonics of its dofs. Modal damping C = M Phi diag(d) Phi^T M is dense. Its m modes add the
 unknowns q = Phi^T M u to each harmonic, on the last rank.
 
-With a static compliance R_inf = W^T B in series with contact, as for crack faces without mass, s is
-the slow gap of the condensed form, s = B^T u - g0 + R_inf b. With B b = c - A u it is linear in the
-displacement:
+A static compliance R_inf = W^T B may be in series with contact, as for crack faces without mass.
+Then s is the slow gap of the condensed form, s = B^T u - g0 + R_inf b. With B b = c - A u it is
+linear in the displacement:
 
     s = B^T u - g0 + W^T (c - A u),        J = A + B T (B - A^T W)^T.
 
@@ -50,19 +50,23 @@ from fenics_crack.numerics.fourier import resize_harmonics, stretch_period
 from fenics_crack.numerics.newton import MAX_ITERATIONS, Snes
 
 MAX_STIFFNESS_RATIO, MIN_STIFFNESS_RATIO = 10.0, 1.1
-"""Ratio of successive contact stiffnesses: largest and smallest that is tried."""
+"""Largest and smallest ratio of successive contact stiffnesses that is tried."""
 MUMPS_WORKSPACE_PERCENT = 200
-"""Work space of MUMPS beyond its estimate [%].
+"""Work space of the solver MUMPS beyond its estimate [%].
 
-On several ranks the pivots of some J need more than those of others, and more than the default.
+On several ranks some Jacobians need more for their pivots than the default.
 """
 BLOCK_SEARCH_REMEDY = "form = 'condensed', other harmonics, a softer contact, or more damping"
 
 
 class BlockSystem(Snes):
-    """Equations r(u) = 0 for the displacement's coefficients u (2H+1, n_local) (collective).
+    """Harmonic-balance equations with all displacements as unknowns (collective).
 
-    A context manager frees the PETSc objects.
+        r(u) = A u + B b(s) - c = 0
+
+    u (2H+1, n_local) are displacement coefficients, A the dynamic stiffness and c the load. b(s)
+    are the contact forces' coefficients at the slow gap s, and B distributes them to the dofs. A
+    context manager frees the PETSc objects.
 
     Parameters
     ----------
@@ -71,7 +75,7 @@ class BlockSystem(Snes):
     linear_displacement : (2H+1, n_local) [m]
         Solution without contact.
     history : list, optional
-        As ``residual_norms`` of :class:`Snes`.
+        Receives the residual norm |F| of every iteration.
     """
 
     def __init__(
@@ -83,9 +87,9 @@ class BlockSystem(Snes):
         square_sums = np.array([np.sum(waves**2) for waves in (linear_displacement, self._load)])
         displacement_norm, load_norm = np.sqrt(structure.sum_over_ranks(square_sums))
         self.length_unit = float(displacement_norm) or 1.0
-        """Unit of the unknowns [m]."""
+        """Unit of the unknowns [m]: norm of the linear solution, or 1."""
         self.force_unit = float(load_norm) or float(np.max(problem.contact.stiffness))
-        """Unit of the residual [N]."""
+        """Unit of the residual [N]: norm of the load, or without a load the contact stiffness."""
         self._first_dof_by_rank = np.cumsum([0, *structure.comm.allgather(structure.n_local)])
         self._scaled_shapes_and_their_rates = np.zeros((structure.n_local, 0)), np.zeros(0)
         given_modes = damped_modes(structure)
@@ -136,7 +140,10 @@ class BlockSystem(Snes):
         self._linear_matrix = jacobian.duplicate(copy=True)
         self._local_slow_gap_matrix = self._slow_gap_matrix[:, slice(*jacobian.getOwnershipRange())]
         self.rounding = residual_rounding(10.0 * jacobian.norm() / math.sqrt(linear_coo.shape[1]))
-        """Least tolerance for |F| / |x|; rounding alone leaves about a tenth."""
+        """Minimum tolerance for the relative residual |F| / |x|.
+
+        Rounding alone leaves about a tenth.
+        """
         super().__init__(jacobian, history)
         preconditioner = self._snes.getKSP().getPC()
         if preconditioner.getType() == "lu" and preconditioner.getFactorSolverType() == "mumps":
@@ -145,9 +152,10 @@ class BlockSystem(Snes):
             preconditioner.getFactorMatrix().setMumpsIcntl(14, MUMPS_WORKSPACE_PERCENT)
 
     def _linear_jacobian_rows(self, base_omega: float) -> sparse.coo_matrix:
-        """Return this rank's rows of the Jacobian's linear part A.
+        """Return this rank's rows of the dynamic stiffness, the Jacobian without contact.
 
-        Units are scaled. Rows of damped modes are on the last rank.
+        ``base_omega`` [rad/s] is the response's frequency. Rows and columns are in the system's
+        units. Rows of damped modes are on the last rank.
         """
         structure, n_rows = self.structure, self._shape[0]
         mass, stiffness = (
@@ -196,7 +204,7 @@ class BlockSystem(Snes):
     def _group_columns_by_rank(
         self, matrix: sparse.spmatrix, n_new_columns: int
     ) -> sparse.csr_matrix:
-        """Reorder columns by harmonic and dof to columns rank by rank.
+        """Reorder columns from (harmonic, dof) to rank by rank.
 
         ``n_new_columns`` is the number of columns of the result.
         """
@@ -218,8 +226,8 @@ class BlockSystem(Snes):
     def _contact_jacobian_rows(self, tangent: np.ndarray) -> sparse.csr_matrix:
         """Return this rank's rows of the Jacobian's contact part, B T ds/du.
 
-        B takes contact forces to the dofs, s is the slow gap, and T = ``tangent`` is the forces'
-        derivative by s.
+        B takes contact forces to the dofs, u is the displacement, s the slow gap (gap plus residual
+        flexibility times contact force), and T = ``tangent`` the forces' derivative by s.
         """
         n_gap_coefficients = self._pair_force_matrix.shape[1]
         sparse_tangent = sparse.csr_matrix(
@@ -233,19 +241,25 @@ class BlockSystem(Snes):
             solver.getPC().setFactorSolverType("mumps")
 
     def displacement(self, unknown_vector: Any) -> np.ndarray:
-        """Return the displacement u of a PETSc vector of unknowns: (2H+1, n_local) [m]."""
+        """Return the displacement from a PETSc vector of unknowns: (2H+1, n_local) [m]."""
         n_entries = int(np.prod(self._shape))
         return self.length_unit * unknown_vector.array_r[:n_entries].reshape(self._shape)
 
     def slow_gap(self, unknown: np.ndarray) -> np.ndarray:
-        """Return the slow gap s from this rank's unknowns: (2H+1, n_pairs) [m] (collective)."""
+        """Return the slow gap from this rank's unknowns: (2H+1, n_pairs) [m] (collective).
+
+        The slow gap is the gap plus residual flexibility times contact force.
+        """
         scaled_gap = self.structure.sum_over_ranks(self._local_slow_gap_matrix @ unknown)
         return self._gap_at_zero_unknown + self.length_unit * scaled_gap.reshape(
             self._gap_at_zero_unknown.shape
         )
 
     def scaled_unknowns_of(self, displacement: np.ndarray) -> np.ndarray:
-        """Return this rank's unknowns for a displacement (2H+1, n_local) [m] (collective)."""
+        """Return this rank's scaled unknowns for a displacement (2H+1, n_local) [m] (collective).
+
+        On the last rank, the amplitudes of damped modes follow.
+        """
         relative_displacement, comm = displacement / self.length_unit, self.structure.comm
         modal_part = self.structure.sum_over_ranks(
             relative_displacement[1:] @ self._scaled_shapes_and_their_rates[0]
@@ -271,7 +285,7 @@ class BlockSystem(Snes):
 
     @property
     def petsc_reason_name(self) -> str:
-        """Return PETSc's name for the reason why the last steps ended."""
+        """PETSc's name for the reason why the last Newton steps ended."""
         codes = vars(PETSc.SNES.ConvergedReason).items()
         return next(name for name, code in codes if code == self._snes.getConvergedReason())
 
@@ -283,14 +297,16 @@ class BlockSystem(Snes):
         Parameters
         ----------
         displacement : (2H+1, n_local) [m]
+            Start.
         stiffness_factor : float
-            Factor of the contact stiffness, from 0 to 1.
+            Factor of the contact stiffness, above 0, at most 1.
         tolerance : float
-            Maximum |F| / |x|.
+            Maximum relative residual |F| / |x|.
 
         Returns
         -------
         displacement : (2H+1, n_local) [m]
+            End.
         has_converged : bool
         n_iterations : int
         """
@@ -314,7 +330,8 @@ class BlockSolver(Solver):
     """Solver for all displacement coefficients at once, by PETSc's SNES.
 
     Its block system has a block row for each harmonic: dynamic stiffness times displacement plus
-    contact force less load. :meth:`solve` returns the same solutions as the condensed solver.
+    contact force less load. :meth:`solve` returns the same solutions as the solver with gaps as
+    unknowns.
 
     Raises
     ------
@@ -403,17 +420,18 @@ class BlockSolver(Solver):
 def _solve_with_growing_stiffness(
     block: BlockSystem, search: Search, displacement: np.ndarray, first_stiffness_factor: float
 ) -> tuple[np.ndarray, float]:
-    """Solve at growing contact stiffness, up to that of the law.
+    """Solve at growing contact stiffness, up to the law's.
 
-    Each search begins on a straight line through the last two solutions, over the logarithm of the
-    factor.
+    Each solution begins on a straight line through the last two, over the logarithm of the
+    stiffness factor. ``displacement`` (2H+1, n_local) [m] starts the first solution, at
+    ``first_stiffness_factor``. Steps that fail are shortened, down to a ratio of 1.1.
 
     Returns
     -------
     displacement : (2H+1, n_local) [m]
         Last solution.
     reached_factor : float
-        Its factor of the contact stiffness; 1 for the law.
+        Its factor of the contact stiffness; 1 for the law, 0 without any solution.
     """
     reached_factor, trial_factor = 0.0, first_stiffness_factor
     stiffness_ratio, slope = MAX_STIFFNESS_RATIO, np.zeros_like(displacement)
@@ -438,4 +456,4 @@ def _solve_with_growing_stiffness(
 
 
 SOLVER_BY_FORM: dict[str, type[Solver]] = {"condensed": Solver, "block": BlockSolver}
-"""Solver for each form of harmonic balance."""
+"""Solver class for each ``form`` of :func:`solve_harmonic_balance`."""

@@ -49,13 +49,18 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import from_complex, resize_harmonics, stretch_period, to_complex
 
 DEFLATION_BAND = 1e-2
-"""Value of |1 - (omega/omega_j)^2| below which a mode is deflated."""
+"""Relative distance |1 - (omega/omega_j)^2| below which a mode is solved apart from the others.
+
+omega is the frequency, omega_j the mode's natural frequency. The factored matrix would otherwise be
+nearly singular.
+"""
 
 
 class DynamicStiffness:
     """Factorised dynamic stiffness Z = K - omega^2 M + i omega C.
 
-    Free it with :meth:`destroy`, or use it as a context manager (collective).
+    M, C and K are mass, damping and stiffness. Free the factors with :meth:`destroy`, or use the
+    object as a context manager (collective).
 
     Parameters
     ----------
@@ -135,7 +140,10 @@ class DynamicStiffness:
             )
 
     def solve(self, dof_forces: np.ndarray) -> np.ndarray:
-        """Return Z^-1 f, displacements by real or complex forces f (m, n_local) (collective)."""
+        """Return displacements under forces on the dofs, both (m, n_local) (collective).
+
+        Forces [N] are real or complex. The m rows are separate cases.
+        """
         n_local = self.structure.n_local
         if self._damping_matrix is not None:
             force_in_real_form = np.concatenate([np.real(dof_forces), -np.imag(dof_forces)], axis=1)
@@ -158,9 +166,10 @@ class DynamicStiffness:
         )
 
     def pair_compliance_matrix(self) -> np.ndarray:
-        """Return the gaps' compliance R = B^T Z^-1 B: (n_pairs, n_pairs) [m/N].
+        """Return the gaps' displacement by unit contact forces: (n_pairs, n_pairs) [m/N].
 
-        B takes contact forces to the dofs, B^T displacements to the gaps.
+        It is B^T Z^-1 B, with the dynamic stiffness Z. B takes contact forces to the dofs, B^T
+        displacements to the gaps.
         """
         return self.structure.apply_bt(self.solve(self.structure.gap.T.toarray())).T
 
@@ -180,9 +189,11 @@ class DynamicStiffness:
 def make_compliance_model(
     structure: Structure, base_omega: float, harmonics: int, subharmonic: int = 1
 ) -> ComplianceModel:
-    """Return the gaps' compliance at multiples of ``base_omega`` (collective).
+    """Return the gaps' dynamic compliance at multiples 0 to H of a frequency (collective).
 
-    The load's frequency is ``subharmonic`` times ``base_omega``.
+    ``base_omega`` [rad/s] is the response's frequency; the load's is ``subharmonic`` times as high.
+    H is ``harmonics``. Small structures get a closed form by all modes, others sparse
+    factorisations.
 
     Raises
     ------
@@ -196,28 +207,33 @@ def make_compliance_model(
 
 
 def load_coefficients(structure: Structure, harmonics: int, subharmonic: int) -> np.ndarray:
-    """Return the load's Fourier coefficients in the response's period: (2H+1, n_local) [N]."""
+    """Return the load's Fourier coefficients in the response's period: (2H+1, n_local) [N].
+
+    The response's period is ``subharmonic`` load periods; H is ``harmonics``.
+    """
     return resize_harmonics(stretch_period(structure.force, subharmonic), harmonics)
 
 
 class ModalCompliance:
-    """Compliance in closed form from all modes of a small structure.
+    """Dynamic compliance of the gaps in closed form, from all modes of a small structure.
 
-    It is exact with any damping. With modal coordinates q, u = Phi q, the impedance is omega_j^2 -
-    w^2 + i w c_j. Damping that couples modes makes it a full matrix of the same size.
+    It is exact with any damping. Mode j has the impedance omega_j^2 - w^2 + i w c_j at the
+    frequency w, with the natural frequency omega_j and the modal damping c_j. Damping that couples
+    modes makes it a full matrix of the same size.
 
     Attributes
     ----------
     gap_shape : tuple of int
         (2H+1, n_pairs)
     matrices : (H+1, n_pairs, n_pairs) complex [m/N]
-        R_k for each harmonic k, symmetric.
+        Compliance for each harmonic, symmetric.
     linear_gap : (2H+1, n_pairs) [m]
         Gap without contact forces, less the clearance.
     reachable_gap_basis : (n_pairs, n) or None
-        Orthonormal basis of the gaps that modes can make; None if these are all gaps.
+        Orthonormal basis of the gaps that modes can make; None if modes are at least as many as
+        pairs.
     gap_without_modes : (2H+1, n_pairs) [m]
-        Part of the linear gap by coordinates without mass, less the clearance.
+        Contribution of coordinates without mass to the linear gap, less the clearance.
     """
 
     def __init__(self, structure: Structure, base_omega: float, load_rows: np.ndarray) -> None:
@@ -274,8 +290,8 @@ class ModalCompliance:
     ) -> ModalCompliance:
         """Return the compliance at another frequency, and for a varied structure.
 
-        ``load`` and ``damping`` are factors, ``clearance`` [m] is added, as in
-        :meth:`Structure.varied`.
+        ``base_omega`` [rad/s] is the response's frequency. ``load`` and ``damping`` are factors,
+        ``clearance`` [m] is added, as in :meth:`Structure.varied`.
         """
         compliance = object.__new__(type(self))  # faster than copy
         vars(compliance).update(vars(self))
@@ -285,7 +301,10 @@ class ModalCompliance:
         return compliance
 
     def higher_harmonics_compliance(self, max_harmonic: int) -> np.ndarray:
-        """Return R_k for k = H+1 to ``max_harmonic``: (n, n_pairs, n_pairs) complex [m/N]."""
+        """Return the compliance at harmonics above H: (n, n_pairs, n_pairs) complex [m/N].
+
+        The n harmonics are H+1 to ``max_harmonic``.
+        """
         harmonic_orders = np.arange(len(self.matrices), max_harmonic + 1)
         is_mode_loaded: np.ndarray = np.zeros(
             (len(harmonic_orders), len(self._all_modes.squares)), dtype=bool
@@ -296,7 +315,11 @@ class ModalCompliance:
         return self._pair_compliance(modal_receptance)
 
     def _pair_compliance(self, modal_receptance: np.ndarray) -> np.ndarray:
-        """Return the pairs' compliances (n, n_pairs, n_pairs) [m/N] from modal receptances."""
+        """Return the gaps' compliance from modal receptances: (n, n_pairs, n_pairs) complex [m/N].
+
+        ``modal_receptance`` has n frequencies first; for uncoupled modes (n, n_modes), else (n,
+        n_modes, n_modes).
+        """
         dynamic_pair_compliance = self._all_modes.compliance_of_pairs(modal_receptance)
         return (
             dynamic_pair_compliance
@@ -305,7 +328,10 @@ class ModalCompliance:
         )
 
     def displacement(self, contact_force: np.ndarray) -> np.ndarray:
-        """Return the displacement under load and contact forces: (2H+1, n_local) [m]."""
+        """Return the displacement under load and contact forces: (2H+1, n_local) [m].
+
+        ``contact_force`` has the coefficients (2H+1, n_pairs) [N].
+        """
         displacement_of_modes = from_complex(
             -self._negative_modal_displacement(contact_force) @ self._all_modes.shapes.T
         )
@@ -318,17 +344,19 @@ class ModalCompliance:
     def displacements_at_base_omegas(
         self, base_omegas: np.ndarray, contact_force: np.ndarray
     ) -> np.ndarray:
-        """Return the displacement under contact forces and load at many base frequencies.
+        """Return displacements under load and contact forces at many frequencies.
 
         Parameters
         ----------
         base_omegas : (n,) [rad/s]
+            Frequencies of the response.
         contact_force : (2H+1, n, n_pairs) [N]
-            Contact forces at each frequency.
+            Coefficients of the contact forces at each frequency.
 
         Returns
         -------
         (2H+1, n, n_local) [m]
+            Coefficients of the displacement.
         """
         modes = self._all_modes
         omega_by_harmonic_and_base = np.multiply.outer(self._harmonic_orders, base_omegas)
@@ -356,9 +384,10 @@ class ModalCompliance:
     def selected_displacement(
         self, selection_rows: np.ndarray, contact_force: np.ndarray
     ) -> np.ndarray:
-        """Return selected displacements under contact forces: (2H+1, m).
+        """Return combinations of the displacement under load and contact forces: (2H+1, m).
 
-        Returns ``selection_rows`` (m, n_local) times the displacement.
+        ``selection_rows`` (m, n_local) are factors of the dofs; ``contact_force`` has the
+        coefficients (2H+1, n_pairs) [N].
         """
         displacement_of_modes = from_complex(
             -self._negative_modal_displacement(contact_force)
@@ -372,7 +401,11 @@ class ModalCompliance:
         )
 
     def _massless_displacement(self, contact_force: np.ndarray) -> np.ndarray:
-        """Return the displacement of coordinates without mass: (2H+1, n_local) [m]."""
+        """Return the contribution of coordinates without mass to the displacement: (2H+1, n_local)
+        [m].
+
+        It is quasi-static, under load and contact forces.
+        """
         assert (
             self._all_modes.massless_pair_responses is not None
             and self._massless_displacement_at_unit_factor is not None
@@ -388,13 +421,16 @@ class ModalCompliance:
         damping: tuple[float, float],
         residual_compliance: np.ndarray | None = None,
     ) -> dict[str, Any] | None:
-        """Return fields of the C struct ``structure_at_pairs``: the modes in R_k - R_inf.
+        """Return fields of the C struct ``structure_at_pairs`` for this compliance by modes.
 
-        The base frequency w and the damping factor d change along a path. Each is given by its
-        value at p = 0 and its rate. ``residual_compliance`` is R_inf. With h_kj = 1 / (s_j - (k
-        w)^2 + i k w d c_j),
+        The response's frequency w and the damping factor d change along a path: ``omega`` and
+        ``damping`` are each a value at the path's start and the change to its end.
+        ``residual_compliance`` is the residual flexibility R_inf [m/N]. At harmonic k, with h_kj =
+        1 / (s_j - (k w)^2 + i k w d c_j) for the mode j,
 
-            R_k - R_inf = P^T h_k P + static_compliance,    g_lin gains P^T h_k l_k from the load.
+            R_k - R_inf = P^T h_k P + static_compliance,    g_lin gains P^T h_k l_k from the load,
+
+        where R_k is the dynamic compliance and g_lin the gap without contact.
 
         Returns
         -------
@@ -402,7 +438,8 @@ class ModalCompliance:
             None if damping couples modes. Otherwise ``squares``, s (n_modes,) [rad^2/s^2];
             ``modal_damping``, c (n_modes,) [1/s]; ``shapes``, P (n_modes, n_pairs); ``load``, l
             (H+1, n_modes) complex; ``static_compliance`` (n_pairs, n_pairs) or None; ``modes``,
-            their number; ``omega``, ``damping``, w and d at p = 0, and ``..._rate``, their rates.
+            their number; ``omega``, ``damping``, w and d at the start, and ``..._rate``, their
+            changes.
         """
         modes = self._all_modes
         if modes.damping.ndim == 2:
@@ -435,12 +472,12 @@ class ModalCompliance:
         }
 
     def residual_derivative(self, parameter_name: str, contact_force: np.ndarray) -> np.ndarray:
-        """Return the derivative of R lambda - g_lin by a parameter: (2H+1, n_pairs).
+        """Return the residual's derivative by a parameter at fixed contact forces: (2H+1, n_pairs).
 
-        The contact forces lambda are fixed, so this is the residual's derivative.
-        ``parameter_name`` is a parameter of :meth:`with_parameters`; "omega" is the base frequency
-        w. With the modal impedance Z_k = omega_j^2 - (k w)^2 + i k w d c, the damping factor d and
-        H = Z^-1,
+        It is the derivative of R lambda - g_lin, with the compliance R, contact forces lambda and
+        the gap without contact g_lin. ``parameter_name`` is a parameter of :meth:`with_parameters`;
+        "omega" is the response's frequency w. At harmonic k, with the modal impedance Z_k =
+        omega_j^2 - (k w)^2 + i k w d c, the damping factor d and H = Z^-1,
 
             dH = -H dZ H,        dZ_k = (-2 k^2 w + i k d c) dw + i k w c dd.
         """
@@ -467,9 +504,9 @@ class ModalCompliance:
     def selected_displacement_omega_derivative(
         self, selection_rows: np.ndarray, contact_force: np.ndarray
     ) -> np.ndarray:
-        """Return the derivative of :meth:`selected_displacement` by the base frequency.
+        """Return the frequency derivative of :meth:`selected_displacement`: (2H+1, m).
 
-        The contact forces are fixed: (2H+1, m).
+        The contact forces are fixed; the frequency is the response's [rad/s].
         """
         return from_complex(
             -self._negative_modal_displacement_omega_derivative(contact_force)
@@ -479,7 +516,7 @@ class ModalCompliance:
     def _negative_modal_displacement_omega_derivative(
         self, contact_force: np.ndarray
     ) -> np.ndarray:
-        """Return minus the derivative of modal displacements by the base frequency.
+        """Return minus the derivative of modal displacements by the response's frequency.
 
         ``contact_force`` (2H+1, n_pairs) has real Fourier coefficients, the result (H+1, n_modes)
         complex ones.
@@ -496,27 +533,34 @@ class ModalCompliance:
         return -self._all_modes.modal_response(self._receptance, impedance_force_by_omega)
 
     def _gap_response(self, modal_force: np.ndarray) -> np.ndarray:
-        """Return gaps (2H+1, n_pairs) [m] under complex modal forces (H+1, n_modes)."""
+        """Return gaps (2H+1, n_pairs) [m] under complex modal forces (H+1, n_modes).
+
+        Coordinates without mass, and the clearance, are left out.
+        """
         return from_complex(
             self._all_modes.modal_response(self._receptance, modal_force)
             @ self._all_modes.gaps_by_mode
         )
 
     def _negative_modal_displacement(self, contact_force: np.ndarray) -> np.ndarray:
-        """Return modal displacements under contact forces less load: (H+1, n_modes) complex."""
+        """Return minus the modal displacements under load and contact forces.
+
+        ``contact_force`` (2H+1, n_pairs) has real Fourier coefficients, the result (H+1, n_modes)
+        complex ones.
+        """
         modal_force_less_load = (
             to_complex(contact_force) @ self._all_modes.gaps_by_mode.T - self._modal_load
         )
         return self._all_modes.modal_response(self._receptance, modal_force_less_load)
 
     def destroy(self) -> None:
-        """Do nothing: no factors are held."""
+        """Do nothing: this model holds no factors."""
 
 
 class FactoredCompliance:
-    """Exact compliance, by a sparse factorisation per harmonic.
+    """Dynamic compliance of the gaps by a sparse factorisation for each harmonic.
 
-    The factors are kept. Further attributes are those of :class:`ModalCompliance`.
+    It is exact. The factors are kept. Further attributes are those of :class:`ModalCompliance`.
 
     Attributes
     ----------
@@ -551,9 +595,10 @@ class FactoredCompliance:
             )
 
     def higher_harmonics_compliance(self, max_harmonic: int) -> np.ndarray:
-        """Return R_k for k = H+1 to ``max_harmonic``: (n, n_pairs, n_pairs) complex [m/N].
+        """Return the compliance at harmonics above H: (n, n_pairs, n_pairs) complex [m/N].
 
-        The lowest modes respond dynamically, the rest of the static compliance R_0 statically.
+        The n harmonics are H+1 to ``max_harmonic``. At least 20 modes respond dynamically; the
+        remaining static compliance responds statically. This approximation is for error estimates.
         """
         natural_omegas, modal_damping_rates, pair_shapes = self.structure.compute_once(
             _omegas_dampings_gap_shapes
@@ -575,11 +620,17 @@ class FactoredCompliance:
         )
 
     def displacement(self, contact_force: np.ndarray) -> np.ndarray:
-        """Return the displacement under load and contact forces: (2H+1, n_local) [m]."""
+        """Return the displacement under load and contact forces: (2H+1, n_local) [m].
+
+        ``contact_force`` has the coefficients (2H+1, n_pairs) [N].
+        """
         return self.solve_all_harmonics(self.load - self.structure.apply_b(contact_force))
 
     def solve_all_harmonics(self, dof_force_rows: np.ndarray) -> np.ndarray:
-        """Return the displacement under forces f, both coefficients (2H+1, n_local)."""
+        """Return the displacement under forces on the dofs, both (2H+1, n_local).
+
+        Rows are Fourier coefficients [m], [N].
+        """
         complex_displacements = [
             dynamic_stiffness.solve(complex_force.real[None] if k == 0 else complex_force[None])[0]
             for k, (dynamic_stiffness, complex_force) in enumerate(
@@ -596,14 +647,15 @@ class FactoredCompliance:
 
 
 ComplianceModel = ModalCompliance | FactoredCompliance
-"""Compliance at the multiples 0 to H of a base frequency."""
+"""Dynamic compliance of the gaps at the multiples 0 to H of the response's frequency."""
 
 
 def resized_compliance_model(compliance_model: ComplianceModel, harmonics: int) -> ComplianceModel:
     """Return a compliance model with another number of harmonics.
 
-    New harmonics have the accuracy of an error estimate. :meth:`ModalCompliance.displacement` keeps
-    the number of harmonics.
+    :class:`FactoredCompliance` has no factors for harmonics above the present H. At least 20 modes
+    and the remaining static compliance approximate these, enough for an error estimate. The model's
+    ``displacement`` keeps the number of harmonics.
     """
     new_model = copy(compliance_model)
     resized_matrices = compliance_model.matrices[: harmonics + 1]
@@ -618,20 +670,23 @@ def resized_compliance_model(compliance_model: ComplianceModel, harmonics: int) 
 
 
 def _reachable_gap_basis(structure: Structure) -> np.ndarray:
-    """Return an orthonormal basis of the gaps B^T Phi that modes make: (n_pairs, n)."""
+    """Return an orthonormal basis of the gaps that modes can make: (n_pairs, n)."""
     return scipy.linalg.orth(all_modes(structure).gaps_by_mode.T)
 
 
 def _omegas_dampings_gap_shapes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return at least 20 modes with damping, without modes lost in rounding.
+    """Return the lowest modes with damping, at least 20 if the structure has as many dofs.
+
+    Modes with a natural frequency of 0, perhaps lost in rounding, are left out.
 
     Returns
     -------
     omega : (n,) [rad/s]
+        Natural frequencies.
     rate : (n,) [1/s]
         Modal damping.
     shapes : (n, n_pairs)
-        Gaps B^T phi of the mass-normalised modes.
+        Gaps of the mass-normalised modes.
     """
     modes_of_damping, n_modes = damped_modes(structure), min(20, structure.n_dofs)
     modes = (

@@ -52,57 +52,65 @@ from fenics_crack.numerics.fourier import (
 
 
 class ContactForces(ABC):
-    """Fourier coefficients b of the contact forces, and derivatives.
+    """Fourier coefficients of the contact forces, with derivatives.
 
-    T = db/ds is the derivative by the coefficients of the slow gap s, the gap less its quasi-static
-    part.
+    The derivatives are by the slow gap: gap plus residual flexibility times contact force.
 
     Attributes
     ----------
     force : (2H+1, n_pairs) [N]
-        b.
+        Coefficients: mean, then cosine and sine of harmonics 1 to H.
     """
 
     force: np.ndarray
 
     @abstractmethod
     def force_change(self, gap_change: np.ndarray) -> np.ndarray:
-        """Return the forces' change T ds by a gap's change ds, both (2H+1, n_pairs)."""
+        """Return the linearised force change by a slow gap's change.
+
+        Both are Fourier coefficients (2H+1, n_pairs) [N], [m].
+        """
 
     @abstractmethod
     def identity_plus_compliance_tangent(
         self, compliance_matrices: np.ndarray, gap_basis: np.ndarray | None = None
     ) -> np.ndarray:
-        """Return the dense Jacobian I + R T of s + R b(s), with T = db/ds.
+        """Return the dense Jacobian I + R T of the harmonic-balance equations.
+
+        R is the compliance, and T the derivative of the contact forces by the slow gap.
 
         Parameters
         ----------
         compliance_matrices : (H+1, n, n) complex [m/N]
-            R_k, compliance of the pairs at harmonic k.
+            Compliance R_k of the pairs at harmonic k.
         gap_basis : (n_pairs, n), optional
             Orthonormal basis U of gaps. The matrix is then I + R U^T T U, with R in this basis.
 
         Returns
         -------
         ((2H+1) n, (2H+1) n)
-            Entries are ordered (coefficient, pair).
+            Rows and columns are ordered (coefficient, pair).
         """
 
     @abstractmethod
     def softness_derivative(self) -> np.ndarray:
-        """Return the derivative of the forces b by the softness: (2H+1, n_pairs) [N].
+        """Return the forces' derivative by the softness: (2H+1, n_pairs) [N].
 
-        The softness is a compliance in series with all pairs, relative to the mean compliance.
+        The softness is a compliance in series with every pair, relative to the mean pair
+        compliance.
         """
 
     @abstractmethod
     def log_stiffness_derivative(self) -> np.ndarray:
-        """Return the derivative of b by ln k, k the contact stiffness: (2H+1, n_pairs) [N]."""
+        """Return the forces' derivative by ln k: (2H+1, n_pairs) [N].
+
+        k is the contact stiffness.
+        """
 
 
 @dataclass(frozen=True)
 class ContactIntegrals(ABC):
-    """Integrals of the contact forces over a period, for slow gaps s (2H+1, n_pairs).
+    """Integrals over a period for the Fourier coefficients of contact forces.
 
     Attributes
     ----------
@@ -111,7 +119,8 @@ class ContactIntegrals(ABC):
     harmonics : int
         H, the highest harmonic.
     residual_compliance : (n_pairs, n_pairs) [m/N] or None
-        R_inf, the compliance in series with contact: s = g + R_inf lambda; None: s = g.
+        Residual flexibility R_inf in series with contact. The slow gap is s = g + R_inf lambda,
+        with gap g and contact force lambda; None: s = g.
     relative_softness : float
         Further compliance in series with every pair, in units of ``mean_pair_compliance``.
     """
@@ -122,7 +131,7 @@ class ContactIntegrals(ABC):
     relative_softness: float = field(default=0.0, kw_only=True)
 
     has_coupled_pairs: ClassVar[bool] = False
-    """True if the force on a pair depends on the gaps of others."""
+    """True if the force on a pair depends on all pairs' gaps."""
 
     @property
     def is_exact(self) -> bool:
@@ -131,17 +140,17 @@ class ContactIntegrals(ABC):
 
     @cached_property
     def spring_compliance(self) -> np.ndarray:
-        """Return 1/k, with the contact stiffness k of each pair or of all [m/N].
+        """Compliance 1/k of the contact springs: (n_pairs,), or one number [m/N].
 
-        A law without penetration has zero.
+        Zero for a rigid law.
         """
         return np.asarray(1.0 / np.asarray(self.law.stiffness, dtype=float))
 
     @cached_property
     def compliance_diagonal(self) -> np.ndarray:
-        """Return each pair's own compliance: (n_pairs,), or one number [m/N].
+        """Compliance in series with each pair: (n_pairs,), or one number [m/N].
 
-        It is the diagonal of static compliance plus contact springs, R_inf + I/k.
+        It is the diagonal of residual flexibility plus contact springs' compliance.
         """
         return (
             self.spring_compliance
@@ -151,19 +160,32 @@ class ContactIntegrals(ABC):
 
     @cached_property
     def mean_pair_compliance(self) -> float:
-        """Return the pairs' mean compliance, the mean diagonal of R_inf + I/k [m/N]."""
+        """Mean over the pairs of the compliance in series [m/N].
+
+        It is the mean diagonal of residual flexibility plus contact springs' compliance.
+        """
         return float(np.mean(self.compliance_diagonal))
 
     @abstractmethod
     def forces_at_gap_samples(self, gap_samples: np.ndarray) -> np.ndarray:
-        """Return the contact forces for slow gaps at n instants, both (n, n_pairs) [m], [N]."""
+        """Return the contact forces for slow gaps at n instants, both (n, n_pairs).
+
+        Slow gap [m]: gap plus residual flexibility times contact force [N].
+        """
 
     @abstractmethod
     def linearise(self, gap_coefficients: np.ndarray) -> ContactForces:
-        """Return the forces' coefficients and derivatives for a gap (2H+1, n_pairs) [m]."""
+        """Return the forces' coefficients and derivatives at a slow gap.
+
+        ``gap_coefficients`` (2H+1, n_pairs) [m]: gap plus residual flexibility times contact force.
+        """
 
     def force(self, gap_coefficients: np.ndarray) -> np.ndarray:
-        """Return the forces' coefficients for a gap (2H+1, n_pairs) [m]: same shape [N]."""
+        """Return the force coefficients for slow gap coefficients.
+
+        Both are (2H+1, n_pairs) [N], [m]. Slow gap: gap plus residual flexibility times contact
+        force.
+        """
         return self.linearise(gap_coefficients).force
 
     def with_harmonics(self, harmonics: int) -> Self:
@@ -171,11 +193,14 @@ class ContactIntegrals(ABC):
         return replace(self, harmonics=harmonics)
 
     def exact_or_finer_integrals(self) -> ContactIntegrals | None:
-        """Return exact integrals, or integrals with more samples; None if exact already."""
+        """Return exact integrals, or integrals with more samples.
+
+        None: these integrals are exact already.
+        """
         return None
 
     def with_softness(self, relative_softness: float) -> Self:
-        """Return integrals with another compliance in series with every pair."""
+        """Return integrals with another ``relative_softness`` in series with every pair."""
         return (
             self
             if relative_softness == self.relative_softness
@@ -186,11 +211,11 @@ class ContactIntegrals(ABC):
 def integrals_with_uncoupled_pairs(
     law: ContactLaw, harmonics: int, samples: int | None = None, n_load_periods: int = 1
 ) -> PairIntegrals:
-    """Return integrals for uncoupled pairs.
+    """Return integrals of contact forces for uncoupled pairs, exact if possible.
 
-    The integrals are exact if the law is piecewise linear and no samples are requested. Otherwise
-    ``samples`` is the number of instants in the period; default: :func:`default_n_samples` for each
-    of the load's ``n_load_periods`` in it.
+    Exact integrals require a piecewise linear law, lambda = k max(0, g), and ``samples`` None.
+    Otherwise ``samples`` is the number of instants per response period; default:
+    :func:`default_n_samples` for each of its ``n_load_periods`` load periods.
     """
     if samples is None and is_piecewise_linear(law):
         return ExactIntegrals(law, harmonics)
@@ -200,23 +225,24 @@ def integrals_with_uncoupled_pairs(
 
 
 def default_n_samples(harmonics: int) -> int:
-    """Return the default number of instants.
+    """Return the default number of instants for sampled contact forces.
 
-    It is 1024, or the next power of two from 32 H on if that is larger.
+    It is 1024, or the next power of two from 32 H on if that is larger; H is ``harmonics``.
     """
     return max(1024, 1 << (32 * harmonics - 1).bit_length())
 
 
 @dataclass(frozen=True)
 class SampledIntegrals(ContactIntegrals):
-    """Trapezoidal rule on N equally spaced instants, by the fast Fourier transform.
+    """Integrals of uncoupled contact forces by samples at equally spaced instants.
 
-    Forces are proportional to k, and a softness in series divides k by 1 + softness. N > 4 H; with
-    N = 2H+1, as many instants as coefficients, the method is collocation.
+    The trapezoidal rule, by the fast Fourier transform, for any law. A softness in series divides
+    the contact stiffness by 1 + softness. More than 4 H instants make products exact; 2H+1, as many
+    as coefficients, are collocation.
     """
 
     samples: int
-    """N, number of instants in the period."""
+    """Number of instants in the period."""
 
     def forces_at_gap_samples(self, gap_samples: np.ndarray) -> np.ndarray:
         return self.law.force(gap_samples)
@@ -253,14 +279,15 @@ class SampledIntegrals(ContactIntegrals):
 
 @dataclass(frozen=True)
 class ExactIntegrals(ContactIntegrals):
-    """Integrals in closed form between the switching instants, for lambda = k max(g, 0).
+    """Exact integrals of uncoupled contact forces, for lambda = k max(g, 0).
 
-    With kappa = k while the pair is closed, else 0,
+    Between the instants at which a pair opens or closes, they have a closed form. With kappa = k
+    while the pair is closed, else 0, the means over a period are
 
-        c_m + i s_m = k / (2 pi) sum int exp(i m theta) d theta.
+        c_m + i s_m = 1 / (2 pi) int kappa exp(i m theta) d theta.
 
     Since lambda = kappa g, the coefficients of the force are the tangent times those of the gap. A
-    diagonal R_inf = D_0 replaces k by 1 / (D_0 + 1/k), and k may then be infinite.
+    diagonal residual flexibility D_0 replaces k by 1 / (D_0 + 1/k), and k may then be infinite.
     """
 
     @property
@@ -269,7 +296,10 @@ class ExactIntegrals(ContactIntegrals):
 
     @property
     def closed_stiffness(self) -> np.ndarray:
-        """Return the slope d lambda / ds of a closed pair's force: (n_pairs,), or one [N/m]."""
+        """Slope of a closed pair's force by its slow gap: (n_pairs,), or one number [N/m].
+
+        It is 1 over the compliance in series with the pair, softness included.
+        """
         return np.asarray(
             1.0 / (self.compliance_diagonal + self.relative_softness * self.mean_pair_compliance)
         )
@@ -301,12 +331,12 @@ PairIntegrals = ExactIntegrals | SampledIntegrals
 
 
 class PairForces(ContactForces):
-    """Fourier coefficients of the forces on uncoupled pairs.
+    """Fourier coefficients of the forces on uncoupled pairs, with derivatives.
 
     Attributes
     ----------
     tangent : (n_pairs, 2H+1, 2H+1) [N/m]
-        Derivative of a pair's force by its gap.
+        Derivative of each pair's force coefficients by its gap coefficients.
     """
 
     def __init__(
@@ -326,9 +356,10 @@ class PairForces(ContactForces):
         return jacobian_matrix
 
     def log_stiffness_derivative(self) -> np.ndarray:
-        """Return the forces' derivative by ln k.
+        """Return the forces' derivative by ln k: (2H+1, n_pairs) [N].
 
-        Forces of uncoupled pairs are proportional to k: the derivative is the forces.
+        Forces of uncoupled pairs are proportional to the contact stiffness k: the derivative is the
+        forces.
         """
         return self.force
 
@@ -337,9 +368,10 @@ class PairForces(ContactForces):
 
 
 def multiply_compliance_and_force(compliance_matrices: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """Multiply contact forces (2H+1, n_pairs) [N] by the compliance R_k of each harmonic.
+    """Return the gap response to contact forces, harmonic by harmonic: (2H+1, n_pairs) [m].
 
-    ``compliance_matrices`` are R_k: (H+1, n_pairs, n_pairs) complex [m/N].
+    ``compliance_matrices`` (H+1, n_pairs, n_pairs) complex [m/N] are the compliance at each
+    harmonic, ``force`` (2H+1, n_pairs) [N] the forces' coefficients.
     """
     n_rows, n_pairs = force.shape
     compliance_matrices = require_shape(
@@ -356,17 +388,17 @@ def multiply_compliance_and_force(compliance_matrices: np.ndarray, force: np.nda
 def multiply_compliance_and_tangent(
     compliance_matrices: np.ndarray, tangent: np.ndarray
 ) -> np.ndarray:
-    """Return the compliance times the forces' derivative, R T, as a dense matrix.
+    """Return the compliance times the forces' derivative as a dense matrix.
 
-    On coefficients (a, b) of a force a - i b, R_k is the real matrix [[Re R_k, Im R_k], [-Im R_k,
-    Re R_k]].
+    On coefficients (a, b) of a force a - i b, the compliance R_k is the real matrix [[Re R_k, Im
+    R_k], [-Im R_k, Re R_k]].
 
     Parameters
     ----------
     compliance_matrices : (H+1, n_pairs, n_pairs) complex
         Compliance R_k at harmonic k.
     tangent : (n_pairs, 2H+1, n)
-        T of each pair: derivative of a force's coefficients by n unknowns.
+        For each pair: derivative of the force's coefficients by n unknowns.
 
     Returns
     -------
@@ -386,9 +418,10 @@ def multiply_compliance_and_tangent(
 
 @lru_cache(maxsize=64)
 def quarter_period_waves(harmonics: int) -> np.ndarray:
-    """Return cos k theta and sin k theta on a quarter period.
+    """Return cos k theta and sin k theta on a quarter period: (H, 2, n_instants).
 
-    The kernel searches for sign changes of gaps on this grid: (H, 2, n_instants), k = 1 to H.
+    k is 1 to H = ``harmonics``. The kernel searches for sign changes of gaps on this grid of
+    instants.
     """
     cosines_and_sines = np.empty((harmonics, 2, kernel.switching_cells(harmonics) // 4 + 1))
     kernel.switching_waves(harmonics, pointer(cosines_and_sines))
@@ -396,13 +429,13 @@ def quarter_period_waves(harmonics: int) -> np.ndarray:
 
 
 def tangent_from_means(stiffness_means: np.ndarray) -> np.ndarray:
-    """Return the derivative of forces by gaps from means of the contact stiffness.
+    """Return the derivative of contact forces by gaps from means of the contact stiffness.
 
     Parameters
     ----------
     stiffness_means : (4H+1, n, n)
-        Means over the period of the stiffness of n pairs: c_0, c_1, s_1, ..., with factors
-        cos(m theta) and sin(m theta).
+        Means over the period of the stiffness matrix of n pairs: plain, then with the factors cos(m
+        theta) and sin(m theta) for m = 1 to 2H, with the phase theta.
 
     Returns
     -------
@@ -427,15 +460,15 @@ def tangent_from_means(stiffness_means: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class CoupledIntegrals(ContactIntegrals):
-    """Integrals of contact forces on pairs that the static compliance R_inf couples.
+    """Integrals of contact forces over a period, for pairs coupled by a residual flexibility.
 
     Attributes
     ----------
     samples : int or None
-        Instants per period; None: exact integrals.
+        Instants per period; None: exact integrals, or for a smooth law :func:`default_n_samples`.
     shared_active_set_solver : ActiveSetSolver or None
-        Solver of other integrals with the same law and R_inf, whose factored matrices for sets of
-        touching pairs are used again.
+        Solver of other integrals with the same law and residual flexibility, whose factored
+        matrices for sets of touching pairs are used again.
     """
 
     samples: int | None = None
@@ -446,7 +479,11 @@ class CoupledIntegrals(ContactIntegrals):
 
     @cached_property
     def active_set_solver(self) -> ActiveSetSolver:
-        """Return the solver by sets of closed pairs, for R_inf + I/k and the softness."""
+        """Solver for contact forces by sets of closed pairs.
+
+        Its compliance is residual flexibility plus contact springs' compliance plus softness; for a
+        smooth law without springs.
+        """
         if self.shared_active_set_solver is not None:
             return self.shared_active_set_solver
         assert self.residual_compliance is not None
@@ -459,12 +496,12 @@ class CoupledIntegrals(ContactIntegrals):
 
     @property
     def is_piecewise(self) -> bool:
-        """True if the forces are piecewise linear in the slow gap s."""
+        """True if the forces are piecewise linear in the slow gap: penalty law or constraint."""
         return is_unilateral(self.law)
 
     @property
     def is_exact(self) -> bool:
-        """True if the integrals are exact."""
+        """True if the integrals are exact: a piecewise linear law, and no samples requested."""
         return self.is_piecewise and self.samples is None
 
     def with_harmonics(self, harmonics: int) -> Self:
@@ -498,13 +535,13 @@ class CoupledIntegrals(ContactIntegrals):
 
 
 class CoupledForces(ContactForces):
-    """Coefficients of contact forces that follow from the gaps of all pairs."""
+    """Fourier coefficients of contact forces on coupled pairs, with derivatives."""
 
     @abstractmethod
     def tangent(self, gap_basis: np.ndarray | None = None) -> np.ndarray:
-        """Return the derivative T of forces by gaps.
+        """Return the derivative T of the force coefficients by the slow gap coefficients.
 
-        With a basis U (n_pairs, n) of gaps, return U^T T U.
+        With a basis U (n_pairs, n) of gaps, return U^T T U; else n = n_pairs.
 
         Returns
         -------
@@ -533,9 +570,9 @@ class CoupledForces(ContactForces):
 
 
 class _KernelEvaluator:
-    """C object that computes forces for given numbers of harmonics and pairs.
+    """C object that computes exact forces for given numbers of harmonics and pairs.
 
-    ``evaluated_forces`` are the forces whose gap it evaluated last.
+    Several forces share it. ``evaluated_forces`` are the forces whose gap it evaluated last.
     """
 
     def __init__(self, harmonics: int, n_pairs: int) -> None:
@@ -548,7 +585,7 @@ _kernel_evaluator_for = lru_cache(maxsize=16)(_KernelEvaluator)
 
 
 class _ExactForces(CoupledForces):
-    """Exact forces by the kernel, whose C object may serve several gaps in turn."""
+    """Exact contact forces of coupled pairs, by the C kernel."""
 
     def __init__(self, integrals: CoupledIntegrals, gap_coefficients: np.ndarray) -> None:
         self._integrals, self.harmonics = integrals, integrals.harmonics
@@ -560,7 +597,7 @@ class _ExactForces(CoupledForces):
     def _evaluated_kernel_handle(self) -> Any:
         """Return the C object, evaluated at the gap of these forces.
 
-        Raises ConvergenceError if an instant has no forces.
+        Raises ConvergenceError if no forces are found at an instant.
         """
         kernel_evaluator = _kernel_evaluator_for(self.harmonics, self._gap_coefficients.shape[1])
         active_set_solver = self._integrals.active_set_solver
@@ -601,9 +638,10 @@ class _ExactForces(CoupledForces):
         return tangent_from_means(stiffness_means)
 
     def _diagonal_compliance_derivative(self, diagonal_rate: np.ndarray) -> np.ndarray:
-        """Return the forces' derivative (2H+1, n_pairs) by the series compliance.
+        """Return the forces' derivative by the compliance in series: (2H+1, n_pairs).
 
-        The diagonal of D = R_inf + I/k plus the softness grows at ``diagonal_rate`` (n_pairs,).
+        The compliance matrix is residual flexibility plus contact springs' compliance plus
+        softness. Its diagonal grows at ``diagonal_rate`` (n_pairs,).
         """
         derivative = np.empty(self._gap_coefficients.shape)
         diagonal_rate = require_shape(diagonal_rate, self._gap_coefficients.shape[1])
@@ -624,12 +662,13 @@ class _ExactForces(CoupledForces):
 
 
 class _SampledForces(CoupledForces):
-    """Forces from samples in time, for any law h(g).
+    """Contact forces of coupled pairs from samples in time, for any law h(g).
 
         lambda = h(s - D lambda),    d lambda = S (ds - dD lambda),    S = h' (I + D h')^-1
 
-    D is R_inf plus the softness. If the law is piecewise linear, D includes I/k, and S is the
-    inverse of D on the closed pairs.
+    lambda is the force, s the slow gap, and D the residual flexibility plus softness. If the law is
+    piecewise linear, D includes the contact springs' compliance 1/k, and S is the inverse of D on
+    the closed pairs.
     """
 
     def __init__(self, integrals: CoupledIntegrals, gap_coefficients: np.ndarray) -> None:
@@ -674,7 +713,11 @@ class _SampledForces(CoupledForces):
         )
 
     def _force_coefficient_change(self, gap_change_samples: np.ndarray) -> np.ndarray:
-        """Return the forces' change (2H+1, n_pairs) for gaps' changes (samples, n_pairs)."""
+        """Return the forces' change (2H+1, n_pairs) [N] by a change of slow gaps.
+
+        ``gap_change_samples`` (n_instants, n_pairs) [m] are the gap changes at the instants of the
+        period.
+        """
         return fourier_coefficients(
             np.einsum("npq,nq->np", self._stiffness_matrix_samples, gap_change_samples),
             self.harmonics,

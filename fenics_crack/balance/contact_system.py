@@ -78,25 +78,26 @@ from fenics_crack.numerics.fourier import (
 from fenics_crack.numerics.newton import gmres
 
 MAX_UNKNOWNS_WITH_JACOBIAN = 350
-"""Unknowns per step above which the Jacobian of coupled pairs is not formed.
+"""Unknowns per step above which coupled pairs have no dense Jacobian.
 
 Measured with H = 8 to 40 and 18 pairs: both ways take equally long at 300 to 350 unknowns.
 """
 
 DYNAMIC_TO_SOFT_PAIR_COMPLIANCE = 0.05
-"""Ratio of the dynamic compliance to the pairs' own, at the softest contact.
+"""Dynamic compliance of the gaps over compliance in series with the pairs, at the softest contact.
 
 Below this ratio the solution is unique and close to the linear one.
 """
 
 ParameterDerivativeFunction = Callable[["ContactPoint"], np.ndarray]
-"""Callable from a point to dF/dp, the derivative of F by a parameter."""
+"""Callable from a point to dF/dp, the residual's derivative by a path parameter p."""
 
 
 def default_projection_weight(compliance_model: ComplianceModel) -> float:
-    """Return the default weight eps of a projected constraint [N/m].
+    """Return the default stiffness of a rigid contact between crack faces with mass [N/m].
 
-    It is the inverse of the largest row sum of the static compliance |R_0|.
+    It is the weight eps in the dynamic Lagrangian lambda = eps max(0, g + lambda / eps): the
+    inverse of the largest row sum of static compliance. Raises InputError if the pairs cannot move.
     """
     max_row_sum = float(np.abs(compliance_model.matrices[0]).sum(axis=1).max())
     if not max_row_sum > 0.0:
@@ -107,13 +108,18 @@ def default_projection_weight(compliance_model: ComplianceModel) -> float:
 
 
 class ContactSystem:
-    """Equations F(s) = s - g_lin + (R_k - R_inf) b(lambda(s)) = 0, equal on every rank.
+    """Harmonic-balance equations with the slow gap as unknown, equal on every rank.
 
-    Unknowns are coefficients (2H+1, n_rows) of the slow gap s. g_lin is the gap without contact
-    forces, R_k the dynamic and R_inf the static compliance, b the forces' coefficients.
+        F(s) = s - g_lin + (R_k - R_inf) b(lambda(s)) = 0
 
-    The parameter p leads from soft contact to the law itself, at p = 1. The compliance in series
-    with every pair is ``start_softness`` |1 - p|^3, in units of ``integrals.mean_pair_compliance``.
+    The slow gap s = g + R_inf lambda is the gap g without its quasi-static response to the contact
+    forces lambda. Its coefficients are (2H+1, n_rows), with a column for each pair; with friction,
+    tangential columns follow. g_lin is the gap without contact forces, R_k the dynamic compliance
+    at harmonic k, R_inf the residual flexibility, b the forces' coefficients.
+
+    The path parameter p leads from soft contact to the law itself, at p = 1. The compliance in
+    series with every pair is ``start_softness`` |1 - p|^3, in units of
+    ``integrals.mean_pair_compliance``.
     """
 
     def __init__(
@@ -130,12 +136,15 @@ class ContactSystem:
         self.shape = compliance_model.gap_shape
         self.size = int(np.prod(self.shape))
         self.residual_compliance = integrals.residual_compliance
-        """R_inf [m/N]; None: zero."""
+        """Residual flexibility R_inf [m/N] in series with contact; None: zero."""
         n_rows, n_pairs = self.shape
         self.reachable_gap_basis = (
             compliance_model.reachable_gap_basis if integrals.has_coupled_pairs else None
         )
-        """Orthonormal basis U of the gaps that modes can make; None if it is not needed."""
+        """Orthonormal basis (n_pairs, n) of the gaps that modes can make.
+
+        None: modes can make all gaps, or pairs are uncoupled.
+        """
         n_step_unknowns = n_rows * (
             n_pairs if self.reachable_gap_basis is None else self.reachable_gap_basis.shape[1]
         )
@@ -143,16 +152,16 @@ class ContactSystem:
             integrals.has_coupled_pairs and n_step_unknowns > MAX_UNKNOWNS_WITH_JACOBIAN
         )
         self.n_cost_unknowns = min(n_step_unknowns, MAX_UNKNOWNS_WITH_JACOBIAN)
-        """Unknowns by which the time of a step grows."""
+        """Number of unknowns by which the time of a Newton step grows, at most 350."""
 
     @cached_property
     def linear_gap(self) -> np.ndarray:
-        """Return g_lin, the gap without contact forces: (2H+1, n_pairs) [m]."""
+        """Gap without contact forces: (2H+1, n_pairs) [m]."""
         return self.compliance_model.linear_gap
 
     @cached_property
     def dynamic_less_static_compliance(self) -> np.ndarray:
-        """Return dynamic less static compliance, R_k - R_inf: (H+1, n_pairs, n_pairs) [m/N]."""
+        """Dynamic compliance less residual flexibility: (H+1, n_pairs, n_pairs) complex [m/N]."""
         compliance_matrices = self.compliance_model.matrices
         return (
             compliance_matrices
@@ -162,7 +171,7 @@ class ContactSystem:
 
     @cached_property
     def compiled_equations(self) -> CompiledEquations | None:
-        """Return the equations in the kernel, or None without exact integrals."""
+        """Same equations in the C kernel; None without exact integrals."""
         if not self.integrals.is_exact:
             return None
         series_compliance = self._start_softness * self.integrals.mean_pair_compliance
@@ -178,16 +187,17 @@ class ContactSystem:
         compliance_or_modes: np.ndarray | Mapping[str, Any],
         **path_rates: Any,
     ) -> CompiledEquations:
-        """Return the kernel's equations for these pairs.
+        """Return these pairs' equations in the C kernel, along a path parameter from 0 to 1.
 
         Parameters
         ----------
         linear_gap : (2H+1, n_pairs) [m]
-            g_lin, without the modes' part if modes are given.
+            Gap without contact forces; if modes are given, without the modes' contribution.
         compliance_or_modes : (H+1, n_pairs, n_pairs) complex [m/N], or mapping
-            R_k - R_inf, or its modes (:meth:`ModalCompliance.modal_fields_for_kernel`).
+            Dynamic compliance less residual flexibility, or its modes
+            (:meth:`ModalCompliance.modal_fields_for_kernel`).
         **path_rates
-            Changes along p: ``linear_gap_rate``, ``log_stiffness_rate``,
+            Changes along the path: ``linear_gap_rate``, ``log_stiffness_rate``,
             ``start_series_compliance`` of :class:`CompiledEquations`.
         """
         return CompiledEquations(
@@ -199,12 +209,20 @@ class ContactSystem:
         )  # fmt: skip
 
     def _gap_spring_compliances(self, law: ContactLaw) -> np.ndarray:
-        """Return the compliance 1/k of each gap's contact spring: (n_rows,) [m/N]."""
+        """Return the compliance of each gap's contact spring: (n_rows,) [m/N].
+
+        It is 1 over the contact stiffness, and 0 for a rigid law. With friction, normal gaps come
+        first, then tangential ones.
+        """
         return spring_compliances(law, self.shape[1] // (1 if friction_of(law) is None else 2))
 
     @cached_property
     def dynamic_less_static_compliance_in_basis(self) -> np.ndarray:
-        """Return R'_k = U^T (R_k - R_inf) U: (H+1, n, n) complex [m/N]."""
+        """Dynamic compliance less residual flexibility, in a basis U of gaps.
+
+        U^T (R_k - R_inf) U: (H+1, n, n) complex [m/N]. The n columns of U, ``reachable_gap_basis``,
+        are the gaps that modes can make.
+        """
         assert self.reachable_gap_basis is not None
         return (
             self.reachable_gap_basis.T
@@ -213,18 +231,20 @@ class ContactSystem:
         )
 
     def slow_gap(self, gap: np.ndarray, force: np.ndarray, n_periods: int = 1) -> np.ndarray:
-        """Return the slow gap s = g + R_inf lambda with the system's harmonics.
+        """Return the slow gap: gap plus residual flexibility times contact force.
 
         Parameters
         ----------
         gap, force : (2K+1, n_rows) [m], [N]
-            Coefficients of gap and contact force, with any number of harmonics K.
+            Coefficients of gap and contact force, with any number of harmonics K. n_rows is the
+            number of pairs, with friction twice as many.
         n_periods : int
             Periods of ``gap`` that fit into one period of the response.
 
         Returns
         -------
         (2H+1, n_rows) [m]
+            Coefficients with the system's harmonics.
         """
         gap, force = (
             resize_harmonics(stretch_period(gap_or_force, n_periods), self.integrals.harmonics)
@@ -233,9 +253,10 @@ class ContactSystem:
         return gap if self.residual_compliance is None else gap + force @ self.residual_compliance
 
     def gap(self, unknown: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """Return the gap s - R_inf lambda from slow gap and force (n, n_rows).
+        """Return the gap: slow gap less residual flexibility times contact force.
 
-        Rows are Fourier coefficients, or instants.
+        ``unknown`` [m] is the slow gap. All are (n, n_rows), for n Fourier coefficients or
+        instants; n_rows is the number of pairs, with friction twice as many.
         """
         return (
             unknown
@@ -244,9 +265,11 @@ class ContactSystem:
         )
 
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> ContactPoint:
-        """Return residual F and Jacobian at a slow gap s (2H+1, n_rows) [m].
+        """Return the equations, linearised at a slow gap.
 
-        ``parameter`` 1 is the law itself, 0 very soft contact.
+        ``unknown`` (2H+1, n_rows) [m] is the slow gap: gap plus residual flexibility times contact
+        force. ``parameter`` 1 is the law itself; below 1, a compliance in series softens the
+        contact.
         """
         distance_to_law = 1.0 - parameter
         softness_rate = -3.0 * self._start_softness * distance_to_law * abs(distance_to_law)
@@ -263,15 +286,18 @@ class ContactSystem:
     def linearise_with_derivative(
         self, unknown: np.ndarray, parameter_derivative_function: ParameterDerivativeFunction
     ) -> ContactPoint:
-        """Return residual F and Jacobian at an unknown, with a given function for dF/dp.
+        """Return the equations, linearised at a slow gap.
 
-        ``unknown`` has the coefficients of the slow gap s, the gap less its quasi-static part."""
+        ``unknown`` (2H+1, n_rows) [m] is the slow gap: gap plus residual flexibility times contact
+        force. The given function computes the residual's derivative by a path parameter.
+        """
         return ContactPoint(self, unknown, self.integrals, parameter_derivative_function)
 
     def max_contact_stiffness(self, law: ContactLaw) -> float:
-        """Return the largest stiffness d lambda / ds for a law [N/m].
+        """Return the largest slope of contact forces over slow gaps, for a law [N/m].
 
-        It is the inverse of the smallest eigenvalue of R_inf + I/k.
+        It is the inverse of the smallest eigenvalue of R_inf + I/k, with the residual flexibility
+        R_inf and the contact stiffness k.
         """
         spring_compliance = self._gap_spring_compliances(law)
         min_series_compliance = float(spring_compliance.min())
@@ -283,11 +309,18 @@ class ContactSystem:
         return 1.0 / max(min_series_compliance, 1e-300)
 
     def system_along_friction_factor(self) -> SystemAlongFrictionFactor:
-        """Return these equations with a factor of the friction coefficient as parameter p."""
+        """Return these equations along a factor for the friction coefficient.
+
+        The path parameter is the factor: 0 without friction, 1 for the law.
+        """
         return SystemAlongFrictionFactor(self.compliance_model, self.integrals)
 
     def system_along_softness(self) -> ContactSystem:
-        """Return these equations with p from very soft contact, 0, to the law, 1."""
+        """Return these equations along a contact that hardens, from very soft to the law.
+
+        At the path parameter 0 the compliance in series with every pair is 20 times the dynamic
+        compliance; at 1 the contact is the law's.
+        """
         max_row_sum = float(np.abs(self.dynamic_less_static_compliance).sum(axis=2).max())
         start_softness = max_row_sum / (
             DYNAMIC_TO_SOFT_PAIR_COMPLIANCE * self.integrals.mean_pair_compliance
@@ -297,24 +330,36 @@ class ContactSystem:
     def with_harmonics(self, harmonics: int) -> ContactSystem:
         """Return these equations with another number of harmonics.
 
-        New harmonics have the accuracy of an error estimate.
+        Large structures have no factors for harmonics above the present H. At least 20 modes and
+        the remaining static compliance approximate these, enough for an error estimate.
         """
         compliance_model = resized_compliance_model(self.compliance_model, harmonics)
         return ContactSystem(compliance_model, self.integrals.with_harmonics(harmonics))
 
 
 class SystemAlongFrictionFactor(ContactSystem):
-    """:class:`ContactSystem` from contact without friction, at p = 0, to full friction."""
+    """Harmonic-balance equations along a factor for the friction coefficient.
+
+    The path parameter is the factor: 0 without friction, 1 for the law.
+    """
 
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> ContactPoint:
-        """Return residual and Jacobian with ``parameter`` times the friction coefficient."""
+        """Return the equations, linearised with a factor for the friction coefficient.
+
+        ``unknown`` (2H+1, n_rows) [m] is the slow gap: gap plus residual flexibility times contact
+        force. ``parameter`` is the factor; below 0 it counts as 0.
+        """
         assert isinstance(self.integrals, FrictionIntegrals)
         integrals = replace(self.integrals, friction_scale=max(parameter, 0.0))
         return ContactPoint(self, unknown, integrals, residual_friction_scale_derivative)
 
 
 class ContactPoint(DenseLinearisation):
-    """Residual, Jacobian and contact forces of a :class:`ContactSystem` at a slow gap s."""
+    """Harmonic-balance equations of a :class:`ContactSystem`, linearised at a slow gap.
+
+    ``unknown`` (2H+1, n_rows) [m] has the slow gap's coefficients: gap plus residual flexibility
+    times contact force. n_rows is the number of pairs, with friction twice as many.
+    """
 
     def __init__(
         self,
@@ -328,13 +373,17 @@ class ContactPoint(DenseLinearisation):
         self._derivative_function = parameter_derivative_function
         self.linearised_forces = integrals.linearise(unknown)
         self.force = self.linearised_forces.force
-        """Coefficients of the contact force, (2H+1, n_pairs) [N]."""
+        """Coefficients of the contact force: (2H+1, n_pairs) [N]."""
         self.gap = system.gap(unknown, self.force)
-        """Coefficients of the gap g: (2H+1, n_pairs) [m]."""
+        """Coefficients of the gap: (2H+1, n_pairs) [m]."""
 
     @cached_property
     def residual(self) -> np.ndarray:  # type: ignore[override]
-        """Return the residual F(s) of the equations: (2H+1, n_pairs) [m]."""
+        """Residual of the equations: (2H+1, n_rows) [m].
+
+        Slow gap, less gap without contact, plus dynamic compliance (less residual flexibility)
+        times force.
+        """
         system = self.system
         return (
             self.unknown
@@ -344,7 +393,11 @@ class ContactPoint(DenseLinearisation):
 
     @cached_property
     def jacobian(self) -> np.ndarray:
-        """Return J = I + (R - R_inf) T, where T is db/ds."""
+        """Dense Jacobian I + (R - R_inf) T: ((2H+1) n_rows, (2H+1) n_rows).
+
+        R - R_inf is the dynamic compliance less residual flexibility, T the forces' derivative by
+        the slow gap (gap plus residual flexibility times contact force).
+        """
         return self.linearised_forces.identity_plus_compliance_tangent(
             self.system.dynamic_less_static_compliance
         )
@@ -384,7 +437,7 @@ class ContactPoint(DenseLinearisation):
 
     @property
     def sign(self) -> float:
-        """Return the sign of det J; nan if J is not formed."""
+        """Sign of the Jacobian's determinant; nan if the Jacobian is not formed."""
         return np.nan if self.system.is_matrix_free else super().sign
 
     @cached_property
@@ -392,13 +445,20 @@ class ContactPoint(DenseLinearisation):
         return self._derivative_function(self)
 
     def gap_change(self, slow_gap_change: np.ndarray) -> np.ndarray:
-        """Return the gap's change by a change of s, both (2H+1, n_pairs) [m]."""
+        """Return the gap's linearised change by a change of the slow gap.
+
+        Both are (2H+1, n_rows) [m]. Slow gap: gap plus residual flexibility times contact force.
+        """
         return self.system.gap(
             slow_gap_change, self.linearised_forces.force_change(slow_gap_change)
         )
 
     def gap_change_by_force(self, force_change: np.ndarray) -> np.ndarray:
-        """Return the gap's change by an added force (2H+1, n_pairs) [N]."""
+        """Return the linearised change of the gap by an added contact force.
+
+        ``force_change`` (2H+1, n_pairs) [N] acts besides the law; the gap's change (2H+1, n_pairs)
+        [m] includes the law's reaction.
+        """
         unknown_change = self.solve(
             -multiply_compliance_and_force(self.system.dynamic_less_static_compliance, force_change)
         )
@@ -417,7 +477,9 @@ class ContactPoint(DenseLinearisation):
 )
 @dataclass(frozen=True, repr=False)
 class Wave:
-    """Motion u(t) = a0 + sum_k a_k cos(k w t) + b_k sin(k w t), w = omega / subharmonic.
+    """Periodic motion by Fourier coefficients of displacement, gaps and contact forces.
+
+        u(t) = a0 + sum_k a_k cos(k w t) + b_k sin(k w t),    w = omega / subharmonic
 
     u are displacements of dofs. For the attributes see :class:`fenics_crack.PeriodicSolution`.
     """
@@ -436,7 +498,7 @@ class Wave:
 
     @property
     def harmonics(self) -> int:
-        """H, the highest harmonic kept."""
+        """Number of harmonics H of the response's frequency."""
         return (len(self.gap_coefficients) - 1) // 2
 
     @property
@@ -451,7 +513,7 @@ class Wave:
 
     @cached_property
     def residual_compliance(self) -> np.ndarray | None:
-        """R_inf, the residual flexibility: (n_rows, n_rows) [m/N], or None.
+        """Residual flexibility: (n_rows, n_rows) [m/N], or None without quasi-static modes.
 
         It is the gaps' quasi-static response to contact forces. Rows are the pairs' normal gaps;
         with friction their tangential gaps follow.
@@ -462,7 +524,7 @@ class Wave:
 
     @cached_property
     def structure_with_row_pairs(self) -> Structure:
-        """The structure with a pair for each normal gap and, with friction, tangential gap."""
+        """Structure with a pair for each normal gap and, with friction, each tangential gap."""
         return add_friction_pairs(self.contact, self.structure)
 
     @property
@@ -477,7 +539,7 @@ class Wave:
 
     @cached_property
     def _integrals(self) -> ContactIntegrals:
-        """Integrals of contact forces with a residual flexibility, or with friction."""
+        """Integrals from slow gaps to contact forces, with residual flexibility or friction."""
         assert self.contact is not None
         residual_compliance_or_none = self.residual_compliance
         n_gaps = self.structure_with_row_pairs.n_pairs
@@ -490,9 +552,10 @@ class Wave:
 
     @cached_property
     def slow_gap_coefficients(self) -> np.ndarray:
-        """Coefficients of s = g + R_inf lambda: (2H+1, n_rows) [m].
+        """Coefficients of the slow gaps: (2H+1, n_rows) [m].
 
-        s, the slow gap, is the gap g without its quasi-static response to forces lambda.
+        Slow gap: gap plus residual flexibility times contact force, that is, without the
+        quasi-static response. Without a residual flexibility, it is the gap.
         """
         if self.residual_compliance is None:
             return self.row_gap_coefficients
@@ -501,13 +564,16 @@ class Wave:
     def basis_gaps_and_forces_at_phases(
         self, phase: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return Fourier basis, gaps and contact forces at phases (n,) of the response.
+        """Return Fourier basis, gaps and contact forces at phases of the response.
+
+        ``phase`` is (n,) [rad].
 
         Returns
         -------
         basis : (n, 2H+1)
             1, cos, sin, ..., the factors of coefficients.
         gap, force : (n, n_rows) [m], [N]
+            Normal columns; with friction, tangential ones follow.
         """
         return self._gaps_and_forces_with_basis_at(
             fourier_basis_for(self.gap_coefficients, phase), phase
@@ -516,9 +582,9 @@ class Wave:
     def basis_gaps_and_forces_over_period(
         self, n_instants: int
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return Fourier basis, gaps and contact forces at n equally spaced instants.
+        """Return Fourier basis, gaps and contact forces at equally spaced instants of a period.
 
-        Shapes are those of :meth:`basis_gaps_and_forces_at_phases`.
+        Shapes are those of :meth:`basis_gaps_and_forces_at_phases`, with n = ``n_instants``.
         """
         phase = 2.0 * np.pi / n_instants * np.arange(n_instants)
         return self._gaps_and_forces_with_basis_at(
@@ -528,10 +594,10 @@ class Wave:
     def _gaps_and_forces_with_basis_at(
         self, basis: np.ndarray, phase: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the given Fourier basis with gaps [m] and contact forces [N] at the phases.
+        """Return the given Fourier basis with gaps [m] and contact forces [N].
 
-        ``basis`` (n, 2H+1) has a row for each load phase in ``phase`` (n,) [rad]; gaps and forces
-        are (n, n_rows).
+        ``basis`` (n, 2H+1) has a row for each response phase in ``phase`` (n,) [rad]; gaps and
+        forces are (n, n_rows).
         """
         contact_law = self.contact
         slow_gap_at_phases = basis @ self.slow_gap_coefficients
@@ -560,42 +626,53 @@ class Wave:
         )
 
     def gaps_and_forces(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return gaps [m] and contact forces [N] at times [s]: (len(time), n_rows) each."""
+        """Return gaps [m] and contact forces [N] at times [s]: (len(time), n_rows) each.
+
+        Columns are normal; with friction, tangential ones follow.
+        """
         _, gap, force = self.basis_gaps_and_forces_at_phases(self.base_omega * np.atleast_1d(time))
         return gap, force
 
     def gap(self, time: np.ndarray) -> np.ndarray:
         """Return the normal gaps at times [s]: (len(time), n_pairs) [m].
 
-        With a residual flexibility R_inf, g = s(t) - R_inf lambda(s(t)) has kinks in time.
+        With a residual flexibility, the gap has kinks in time: its quasi-static part follows the
+        contact force, and only the rest is a truncated series.
         """
         if self.residual_compliance is None:
             return evaluate_series(self.gap_coefficients, self.base_omega, time)
         return self.gaps_and_forces(time)[0][:, : self.structure.n_pairs]
 
     def contact_force(self, time: np.ndarray) -> np.ndarray:
-        """Return the contact force at times [s]: (len(time), n_pairs) [N].
+        """Return the normal contact force at times [s]: (len(time), n_pairs) [N].
 
-        It follows from the law and the gap g(t), with a residual flexibility from the slow gap
-        s(t). A constraint of uncoupled pairs has eps max(0, g + lambda / eps), with truncated
-        series g and lambda and its weight eps.
+        The force follows from the law and the gap at each time, with a residual flexibility from
+        the slow gap. A rigid law of uncoupled pairs has eps max(0, g + lambda / eps), with
+        truncated series of gap g and force lambda, and the law's ``weight`` eps.
         """
         return self.gaps_and_forces(time)[1][:, : self.structure.n_pairs]
 
     def tangential_gap(self, time: np.ndarray) -> np.ndarray:
-        """Return the tangential gaps at times [s]: (len(time), n_pairs) [m]."""
+        """Return the tangential gaps at times [s]: (len(time), n_pairs) [m].
+
+        InputError without friction.
+        """
         self._check_friction()
         return self.gaps_and_forces(time)[0][:, self.structure.n_pairs :]
 
     def tangential_force(self, time: np.ndarray) -> np.ndarray:
-        """Return the friction forces at times [s]: (len(time), n_pairs) [N]."""
+        """Return the friction forces at times [s]: (len(time), n_pairs) [N].
+
+        InputError without friction.
+        """
         self._check_friction()
         return self.gaps_and_forces(time)[1][:, self.structure.n_pairs :]
 
     def sticking_places(self, time: np.ndarray) -> np.ndarray:
-        """Return the sliders' positions h at times [s]: (len(time), n_pairs) [m].
+        """Return the friction sliders' positions at times [s]: (len(time), n_pairs) [m].
 
-        h is the tangential gap, less its spring's deformation, at which a pair sticks or would.
+        It is the tangential gap less the deformation of the tangential contact spring. A pair that
+        sticks keeps its position. InputError without friction.
         """
         self._check_friction()
         assert isinstance(self._integrals, FrictionIntegrals)
@@ -608,7 +685,10 @@ class Wave:
             raise InputError("contact", self.contact, "a law with friction, CoulombFriction")
 
     def displacement_of_local_dofs(self, time: np.ndarray) -> np.ndarray:
-        """Return the displacement of this rank's dofs at times [s]: (len(time), n_local) [m]."""
+        """Return the displacement of this rank's dofs at times [s]: (len(time), n_local) [m].
+
+        The quasi-static response follows the contact forces in time, with their kinks.
+        """
         basis, _, force_at_times = self.basis_gaps_and_forces_at_phases(
             self.base_omega * np.atleast_1d(time)
         )
@@ -625,7 +705,7 @@ class Wave:
 
 
 def _join_columns(normal_columns: np.ndarray, tangential_columns: np.ndarray | None) -> np.ndarray:
-    """Return normal and tangential columns side by side."""
+    """Return normal and tangential columns side by side; normal ones alone for None."""
     return (
         normal_columns
         if tangential_columns is None
@@ -637,27 +717,30 @@ def _join_columns(normal_columns: np.ndarray, tangential_columns: np.ndarray | N
 
 
 class CompiledEquations(Equations):
-    """Equations F(s, p) = 0 of contact pairs in the kernel, for the slow gap s.
+    """Harmonic-balance equations F(s, p) = 0 in the C kernel, for the slow gap s.
+
+    Slow gap: gap plus residual flexibility times contact force. p is a path parameter, 0 to 1,
+    along which compliance, gap without contact or contact stiffness change.
 
     Parameters
     ----------
     residual_compliance : (n_pairs, n_pairs) [m/N] or None
-        Static compliance R_inf in series with contact.
+        Residual flexibility in series with contact; None: zero.
     pair_spring_compliances : (n_pairs,) [m/N]
         Compliance 1/k of each pair's contact spring.
     linear_gap : (2H+1, n_pairs) [m]
-        Gap g_lin without contact at p = 0, without the modes' part if modes are given.
+        Gap without contact at p = 0; if modes are given, without the modes' contribution.
     compliance_or_modes : (H+1, n_pairs, n_pairs) complex [m/N], or mapping
-        Dynamic less static compliance R_k - R_inf at p = 0, or its modes
+        Dynamic compliance less residual flexibility at p = 0, or its modes
         (:meth:`ModalCompliance.modal_fields_for_kernel`).
     has_coupled_pairs : bool
-        True if R_inf has more than a diagonal.
+        True if the residual flexibility couples pairs.
     reachable_gap_basis : (n_pairs, n) or None
         Orthonormal basis of the gaps that modes can make, if modes are fewer than coupled pairs.
     forms_jacobian : bool
-        False: solutions take products with J, and its sign is nan.
+        False: linear systems are solved with products of the Jacobian alone, and its sign is nan.
     linear_gap_rate : (2H+1, n_pairs) [m], optional
-        Change of g_lin per unit of p.
+        Change of the gap without contact per unit of p.
     log_stiffness_rate : float
         Change of ln k per unit of p.
     start_series_compliance : float [m/N]
@@ -713,16 +796,18 @@ class CompiledEquations(Equations):
         self.function_table = kernel.equations_of_contact(self._point_handle)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
-        """Return residual F of the balance and its Jacobian at s = ``unknown`` and a parameter p.
+        """Return the equations, linearised at a slow gap.
 
-        The slow gap s = g + R_inf lambda is the gap without its quasi-static response."""
+        ``unknown`` (2H+1, n_pairs) [m] is the slow gap: gap plus residual flexibility times contact
+        force. ``parameter`` is the path parameter, 0 to 1. The kernel evaluates the point on first
+        use.
+        """
         return CompiledPoint(self, require_shape(unknown, *self.shape), parameter)
 
     def function_table_at(self, point: CompiledPoint) -> Any:
-        """Return the C function table, with the equations evaluated at a point.
+        """Return a pointer to the kernel's C functions, with the equations evaluated at a point.
 
-        The table is a pointer that functions of the kernel take. ConvergenceError: no contact
-        forces were found at an instant.
+        Raises ConvergenceError if no contact forces were found at an instant.
         """
         if (
             self._last_linearisation_reference is None
@@ -745,7 +830,10 @@ class CompiledEquations(Equations):
         return point
 
     def max_dynamic_row_sum(self, parameter: float) -> float:
-        """Return the largest row sum of abs(R_k - R_inf) at a parameter p [m/N]."""
+        """Return the largest row sum of dynamic compliance less residual flexibility [m/N].
+
+        Absolute values are summed. ``parameter`` is the path parameter, 0 to 1.
+        """
         self._last_linearisation_reference = None
         max_row_sum = float(kernel.largest_dynamic_row_sum(self._point_handle, parameter))
         if not math.isfinite(max_row_sum):
@@ -754,9 +842,9 @@ class CompiledEquations(Equations):
 
 
 class CompiledPoint(Linearisation):
-    """Residual and Jacobian of :class:`CompiledEquations` at a point.
+    """Harmonic-balance equations in the C kernel, linearised at a point.
 
-    The kernel evaluates the point again if it has evaluated another one since.
+    The kernel holds one point at a time, and evaluates this one again if another came between.
     """
 
     def __init__(self, system: CompiledEquations, unknown: np.ndarray, parameter: float) -> None:
@@ -792,7 +880,10 @@ class CompiledPoint(Linearisation):
 
 
 def residual_friction_scale_derivative(point: ContactPoint) -> np.ndarray:
-    """Return the residual's derivative by a factor of the friction coefficient."""
+    """Return the residual's derivative by a factor for the friction coefficient.
+
+    The result is (2H+1, n_rows) [m], with normal, then tangential gaps as columns.
+    """
     assert isinstance(point.linearised_forces, FrictionForces)
     return multiply_compliance_and_force(
         point.system.dynamic_less_static_compliance,

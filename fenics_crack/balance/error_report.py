@@ -51,42 +51,44 @@ from fenics_crack.numerics.newton import motion_size_squared, solve_by_full_or_d
 LARGE_ERROR = 0.05
 """Estimated relative error above which a solution has a warning."""
 MIN_HARMONICS_FOR_MODAL_CHANGE = SearchOptions.guess_harmonic_counts[-1]
-"""Harmonics of the load's frequency at which two solutions show the change due to modes.
+"""Minimum harmonics of the load frequency for estimating modal truncation by two solutions.
 
-On 14 plates next to a resonance it is 0.3 to 3 times that of orbits; with 20 harmonics from a
-hundredth on.
+On 14 plates next to a resonance, the change between solutions with 40 harmonics is 0.3 to 3 times
+the change between exact orbits; with 20 harmonics the ratio begins at a hundredth.
 """
 NOT_CONFIRMED_TEXT = "not confirmed by an orbit"
-"""Mark of an error whose truncation part is stated without an orbit."""
+"""Words printed with an error report if no exact orbit was found for the truncation error."""
 ERROR_PARTS = ("truncation", "reduction", "sampling", "residual")
-"""Parts of a total error; of equal parts the first is reported."""
+"""Names of the parts of a total error; of equal parts the first is reported."""
 
 
 @dataclass(frozen=True, repr=False)
 class ErrorReport(Described):
-    """Estimated errors of the gap, relative to the root mean square of B^T u.
+    """Estimated relative errors of a solution.
 
-    In that mean square the mean gaps contribute no more than all else. An estimate of 1 means that
-    the error is unknown: the better equations were not solved, or lead to another motion.
+    The reference is the root mean square of B^T u, the gap without clearance. In its mean square
+    the mean gaps contribute no more than the vibration. An error of 1 is unknown: the better
+    equations were not solved, or lead to another motion.
 
     Attributes
     ----------
     residual : float
-        Residual of the algebraic system, or of B^T u - g0 - g after expansion to the structure; the
-        larger.
+        Larger of two: the residual of the equations, and the mismatch B^T u - g0 - g of
+        displacements u, clearances g0 and gaps g after expansion to all dofs.
     truncation : float
-        Harmonics above H left out.
+        Error due to the harmonics above H.
     sampling : float
-        Contact integrals by samples; 0 for exact integrals.
+        Error of contact integrals by samples; 0 for exact integrals.
     reduction : float
-        Modes left out in a reduced structure; 0 otherwise.
+        Modal truncation error of a reduced structure; 0 otherwise.
     penetration : float
         Penetration that the contact law permits; not an error of the solution for that law.
     displacement : float
         Truncation and reduction error of the displacement at the load, along the vibrating load. It
         is relative to that displacement, and usually much smaller than the errors of the gap.
     confirmed : bool
-        False if the truncation error is three times a prediction, because no exact orbit was found.
+        False if no exact orbit was found: the truncation error is then 3 p / (1 + 2 p) for a
+        predicted error p.
     """
 
     residual: float = 0.0
@@ -99,29 +101,29 @@ class ErrorReport(Described):
 
     @property
     def total(self) -> float:
-        """Return the sum of the errors in solving the given law, without the penetration."""
+        """Sum of the errors in solving the given law, without the penetration."""
         return self.residual + self.truncation + self.sampling + self.reduction
 
     @property
     def unknown(self) -> bool:
-        """True if the total could not be estimated."""
+        """True if the total error is at least 1, or an error could not be estimated."""
         return self.total >= ERROR_IF_UNKNOWN
 
     @property
     def estimated(self) -> bool:
-        """True if the total was requested."""
+        """True if the errors were requested; the total is then a number, else nan."""
         return not math.isnan(self.total)
 
     @property
     def largest_part(self) -> str:
-        """Return the name of the largest part of the total.
+        """Name of the largest error: "truncation", "reduction", "sampling" or "residual".
 
-        Of equal parts the first is named.
+        Of equal errors the first is named.
         """
         return max(ERROR_PARTS, key=lambda part_name: getattr(self, part_name))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the errors by their names, and the total."""
+        """Return the errors and their total by name, without ``confirmed``."""
         return {
             part_name: part_error
             for part_name, part_error in (asdict(self) | {"total": self.total}).items()
@@ -151,19 +153,22 @@ def estimate_errors(
     search: bool,
     has_converged: bool,
 ) -> ErrorReport:
-    """Estimate the errors of a solution (collective).
+    """Estimate the errors of a harmonic-balance solution (collective).
 
-    With ``search``, the orbit of the solution is searched for. If the equations are not solved, the
-    report has their residual, and the errors are unknown.
+    If the equations are not solved, the report has their residual, and the errors are unknown (1).
 
     Parameters
     ----------
     point : ContactPoint
-        Equations at the solution.
+        Equations linearised at the solution.
     assessment : Assessment
-        Assessment by the exact flow.
+        Prediction and nearest orbit by the exact flow.
     problem : Problem
-    search, has_converged : bool
+        Problem that was solved.
+    search : bool
+        True: search for the nearest exact orbit, whose distance is the error. False: predict it.
+    has_converged : bool
+        True if the equations are solved.
     """
     structure, wave = problem.structure, assessment.wave
     gap_from_displacement = problem.structure_with_row_pairs.gap_of(wave.displacement_coefficients)
@@ -229,14 +234,14 @@ def estimate_errors(
 
 
 UNESTIMATED_REPORT = ErrorReport(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan)
-"""Report of a solution whose errors were not requested."""
+"""Report of a solution whose errors were not requested: all are nan."""
 
 
 def report_by_more_modes(solution: Wave, more_modes_solution: Wave) -> ErrorReport:
-    """Return the report of a linear solution, by its change to the reference's solution
-    (collective).
+    """Return the error report of a linear solution, by a solution with more modes (collective).
 
-    The reference is that of the solution's reduced structure.
+    ``more_modes_solution`` belongs to the reference of the solution's reduced structure, a
+    reduction with more modes. The change between both gives the modal truncation error.
     """
     gap_plus_clearance = more_modes_solution.gap_coefficients.copy()
     gap_plus_clearance[0] += solution.structure.clearance
@@ -254,11 +259,22 @@ def report_by_more_modes(solution: Wave, more_modes_solution: Wave) -> ErrorRepo
 
 
 def _relative_change_at_load(wave: Wave, structure: Structure, displacement: np.ndarray) -> float:
-    """Return the relative change of the displacement at the load (collective).
+    """Return the relative change of the displacement at the load between two motions (collective).
 
-    It is the change from the motion ``wave`` to the coefficients ``displacement`` (2H+1, n_local)
-    of another ``structure``. The reference is the root mean square, with the mean at most as large
-    as all else.
+    Parameters
+    ----------
+    wave : Wave
+        First motion.
+    structure : Structure
+        Structure of the second motion.
+    displacement : (2H+1, n_local) [m]
+        Displacement coefficients of the second motion.
+
+    Returns
+    -------
+    float
+        Change over the root mean square of the first motion, both along the vibrating load. The
+        mean counts at most as much as the vibration.
     """
     motion_coefficients = motion_along_load(wave.structure, wave.displacement_coefficients)
     change_mean_square = mean_square(
@@ -274,9 +290,21 @@ def _relative_change_at_load(wave: Wave, structure: Structure, displacement: np.
 def relative_rms_of_gap_change(
     gap_change: np.ndarray, point: ContactPoint, clearance: np.ndarray
 ) -> float:
-    """Return the root mean square of a gap's change, relative to that of B^T u = g + g0.
+    """Return the root mean square of a gap's change, relative to the gap without clearance.
 
-    It is 0 if B^T u is rounding in comparison with its value without contact.
+    Parameters
+    ----------
+    gap_change : (m, n_pairs) [m]
+        Fourier coefficients of the change.
+    point : ContactPoint
+        Equations at the solution.
+    clearance : (n_pairs,) [m]
+
+    Returns
+    -------
+    float
+        Mean gaps count at most as much as the vibration. 0 if the load presses the crack faces
+        together, so that only rounding moves them.
     """
     gap_plus_clearance = point.gap.copy()
     linear_gap = point.system.compliance_model.linear_gap.copy()
@@ -294,12 +322,17 @@ def relative_rms_of_gap_change(
 
 
 def _truncation_errors(point: ContactPoint, wave: Wave) -> GapAndDisplacementErrors:
-    """Return the relative changes by K > H harmonics.
+    """Return the truncation errors, by solving with more harmonics.
 
-    Changes of the gaps and of the displacement at the load estimate the truncation errors if no
-    exact flow is known. K is four times H, or less if the equations would not be small, but at
-    least twice H. Steps are found by elimination. Iterative solutions of these equations do not
-    converge with many stiff pairs, unless pairs have a residual flexibility.
+    For solutions without an exact flow. The number of harmonics K is four times H, or less if the
+    equations would not be small, but at least twice H. Steps are found by elimination. Iterative
+    solutions of these equations do not converge with many stiff pairs, unless pairs have a residual
+    flexibility.
+
+    Returns
+    -------
+    gap, displacement : float
+        Relative changes of the gaps, and of the displacement at the load.
     """
     kept_harmonics, n_pairs = point.system.integrals.harmonics, point.unknown.shape[1]
     more_harmonics = max(
@@ -320,11 +353,27 @@ def _relative_changes_by_better_system(
     start_slow_gap: np.ndarray,
     structure: Structure,
 ) -> GapAndDisplacementErrors:
-    """Return the relative changes from a solution to that of better equations.
+    """Return the relative changes from a solution to the solution of better equations.
 
-    Newton's method begins at coefficients ``start_slow_gap``. ``structure`` is that of the
-    better equations. The changes, of gaps and of the displacement at the load, are
-    :data:`ERROR_IF_UNKNOWN` if Newton's method fails.
+    Parameters
+    ----------
+    base_point : ContactPoint
+        Equations at the solution.
+    wave : Wave
+        Motion of the solution.
+    better_system : ContactSystem
+        Equations with more harmonics or modes.
+    start_slow_gap : (2K+1, n_rows) [m]
+        Gap coefficients at which Newton's method starts; with a residual flexibility, coefficients
+        of gap plus residual flexibility times contact force.
+    structure : Structure
+        Structure of the better equations.
+
+    Returns
+    -------
+    gap, displacement : float
+        Relative changes of the gaps, and of the displacement at the load; 1 (unknown) if Newton's
+        method fails.
     """
     start_point = better_system.linearise(start_slow_gap)
     start_norm = max(float(np.linalg.norm(start_slow_gap)), 1e-300)
@@ -357,7 +406,9 @@ def _reduction_errors(
 ) -> GapAndDisplacementErrors:
     """Return the modal truncation errors of gaps and of displacement at the load.
 
-    They follow from the reduced structure's reference, which has more modes.
+    The equations are solved again with more modes (the reduced structure's reference). The changes
+    are divided by the share of truncated modes that the reference has. Without a reference they are
+    0.
     """
     more_modes_structure = more_modes_structure_of(wave)
     residual_compliance = point.system.residual_compliance
@@ -391,7 +442,10 @@ def _reduction_errors(
 
 
 def _rms_penetration_of_each_pair(point: ContactPoint, problem: Problem) -> np.ndarray:
-    """Return the root mean square penetration max(g, 0) of each pair: (1, n_pairs) [m]."""
+    """Return the root mean square penetration of each pair over the period: (1, n_pairs) [m].
+
+    Penetration is the positive gap.
+    """
     integrals, n_instants = point.system.integrals, max(512, 8 * len(point.gap))
     if integrals.has_coupled_pairs:  # g has more than H harmonics
         penetration = (point.force * integrals.spring_compliance)[:, : problem.structure.n_pairs]
@@ -403,15 +457,20 @@ def _rms_penetration_of_each_pair(point: ContactPoint, problem: Problem) -> np.n
 
 
 def mean_square(coefficients: np.ndarray) -> float:
-    """Return the mean over the period of the sum of squares (Parseval).
+    """Return the mean square over a period from Fourier coefficients (Parseval).
 
-    Rows are a0, a1, b1, ...
+    ``coefficients`` (2H+1, n) have the mean, then cosine and sine of each harmonic. Columns are
+    summed.
     """
     return float(np.sum(coefficients[:1] ** 2) + 0.5 * np.sum(coefficients[1:] ** 2))
 
 
 def mean_square_with_limited_mean(coefficients: np.ndarray) -> float:
-    """Return the mean square in which means contribute no more than all else; never zero."""
+    """Return the mean square over a period, in which the mean is limited.
+
+    ``coefficients`` (2H+1, n) have the mean first. The mean counts at most as much as the
+    vibration. The result is never zero.
+    """
     vibration_mean_square = 0.5 * np.sum(coefficients[1:] ** 2)
     squared_means_sum = np.sum(coefficients[0] ** 2)
     return motion_size_squared(float(vibration_mean_square), float(squared_means_sum))

@@ -40,19 +40,29 @@ from fenics_crack.numerics.fourier import (
 def integrals_with_coupled_pairs(
     law: ContactLaw, harmonics: int, residual_compliance: np.ndarray, samples: int | None = None
 ) -> ContactIntegrals:
-    """Return the integrals for pairs that a static compliance R_inf couples.
+    """Return the integrals of contact forces for pairs coupled by a residual flexibility.
 
-    ``residual_compliance`` is R_inf: (n_pairs, n_pairs) [m/N]; with friction (2 n_pairs, 2
-    n_pairs), normal gaps before tangential ones.
+    Parameters
+    ----------
+    law : ContactLaw
+        With or without friction.
+    harmonics : int
+        Number of harmonics H of the forces.
+    residual_compliance : (n_rows, n_rows) [m/N]
+        Residual flexibility R_inf in series with contact. n_rows is the number of pairs; with
+        friction twice as many, normal gaps before tangential ones.
+    samples : int, optional
+        Instants per period. Default: exact integrals for a piecewise linear law without friction;
+        with friction 32 H, at least 128; otherwise :func:`default_n_samples`.
     """
     integrals_class = CoupledIntegrals if friction_of(law) is None else FrictionIntegrals
     return integrals_class(law, harmonics, residual_compliance=residual_compliance, samples=samples)
 
 
 SAMPLES_PER_HARMONIC, MIN_SAMPLES = 32, 128
-"""Instants per harmonic, and the least number of instants."""
+"""Instants per harmonic and least number of instants for friction forces."""
 MAX_MARCH_PERIODS = 20
-"""Maximum periods of a march.
+"""Maximum number of periods over which friction forces are followed until they repeat.
 
 Pairs that never all slip or open at once keep a ninth of the initial difference per period (an edge
 crack in flap). After twelve periods only rounding is left.
@@ -61,16 +71,17 @@ crack in flap). After twelve periods only rounding is left.
 
 @dataclass(frozen=True)
 class FrictionIntegrals(ContactIntegrals):
-    """Integrals of contact and friction forces on pairs that R_inf couples.
+    """Integrals of contact and friction forces over a period, for coupled pairs.
 
-    R_inf is (2 n_pairs, 2 n_pairs), normal gaps before tangential ones.
+    The residual flexibility, in series with contact, is (2 n_pairs, 2 n_pairs), normal gaps before
+    tangential ones.
 
     Attributes
     ----------
     samples : int or None
-        N, instants per period; None: 32 for each of the H harmonics, at least 128.
+        Instants per period; None: 32 for each of the H harmonics, at least 128.
     friction_scale : float
-        Factor of the law's friction coefficient.
+        Factor for the law's friction coefficient.
     """
 
     samples: int | None = field(default=None, kw_only=True)
@@ -79,7 +90,7 @@ class FrictionIntegrals(ContactIntegrals):
 
     @cached_property
     def friction_contact_solver(self) -> FrictionContactSolver:
-        """Return the solver by sets of closed and sliding pairs, for D."""
+        """Solver for contact forces by sets of closed and sliding pairs."""
         friction_law = friction_of(self.law)
         assert friction_law is not None
         scaled_coefficient = np.multiply(self.friction_scale, friction_law.coefficient)
@@ -87,9 +98,10 @@ class FrictionIntegrals(ContactIntegrals):
 
     @cached_property
     def compliance_matrix(self) -> np.ndarray:
-        """Return R_inf plus all compliances in series: (2 n_pairs, 2 n_pairs) [m/N].
+        """All compliances in series with contact: (2 n_pairs, 2 n_pairs) [m/N].
 
-        Those are contact springs, 1/k on the diagonal, and ``relative_softness``.
+        The sum of residual flexibility, contact springs' compliance 1/k, and ``relative_softness``
+        times the mean pair compliance.
         """
         assert self.residual_compliance is not None
         series_compliances = (
@@ -99,21 +111,20 @@ class FrictionIntegrals(ContactIntegrals):
 
     @cached_property
     def spring_compliance(self) -> np.ndarray:
-        """Return the contact springs' compliances, normal then tangential: (2 n_pairs,) [m/N]."""
+        """Compliances 1/k of the contact springs, normal then tangential: (2 n_pairs,) [m/N]."""
         assert self.residual_compliance is not None
         return spring_compliances(self.law, len(self.residual_compliance) // 2)
 
     @property
     def n_instants(self) -> int:
-        """N, the instants per period."""
+        """Number of instants per period."""
         return self.samples or max(MIN_SAMPLES, SAMPLES_PER_HARMONIC * self.harmonics)
 
     def march(self, gap_samples: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Follow the forces through a period's slow gaps until they repeat.
+        """Follow contact and friction forces, period after period, until they repeat.
 
-        ``gap_samples`` is (n, 2 n_pairs) [m].
-
-        Raises as :meth:`FrictionContactSolver.solve`.
+        ``gap_samples`` (n, 2 n_pairs) [m] are the slow gaps at n instants of the period. Raises as
+        :meth:`FrictionContactSolver.solve`.
 
         Returns
         -------
@@ -121,7 +132,7 @@ class FrictionIntegrals(ContactIntegrals):
         states : (n, n_pairs) int8
             Each pair: open, sticking, or slipping up or down.
         places : (n, n_pairs) [m]
-            Sliders' positions h, at which pairs stick.
+            Friction sliders' positions: tangential gap less the tangential spring's deformation.
         origins : (n_pairs,) int
             Instant at which each pair last did not stick, or 0.
         """
@@ -135,7 +146,7 @@ class FrictionIntegrals(ContactIntegrals):
     def forces_and_places_at(
         self, gap_coefficients: np.ndarray, requested_phases: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return forces and sticking places at phases (n,).
+        """Return contact forces and friction sliders' positions at requested phases.
 
         Parameters
         ----------
@@ -147,7 +158,8 @@ class FrictionIntegrals(ContactIntegrals):
         -------
         forces : (n, 2 n_pairs) [N]
         places : (n, n_pairs) [m]
-            Sliders' positions h, at which pairs stick.
+            Sliders' positions: tangential gap less the tangential spring's deformation. A pair that
+            sticks keeps its position.
         """
         n_instants, two_pi = self.n_instants, 2.0 * np.pi
         grid_and_requested_phases = np.concatenate(
@@ -179,7 +191,11 @@ class FrictionIntegrals(ContactIntegrals):
 
 
 class FrictionForces(CoupledForces):
-    """Coefficients of contact and friction forces for slow gaps (2H+1, 2 n_pairs) [m]."""
+    """Fourier coefficients of contact and friction forces, with derivatives.
+
+    ``gap_coefficients`` (2H+1, 2 n_pairs) [m] are the slow gaps', normal ones first. Slow gap: gap
+    plus residual flexibility times contact force.
+    """
 
     def __init__(self, integrals: FrictionIntegrals, gap_coefficients: np.ndarray) -> None:
         self._integrals, self._shape = integrals, gap_coefficients.shape
@@ -196,15 +212,16 @@ class FrictionForces(CoupledForces):
         return self._force_coefficient_change(sample_period(gap_change, self._integrals.n_instants))
 
     def _force_coefficient_change(self, gap_change_samples: np.ndarray) -> np.ndarray:
-        """Return the change of the forces' coefficients for gaps' changes at N instants.
+        """Return the forces' coefficient change by gap changes at the instants of the period.
 
         Parameters
         ----------
-        gap_change_samples : (N, 2 n_pairs) [m]
+        gap_change_samples : (n_instants, 2 n_pairs) [m]
 
         Returns
         -------
         (2H+1, 2 n_pairs) [N]
+            Linearised: open, sticking and slipping pairs stay so.
         """
         gap_change_samples = np.ascontiguousarray(gap_change_samples)
         force_change_samples = np.empty_like(self._force_samples)
@@ -253,11 +270,11 @@ class FrictionForces(CoupledForces):
         )
 
     def friction_scale_derivative(self) -> np.ndarray:
-        """Return the coefficients' derivative by the factor of the friction coefficient.
+        """Return the forces' derivative by a factor for the friction coefficient.
 
-        f is the derivative of slipping pairs' friction forces at fixed normal forces. By the
-        compliance D it acts like a change -D f of the gaps. The derivative is f plus the forces by
-        that change.
+        Coefficients (2H+1, 2 n_pairs) [N]. f is the derivative of slipping pairs' friction forces
+        at fixed normal forces. By the compliance D in series it acts like a change -D f of the
+        gaps. The result is f plus the forces by that change.
         """
         integrals, n_pairs = self._integrals, self._shape[1] // 2
         friction_law = friction_of(integrals.law)

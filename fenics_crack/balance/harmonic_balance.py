@@ -77,7 +77,10 @@ from fenics_crack.numerics.newton import change_relative_to_motion
 def solve_linear(
     structure: Structure, omega: float, *, harmonics: int | None = None
 ) -> PeriodicSolution:
-    """Return the steady vibration if crack faces pass through each other, A u = c (collective).
+    """Return the steady vibration if crack faces pass through each other (collective).
+
+    The displacement's coefficients u solve A u = c, with the dynamic stiffness A and the load's
+    coefficients c.
 
     Parameters
     ----------
@@ -123,7 +126,10 @@ def solve_linear(
 def _linear_periodic_solution(
     structure: Structure, omega: float, harmonics: int
 ) -> PeriodicSolution:
-    """Return the linear solution, without contact forces and error report (collective)."""
+    """Return the linear solution, without contact forces, with H = ``harmonics`` (collective).
+
+    Its errors are not estimated.
+    """
     load_by_harmonic = to_complex(load_coefficients(structure, harmonics, 1))
     displacement_by_harmonic = np.zeros_like(load_by_harmonic)
     for k in range(len(load_by_harmonic)):
@@ -150,11 +156,11 @@ def linear_response(
     structure : Structure
         Small, or reduced.
     dof : int
-        Dof whose displacement is returned.
+        Number of the dof.
     omega : (n,) [rad/s]
         Load frequencies.
     lips : "open" or "tied"
-        State of the faces of all cracks.
+        Open or bonded faces, for all cracks.
 
     Returns
     -------
@@ -164,7 +170,7 @@ def linear_response(
     Raises
     ------
     InputError
-        The structure is not small, lips is neither state, or omega cannot be used.
+        The structure is not small, lips is neither word, or omega cannot be used.
 
     Examples
     --------
@@ -196,7 +202,7 @@ def linear_response(
 def _complex_linear_displacement(
     structure: Structure, omega: float, load: np.ndarray
 ) -> np.ndarray:
-    """Return the complex displacement by a harmonic load (n_local,) [N]: same shape [m]."""
+    """Return the complex displacement under a harmonic load, both (n_local,) [m], [N]."""
     if not structure.light_lips:
         with DynamicStiffness(structure, omega) as dynamic_stiffness:
             return dynamic_stiffness.solve(load[None] if omega > 0.0 else load.real[None])[0]
@@ -222,9 +228,10 @@ def solve_harmonic_balance(
 ) -> PeriodicSolution:
     """Return the steady periodic vibration with contact between crack faces (collective).
 
-    The coefficients of u(t) solve A u + B b(g) = c, the equation of motion M u'' + C u' + K u +
-    B lambda(g) = f(t), g = B^T u - g0, projected on the mean and the first H harmonics: b are the
-    coefficients of the contact force, c those of the load.
+    The displacement u(t) solves the equation of motion M u'' + C u' + K u + B lambda(g) = f(t). The
+    gaps are g = B^T u - g0, with clearances g0, and lambda are the contact forces. The equation is
+    projected on the mean and the first H harmonics: A u + B b(g) = c. A is the dynamic stiffness;
+    b are coefficients of the contact force, c of the load.
 
     Parameters
     ----------
@@ -233,24 +240,25 @@ def solve_harmonic_balance(
     samples : int, optional
         As in :class:`fenics_crack.Problem`; at least 4 H + 1.
     harmonics : int, optional
-        H; default: 5, or what ``tolerance`` requests.
+        Number of harmonics H; default: 5, or as many as ``tolerance`` requires.
     initial : PeriodicSolution, optional
-        Where Newton starts; default: the linear solution. May have other harmonics,
-        and a subharmonic that divides that of the response.
+        Solution at which Newton's method starts; default: the linear solution. It may have other
+        harmonics, and a subharmonic that divides the response's.
     tolerance : float, optional
-        Choose H, 5 times ``subharmonic`` or more, and for a structure with many dofs the modes of a
-        reduction, so that the error (:class:`ErrorReport`) is below this; the solution's status
-        says what was chosen, or what limits the error of the best one. Where the exact flow is
-        known the coefficients are those of an exact orbit. ``harmonics`` and ``samples`` are then
-        left out.
+        Choose H, at least 5 times ``subharmonic``, so that the relative error
+        (:class:`ErrorReport`) is below this; for a structure with many dofs also the modes of a
+        reduction. The status says what was chosen, or what limits the error of the best solution.
+        If the exact flow is known, the coefficients belong to an exact orbit. ``harmonics`` and
+        ``samples`` are then left out.
     form : "condensed" or "block"
-        Unknowns on the gaps; or all displacements, by PETSc's SNES on the sparse block system
-        (``fenics_crack.balance.block_system``), with the same integrals of the contact force: the
-        same solutions, and a check of them, in 20 times the time or more. Not with a tolerance,
-        friction, or a rigid law of crack faces with mass.
+        Unknowns are the gaps; or all displacements, by PETSc's SNES on a sparse block system
+        (``fenics_crack.balance.block_system``). Both have the same integrals of the contact force
+        and the same solutions. The block form is a check, and takes 20 times the time or more. It
+        is refused with a tolerance, with friction, and for a rigid law of crack faces with mass.
     residual_tolerance : float
-        ``|F(x)| / |x|`` of the algebraic equations; with very stiff contact (k R > 1e5) rounding
-        alone leaves more, eps k R, which is then accepted and reported.
+        Maximum ``|F(x)| / |x|`` of the algebraic equations. With very stiff contact, rounding
+        leaves more: eps k R, with machine epsilon eps, contact stiffness k and compliance R. From
+        k R = 1e5 on, that is accepted and reported.
     throw : bool
         Raise if nothing converged (else ``converged`` is False), or the tolerance is missed.
 
@@ -307,7 +315,11 @@ def solve_harmonic_balance(
 
 
 def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
-    """Raise InputError unless the search for a problem's solution can begin at ``initial``."""
+    """Raise InputError unless a solution can start the search for a problem's solution.
+
+    Dofs and pairs must be the same; for crack faces without mass, only the pairs. The solution's
+    subharmonic must divide the problem's.
+    """
     structure, subharmonic = problem.structure, problem.subharmonic
     fit_argument_to_annotation("initial", initial, "PeriodicSolution", {"PeriodicSolution"})
     initial_dofs_and_pairs = initial.structure.n_dofs, initial.structure.n_pairs
@@ -328,13 +340,15 @@ def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
 
 
 SOUGHT_CHANGE_FACTOR = 3.0
-"""Maximum predicted change of the gaps by more modes, relative to the tolerance, for which the
-orbit with more modes is sought while a tolerance chooses the modes. Linear predictions above it
-are large enough to go on to more modes: measured, they are right to a factor of 2."""
+"""Maximum predicted gap change by more modes for which their orbit is searched, over the tolerance.
+
+It holds while a tolerance chooses the modes. Larger linear predictions are enough to go on to more
+modes: measured, they are right to a factor of 2.
+"""
 FIRST_MODE_COUNT = 10
-"""Modes of the first attempt for a large structure, limited by what exact orbits may have."""
+"""Number of modes in the first attempt to meet a tolerance, for a large structure."""
 MAX_HARMONICS = 500
-"""Maximum harmonics solved for, or kept from an orbit, per period of the load."""
+"""Maximum number of harmonics solved for; from an orbit, per load period."""
 
 
 def mode_counts(
@@ -342,7 +356,10 @@ def mode_counts(
     first_modes: int = FIRST_MODE_COUNT,
     max_modes: int = MAX_MODES_FOR_MONODROMY,
 ) -> list[int]:
-    """Return the numbers of modes to try one after the other: ``first_modes``, then doubled."""
+    """Return the numbers of modes to try one after the other.
+
+    They begin with ``first_modes`` and double up to ``max_modes``, or to the structure's dofs.
+    """
     max_modes = min(max(first_modes, max_modes), structure.n_dofs)
     n_doublings = max(0, math.ceil(math.log2(max_modes / first_modes)))
     return [
@@ -361,20 +378,22 @@ def solve_to_tolerance(
 ) -> PeriodicSolution:
     """Return a solution with few modes and harmonics that meet a tolerance (collective).
 
-    It has no fewer harmonics than the problem. If the tolerance is missed, the best solution is
-    returned, or an error states by how much.
+    It has no fewer harmonics than the problem. If the tolerance is missed, ConvergenceError says by
+    how much; with ``solver.throw`` False the best solution is returned.
 
     Parameters
     ----------
     solver : Solver
+        Solver for the problem.
     tolerance : float
+        Maximum total error (:attr:`ErrorReport.total`).
     initial : PeriodicSolution, optional
         Start of the search.
     structures : iterable of Structure, optional
         Reductions with more and more modes, each made on demand. Default: a structure with many
         dofs is reduced, another one is not.
     modes_key : str
-        Key of the number of modes in a scene, for messages.
+        Key for the number of modes in a scene, for messages.
     """
     whole_structure = solver.problem.structure
     if structures is None and (
@@ -408,9 +427,9 @@ def solve_to_tolerance(
 
 
 def lacks_modes(solution: PeriodicSolution, tolerance: float) -> bool:
-    """Return True if a solution misses a tolerance mainly for lack of modes.
+    """Return True if a solution misses a tolerance for lack of modes.
 
-    The modal truncation error is then more than half of the tolerance.
+    The total error is above the tolerance, and the modal truncation error above half of it.
     """
     return solution.report.total > tolerance and solution.report.reduction > tolerance / 2.0
 
@@ -422,11 +441,20 @@ def solve_from_neighbour(
     *,
     with_errors: bool = True,
 ) -> PeriodicSolution:
-    """Return a small structure's solution, sought from a neighbouring solution.
+    """Return a small structure's solution, searched from a neighbouring solution.
 
-    Without a tolerance, ``with_errors`` decides whether errors are estimated. With a tolerance, the
-    solution is the orbit next to the neighbour. It has no fewer harmonics than the problem, and as
-    many as bring the truncation error below the tolerance.
+    With a tolerance, the solution is preferably an exact orbit. It has no fewer harmonics than the
+    problem, and as many as bring the truncation error below the tolerance.
+
+    Parameters
+    ----------
+    problem : Problem
+    neighbour : PeriodicSolution or None
+        Start of the search; None: the linear solution.
+    tolerance : float, optional
+        Maximum truncation error; None: the problem's harmonics are kept.
+    with_errors : bool
+        False: without a tolerance, errors are not estimated.
 
     Raises
     ------
@@ -449,9 +477,10 @@ def solve_from_neighbour(
 
 
 def _allowed_harmonics_error(tolerance: float, reduction_error: float) -> float:
-    """Return the error allowed for harmonics and samples.
+    """Return the error allowed for truncated harmonics and samples.
 
-    It is the tolerance less the modal truncation error, at most half of the tolerance.
+    It is the tolerance less the modal truncation error ``reduction_error``, at most half the
+    tolerance. If nothing is left, it is half the tolerance.
     """
     remaining_error = tolerance - reduction_error
     return min(remaining_error, tolerance / 2.0) if remaining_error > 0.0 else tolerance / 2.0
@@ -460,10 +489,11 @@ def _allowed_harmonics_error(tolerance: float, reduction_error: float) -> float:
 def _with_tolerance_status(
     solver: Solver, solution: PeriodicSolution, tolerance: float, modes_key: str
 ) -> PeriodicSolution:
-    """Return a solution with a status on the tolerance and a remedy.
+    """Return a solution whose status says if the tolerance is met.
 
-    ``modes_key`` is the user's name for the number of modes. Raises ConvergenceError if the
-    tolerance is missed and ``solver.throw`` is True.
+    Otherwise the status names a remedy. ``modes_key`` is the scene's key for the number of modes,
+    "" for the argument's name. Raises ConvergenceError if the tolerance is missed and
+    ``solver.throw`` is True. A solution that did not converge is returned unchanged.
     """
     report, structure = solution.report, solution.structure
     if not solution.converged:
@@ -509,7 +539,11 @@ def _with_tolerance_status(
 def _solve_structure(
     solver: Solver, tolerance: float, initial: PeriodicSolution | None
 ) -> PeriodicSolution:
-    """Return the solution with a structure's present modes, if possible an exact orbit."""
+    """Return a solution to a tolerance with the structure's present modes.
+
+    It is an exact orbit if there is an exact flow and an orbit is found. Otherwise harmonics are
+    added.
+    """
     problem = solver.problem
     flow = exact_flow_or_none(problem.structure, problem.contact)
     if flow is None or not is_orbit_search_affordable(flow, problem.omega, problem.subharmonic):
@@ -554,10 +588,10 @@ def _solve_structure(
 def search_initial_orbit(
     problem: Problem, initial: PeriodicSolution | None = None
 ) -> OrbitSearchResult:
-    """Search for an exact orbit from harmonic-balance solutions.
+    """Search for an exact orbit from harmonic-balance solutions with 5 to 40 harmonics.
 
-    The solutions have more and more harmonics, and are all sought from ``initial``. If that has an
-    orbit, the orbit is tried first.
+    Each solution is searched from ``initial``. If ``initial`` has an orbit, this orbit is tried
+    first.
 
     Raises
     ------
@@ -573,7 +607,12 @@ def _search_orbit_from_solutions(
 ) -> tuple[list[PeriodicSolution], OrbitSearchResult]:
     """Search for an orbit from harmonic-balance solutions with ascending harmonics.
 
-    Returns the solutions computed, and the search's result.
+    Returns
+    -------
+    solutions : list of PeriodicSolution
+        Converged solutions that were computed.
+    search_result : OrbitSearchResult
+        Orbit, or None, and the outcome in words.
     """
     problem, solutions = solver.problem, list[PeriodicSolution]()
 
@@ -602,9 +641,10 @@ def _search_orbit_from_solutions(
 def _states_with_more_modes(
     flow: ContactFlow, assessment: Assessment, orbit: PeriodicOrbit
 ) -> np.ndarray:
-    """Return states of an orbit with more modes.
+    """Return an orbit's states on a flow with more modes: (32, flow.state_size).
 
-    If a known orbit has as many modes, its states are returned.
+    They belong to 32 equal parts of the period. If the assessment already has an orbit with as many
+    modes as ``flow``, its states are returned; otherwise new modes are added to ``orbit``.
     """
     more_modes = assessment.more_modes
     if more_modes and more_modes.orbit and more_modes.flow.n_modes == flow.n_modes:
@@ -613,13 +653,13 @@ def _states_with_more_modes(
 
 
 def _solver_for(solver: Solver, problem: Problem) -> Solver:
-    """Return the solver for another problem, and report progress."""
+    """Return the solver for another problem, and report the number of harmonics as progress."""
     begin_stage(f"H = {problem.harmonics}, {problem.structure.n_dofs} coordinates")
     return replace(solver, problem=problem)
 
 
 def _describe_other_orbits(search: OrbitSearchResult) -> str:
-    """Return words on the other orbits that a search found, or ""."""
+    """Return a text on the stability and amplitude of other orbits that a search found, or ""."""
     descriptions = [
         f"{'stable' if orbit.is_stable else 'unstable'}, "
         f"amplitude {format_quantity(orbit.amplitude(), 'm')}"
@@ -635,11 +675,21 @@ def solution_of_orbit(
     initial: PeriodicSolution | None = None,
     allowed_prediction: float = math.inf,
 ) -> PeriodicSolution:
-    """Return an orbit's solution with the fewest harmonics that meet a tolerance.
+    """Return an orbit's Fourier series with the fewest harmonics that meet a tolerance.
 
-    It has no fewer harmonics than the problem. Its errors are due to the coefficients left out, and
-    to the modes. A neighbouring solution ``initial`` makes it faster. The orbit with more modes is
-    sought if the predicted change of the gaps is at most ``allowed_prediction``.
+    It has no fewer harmonics than the problem. Its errors are due to truncated harmonics and modes.
+
+    Parameters
+    ----------
+    problem : Problem
+    orbit : PeriodicOrbit
+    tolerance : float
+        Maximum relative error of the gaps.
+    initial : PeriodicSolution, optional
+        Neighbouring solution, whose factored matrices make the search with more modes faster.
+    allowed_prediction : float
+        Maximum predicted relative change of the gaps for which the orbit with more modes is
+        searched.
     """
     max_harmonics = MAX_HARMONICS * problem.subharmonic
     coefficients = orbit.coefficients(
@@ -711,7 +761,11 @@ def truncated_orbit_solution(
     coefficients: RealFourierCoefficients,
     more_modes: MoreModes | None = None,
 ) -> PeriodicSolution:
-    """Return an orbit's motion with the harmonics of a problem."""
+    """Return an orbit's Fourier series with the harmonics of a problem as a solution.
+
+    ``coefficients`` are the orbit's, with at least these harmonics. ``more_modes``: the orbit's
+    motion with more modes, if known.
+    """
     row_slice = slice(2 * problem.harmonics + 1)
     wave = problem.wave_of(
         coefficients.displacement[row_slice],
@@ -728,14 +782,15 @@ def _modal_truncation_errors(
 ) -> tuple[float, float]:
     """Return the modal truncation errors of an orbit.
 
-    They follow from the motion with more modes, if it has an orbit. Otherwise harmonic balance
-    computes them, from ``solution_with_harmonics``, the orbit's motion with a given number of
-    harmonics.
+    They follow from the orbit with more modes, if it is found. Otherwise harmonic balance with 40
+    harmonics of the load frequency computes them. ``solution_with_harmonics`` returns the orbit's
+    series with a given number of harmonics.
 
     Returns
     -------
     gap, displacement : float
-        Relative errors; the displacement is the one at the load.
+        Relative errors of gaps, and of the displacement at the load; 0 for a structure without
+        reference, 1 if unknown.
     """
     reduced_structure = problem.structure
     if not isinstance(reduced_structure, ReducedStructure) or reduced_structure.reference is None:
@@ -762,7 +817,10 @@ def _modal_truncation_errors(
 def _solve_with_growing_harmonics(
     solver: Solver, tolerance: float, solution: PeriodicSolution
 ) -> PeriodicSolution:
-    """Return the best solution while harmonics are doubled until the error is small."""
+    """Double the harmonics until the error is small, and return the best solution.
+
+    ``solution`` is the first one. The doubling ends at 500 harmonics, or without convergence.
+    """
     best_solution = solution
     while solution.converged and not _has_enough_harmonics(solution, tolerance):
         harmonics = min(2 * solution.harmonics, MAX_HARMONICS)
@@ -776,7 +834,9 @@ def _solve_with_growing_harmonics(
 def _has_enough_harmonics(solution: PeriodicSolution, tolerance: float) -> bool:
     """Return True if no more harmonics are needed, or allowed.
 
-    With sampled contact forces, more harmonics also mean more samples.
+    The truncation and sampling error meets its share of the tolerance, or there are 500 harmonics.
+    It also stops if the error is unknown with 40 harmonics of the load frequency. With sampled
+    contact forces, more harmonics also mean more samples.
     """
     truncation_and_sampling = solution.report.truncation + solution.report.sampling
     is_error_unknown = (
@@ -793,14 +853,15 @@ def _has_enough_harmonics(solution: PeriodicSolution, tolerance: float) -> bool:
 
 
 def slide_along_lines(structure: Structure, omega: float, contact: ContactLaw) -> ContactLaw:
-    """Return a law with the lines along which a solid's pairs slide (collective).
+    """Return a friction law with the lines along which a solid's pairs slide (collective).
 
     Friction acts along one line for each pair, the main direction of sliding in the vibration
     without friction. This direction is the first eigenvector of the sum over a period
 
-        A_i = sum lambda_n,i dg_i dg_i^T,      dg_i: change of the two tangential gaps of pair i.
+        A_i = sum lambda_n,i dg_i dg_i^T,
 
-    If sliding turns, ``turning`` is the share that friction across the lines would have. It is the
+    with the normal force lambda_n,i of pair i, and the change dg_i of its two tangential gaps. If
+    sliding turns, ``turning`` is the share that friction across the lines would have. It is the
     root of a ratio: the pairs' second eigenvalues, summed, over the first ones.
 
     Parameters
@@ -834,9 +895,11 @@ def law_along_lines(
     contact: ContactLaw,
     find_frictionless_motion: Callable[[ContactLaw], ObservedMotion],
 ) -> ContactLaw:
-    """Return a law with the sliding lines of a solid's pairs (collective).
+    """Return a friction law with the sliding lines of a solid's pairs (collective).
 
-    They follow from the motion under its normal law.
+    ``find_frictionless_motion`` takes the normal law and returns the motion under it, from which
+    the lines follow (:func:`slide_along_lines`). A law without friction, with lines, or for a plate
+    is returned unchanged.
     """
     friction_law, tangential_gap_matrix = friction_of(contact), structure.tangential
     if friction_law is None or friction_law.direction is not None or tangential_gap_matrix is None:
@@ -852,9 +915,9 @@ def law_along_lines(
 def motion_without_friction(
     structure: Structure, omega: float, law: ContactLaw, subharmonic: int = 1
 ) -> PeriodicOrbit | PeriodicSolution:
-    """Return the exact orbit without friction (collective).
+    """Return the motion under a law without friction (collective).
 
-    If no orbit is accepted, the harmonic-balance solution is returned.
+    It is the exact orbit, or the harmonic-balance solution if no orbit is accepted.
     """
     problem = Problem(structure, omega, law, subharmonic=subharmonic)
     start_problem = problem.with_harmonics(problem.response_harmonics(problem.harmonics))
@@ -877,14 +940,14 @@ def find_line_angles_and_turning(
     motion : ObservedMotion
         Motion of a structure with two tangential gaps per pair.
     line_angles : (n_pairs,) [rad], optional
-        Lines; default: the main directions of sliding.
+        Given lines, by their angle to the first tangent; default: the main directions of sliding.
 
     Returns
     -------
     line_angles : (n_pairs,) [rad]
     turning : float
-        Root of the sum over pairs of A across the lines, over A along them
-        (:func:`slide_along_lines`).
+        Root of the sum over pairs of A across the lines, over A along them, with the matrices A of
+        :func:`slide_along_lines`; 0 if nothing slides.
     """
     tangential_gap_matrix = motion.structure.tangential
     assert tangential_gap_matrix is not None

@@ -42,14 +42,17 @@ from fenics_crack.numerics.fourier import fourier_coefficients
 from fenics_crack.numerics.newton import change_relative_to_motion
 
 N_NEAREST_CASES, N_NEIGHBOURS = 16, 8
-"""Nearest cases searched for neighbours, and neighbours that a fitted plane uses."""
+"""Number of nearest cases searched for neighbours, and maximum number of neighbours.
+
+A plane is fitted through the neighbours' orbits.
+"""
 MIN_INSTANTS_OF_ORBIT = 256
-"""Least instants per period for an orbit's numbers.
+"""Minimum number of instants per period at which an orbit's results are evaluated.
 
 A coefficient of order 20 is then accurate to a hundredth.
 """
 STEP_TOLERANCE = 1e-10
-"""Relative length of the last Newton step for an orbit."""
+"""Maximum relative length of the last Newton step for an orbit."""
 PARAMETER_NAMES = "omega", "load", "damping", "clearance"
 TEXT_COLUMNS = "status", "reason", "verdict"
 NUMBER_COLUMNS = "amplitude", "opening", "closed_share", "multiplier", "truncation"
@@ -57,10 +60,16 @@ NUMBER_COLUMNS = "amplitude", "opening", "closed_share", "multiplier", "truncati
 
 @dataclass(frozen=True, repr=False)
 class ManyOrbits(Tabular):
-    """Exact orbits of many cases; unknown entries are nan, or "".
+    """Result of :func:`solve_many`: exact orbits of many cases.
+
+    Unknown numbers are nan, and unknown words "".
 
     Attributes
     ----------
+    structure, contact : Structure, ContactLaw
+        Structure before the changes of each case, and law of all cases.
+    harmonics : int
+        Number of harmonics H for ``truncation``.
     omega, load, damping, clearance : (n,)
         Cases: frequency of the load [rad/s], factors of load and damping, and the clearance [m]
         added to every pair.
@@ -83,7 +92,7 @@ class ManyOrbits(Tabular):
         Relative error of the gap due to the harmonics above H.
     states : (n, flow.state_size)
         States of the orbits at phase zero: modal displacements and velocities, with friction also
-        the tangential gaps at which pairs stick.
+        the friction sliders' positions.
     """
 
     structure: Structure = field(compare=False)
@@ -104,7 +113,7 @@ class ManyOrbits(Tabular):
     states: np.ndarray
 
     def problem(self, case: int) -> Problem:
-        """Return the problem of a case, by its index, with H harmonics.
+        """Return the problem with H harmonics for a case, given by its index.
 
         Raises InputError if the case cannot exist.
         """
@@ -117,7 +126,7 @@ class ManyOrbits(Tabular):
         return Problem(structure, omega, self.contact, self.harmonics)
 
     def orbit(self, case: int) -> PeriodicOrbit:
-        """Return the orbit of a case, by its index.
+        """Return the exact orbit for a case, given by its index.
 
         Raises
         ------
@@ -131,7 +140,7 @@ class ManyOrbits(Tabular):
         return orbit_through_state(flow, problem.omega, self.states[case], 1)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the attributes (n,) by name, as lists, without structure and states."""
+        """Return the columns from ``omega`` to ``truncation`` by name, as lists."""
         return {
             column_field.name: getattr(self, column_field.name).tolist()
             for column_field in fields(self)[3:-1]
@@ -151,7 +160,7 @@ def solve_many(
     clearance: float | np.ndarray = 0.0,
     harmonics: int = 20,
 ) -> ManyOrbits:
-    """Return exact orbits of a structure in many cases, with verdicts and errors.
+    """Return exact orbits of a structure in many cases, with stability and errors.
 
     Parameters
     ----------
@@ -160,6 +169,7 @@ def solve_many(
     omega : float or (n,) [rad/s]
         Load frequencies.
     contact : ContactLaw
+        Penalty law or constraint, with or without friction, for all pairs.
     load, damping : float or (n,)
         Factors of the structure's load and damping.
     clearance : float or (n,) [m]
@@ -219,7 +229,7 @@ def solve_many(
 def _yield_cases_with_neighbours(
     orbit_table: ManyOrbits, flow: ContactFlow
 ) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-    """Yield cases from the middle outwards, each with its earlier neighbours.
+    """Yield cases from the middle of their parameters outwards, each with earlier neighbours.
 
     Cases that cannot exist may stand anywhere in this order.
 
@@ -229,8 +239,9 @@ def _yield_cases_with_neighbours(
         Index.
     neighbour_indices : (k,) int
         Indices of earlier cases among the nearest 16, the nearest first.
-    offsets : (k, d)
-        Scaled parameters of the neighbours, less those of the case.
+    offsets : (k, 5)
+        Scaled parameters of the neighbours, less those of the case: frequency, damping, sign of the
+        load, and added and given clearance over the load.
     """
     load_magnitudes = np.where(orbit_table.load == 0.0, 1.0, np.abs(orbit_table.load))
     parameter_rows = [
@@ -279,7 +290,7 @@ def _find_orbit_of_case(
     neighbour_indices: np.ndarray,
     offsets: np.ndarray,
 ) -> PeriodicOrbit:
-    """Return the orbit of a case, and set its ``status`` and ``reason``.
+    """Return the orbit for a case, and set its ``status`` and ``reason`` in the table.
 
     Newton's method begins near the orbits of the neighbours, cases whose scaled parameters differ
     by ``offsets`` (:func:`_yield_cases_with_neighbours`). Raises ConvergenceError if no orbit is
@@ -334,7 +345,7 @@ def _find_orbit_of_case(
 def _table_entries_of_orbit(
     problem: Problem, orbit: PeriodicOrbit, watched_dof_row: np.ndarray
 ) -> dict[str, Any]:
-    """Return an orbit's entries of the arrays of :class:`ManyOrbits`, by name.
+    """Return an orbit's table entries, by the column names of :class:`ManyOrbits`.
 
     ``watched_dof_row`` (1, n_dofs) selects the watched dof.
     """
@@ -375,9 +386,9 @@ def _table_entries_of_orbit(
 
 
 def _interpolated_overall_maximum(period_samples: np.ndarray) -> float:
-    """Return the largest of all values over a period, by interpolation.
+    """Return the largest value in all columns over a period, by interpolation.
 
-    Rows of ``period_samples`` (n, m) are equally spaced instants. A parabola goes through the
+    ``period_samples`` (n, m) has equally spaced instants as rows. A parabola goes through the
     largest value and its two neighbours in the column.
     """
     row_index, column_index = np.unravel_index(period_samples.argmax(), period_samples.shape)

@@ -43,16 +43,17 @@ from fenics_crack.numerics.fourier import fourier_basis_for
 from fenics_crack.numerics.newton import change_relative_to_motion
 
 ERROR_IF_UNKNOWN = 1.0
-"""Relative error that stands for an unknown error."""
+"""Relative error that stands for an unknown error; no error is stated above it."""
 
 GapAndDisplacementErrors = tuple[float, float]
-"""Errors of the gap, and of the displacement at the load; at most :data:`ERROR_IF_UNKNOWN`."""
+"""Relative errors of the gap and of the displacement at the load, each at most 1."""
 
 
 def more_modes_structure_of(wave: Wave) -> ReducedStructure | None:
-    """Return the reference of a solution's reduced structure, or None.
+    """Return the reference of a solution's reduced structure: the reduction with more modes.
 
-    The reference has more damping if the truncated modes have none.
+    None: the structure is not reduced, or has no reference. The reference gets more damping if the
+    truncated modes have none.
     """
     reduced_structure = wave.structure
     if not isinstance(reduced_structure, ReducedStructure) or reduced_structure.reference is None:
@@ -66,9 +67,10 @@ def more_modes_structure_of(wave: Wave) -> ReducedStructure | None:
 
 
 def _neglected_dissipation_ratio(wave: Wave) -> float:
-    """Return truncated modes' dissipation by Rayleigh damping, relative to kept modes.
+    """Return the dissipation missing in truncated modes, relative to the kept modes.
 
-    It is 0 with another damping, and for a structure with mass in all coordinates.
+    Rayleigh damping would damp the truncated modes, too, but they respond quasi-statically, without
+    damping. The ratio is 0 with another damping, and for a structure with mass in all coordinates.
     """
     massless_structure = as_massless_structure_or_none(wave.structure)
     if massless_structure is None or not isinstance(
@@ -95,7 +97,11 @@ def _neglected_dissipation_ratio(wave: Wave) -> float:
 def modal_truncation_errors(
     structure: Structure, gap_and_displacement_changes: GapAndDisplacementErrors
 ) -> GapAndDisplacementErrors:
-    """Return the modal truncation errors from changes between a structure and its reference."""
+    """Return modal truncation errors from changes between a structure and its reference.
+
+    The reference is a reduction with more modes. The changes of gap and displacement are divided by
+    the share of truncated modes that it has, and limited to 1.
+    """
     reference_share = structure.share if isinstance(structure, ReducedStructure) else 1.0
     return min(gap_and_displacement_changes[0] / reference_share, ERROR_IF_UNKNOWN), min(
         gap_and_displacement_changes[1] / reference_share, ERROR_IF_UNKNOWN
@@ -104,25 +110,28 @@ def modal_truncation_errors(
 
 @dataclass(frozen=True)
 class MoreModes:
-    """Motion of a solution on the flow with more modes."""
+    """Change of a solution's motion if the structure has more modes."""
 
     flow: ContactFlow
-    """Flow with more modes."""
+    """Exact flow of the structure with more modes."""
     wave: Wave
-    """Harmonic-balance solution."""
+    """Motion of the harmonic-balance solution, with fewer modes."""
     nearest_orbit: PeriodicOrbit
-    """Nearest exact orbit, with the modes of the solution's structure."""
+    """Exact orbit nearest to the solution, with the modes of the solution's structure."""
     i_minus_m_solver: IMinusMSolver | None = None
-    """(I - M)^-1 of a neighbouring motion, with which the search begins."""
+    """Solver for (I - M) x = r with a neighbouring orbit's monodromy matrix M.
+
+    The search for the orbit starts with it; None: without.
+    """
     allowed_prediction: float = math.inf
-    """Maximum predicted relative change of the gaps for which the orbit is sought."""
+    """Maximum predicted relative change of the gaps for which the orbit is searched."""
 
     @property
     def states_at_period_parts(self) -> np.ndarray:
-        """Return the nearest orbit's states on the flow with more modes: (32, flow.state_size).
+        """Nearest orbit's states, with more modes added: (32, flow.state_size).
 
-        They belong to equal parts of the period. New modes respond statically to the load and the
-        contact forces.
+        They belong to 32 equal parts of the period. New modes respond statically to the load and
+        the contact forces. With mass at the crack faces, the motion is projected on the new modes.
         """
         orbit_samples, flow = self.nearest_orbit.period_samples, self.flow
         n_orbit_modes = self.nearest_orbit.flow.n_modes
@@ -158,10 +167,11 @@ class MoreModes:
         modal_velocities: np.ndarray,
         sticking_places: np.ndarray,
     ) -> np.ndarray:
-        """Return states of the structure with more modes (n, flow.state_size), by projection.
+        """Return states with more modes by projection: (n, flow.state_size).
 
-        Modal coordinates and velocities (n, n_modes), and ``sticking_places`` h (n, n_pairs), are
-        those of a reduced structure with mass.
+        For reduced structures whose crack faces have mass. Modal coordinates and velocities (n,
+        n_modes), and the friction sliders' positions ``sticking_places`` (n, n_pairs), are those
+        with fewer modes.
         """
         reduced_structure, more_modes_structure = self.wave.structure, self.flow.structure
         assert isinstance(reduced_structure, ReducedStructure) and isinstance(
@@ -179,7 +189,10 @@ class MoreModes:
 
     @property
     def orbit(self) -> PeriodicOrbit | None:
-        """Return the orbit to the accuracy of an error estimate, or None."""
+        """Exact orbit with more modes; None if not found or not searched.
+
+        The relative length of its last Newton step is at most 1.5e-8.
+        """
         return (
             None
             if isinstance(self.orbit_or_corrected_motion, MotionInEqualParts)
@@ -188,9 +201,10 @@ class MoreModes:
 
     @cached_property
     def orbit_or_corrected_motion(self) -> PeriodicOrbit | None:
-        """Return the orbit, or else the motion after one step of Newton's method, or None.
+        """Orbit with more modes, or else the motion after one Newton step, or None.
 
-        The step corrects all parts of the nearest orbit's period together.
+        The step corrects all parts of the nearest orbit's period together. None: the motion cannot
+        be followed.
         """
         flow, load_omega, n_load_periods = self.flow, self.wave.omega, self.wave.subharmonic
         period_states, start_i_minus_m_solver = self.states_at_period_parts, self.i_minus_m_solver
@@ -214,16 +228,19 @@ class MoreModes:
 
     @property
     def orbit_i_minus_m_solver(self) -> IMinusMSolver | None:
-        """Return (I - M)^-1 for the search of a neighbouring motion, or None."""
+        """Solver for (I - M) x = r with the orbit's monodromy matrix M.
+
+        A neighbour's search starts with it. None without an orbit, or if I - M is singular.
+        """
         with suppress(np.linalg.LinAlgError):
             return self.orbit.i_minus_m_solver if self.orbit else None
         return None
 
     @property
     def gap_and_displacement_errors(self) -> GapAndDisplacementErrors | None:
-        """Return the modal truncation errors; None if they are unknown.
+        """Modal truncation errors of the gap and of the displacement at the load.
 
-        The gap's error is 0 if gaps move only by rounding.
+        None: unknown. The gap's error is 0 if gaps move only by rounding.
         """
         if self.orbit_or_corrected_motion is None:
             return None
@@ -249,9 +266,9 @@ class MoreModes:
         )
 
     def describe_contradiction(self, verdict: str) -> str:
-        """Return in words how the orbit contradicts a verdict on stability.
+        """Return in words that the orbit with more modes has another stability than given.
 
-        Returns "" if it agrees, or is unknown.
+        ``verdict`` is the solution's stability. Returns "" if both agree, or if one is not known.
         """
         if verdict not in ("stable", "unstable") or self.orbit is None:
             return ""
@@ -266,16 +283,20 @@ class MoreModes:
 
 
 def are_crack_faces_still(samples: Samples) -> bool:
-    """Return True if crack faces, pressed together by the load, move by rounding only."""
+    """Return True if the load presses the crack faces together and only rounding moves them.
+
+    Gaps without clearance are then at most 1e-12 of the gaps by the vibrating modes alone.
+    """
     modal_gaps = samples.states[:, : samples.flow.n_modes] @ samples.flow.modal_model.gaps_by_mode
     gap_plus_clearance = samples.gaps + samples.flow.clearance
     return bool(np.linalg.norm(gap_plus_clearance) <= NEGLIGIBLE * np.linalg.norm(modal_gaps))
 
 
 def motion_along_load(structure: Structure, motion: np.ndarray) -> np.ndarray:
-    """Return a motion (n, n_local) projected on the load's vibrating parts (collective).
+    """Return a motion projected on the load's vibrating parts: (n, n_parts) (collective).
 
-    If no part vibrates, the mean load is taken. The shape is (n, n_parts).
+    ``motion`` (n, n_local) is a displacement. Each vibrating Fourier coefficient of the load is a
+    part. If none vibrates, the mean load is taken.
     """
     is_loaded_row = structure.sum_over_ranks(np.sum(structure.force**2, axis=1)) > 0.0
     is_loaded_row[0] &= not is_loaded_row[1:].any()

@@ -108,35 +108,50 @@ from fenics_crack.numerics.path import HOMOTOPY_OPTIONS, EndReason, Path, PathOp
 CUTOFF_TO_HIGHEST_HARMONIC = 2.0
 """Frequency above which modes are quasi-static, relative to the highest harmonic."""
 MAX_CURVE_UNKNOWNS_PER_CALL = 15_000
-"""Unknowns that one kernel call computes along a curve, summed over points. Ctrl-C waits for the
-call, a second or two."""
+"""Maximum unknowns, summed over points, that one kernel call computes along a curve.
+
+Ctrl-C waits for the call, a second or two.
+"""
 REMEDY_IF_SINGULAR = (
     "'penalty' with a stiffness, as rigid contact is singular here: a strip beside a crack is too "
     "thin, or all modes are kept; or place cracks farther apart"
 )
-"""Remedies if R_inf, the quasi-static compliance of a rigid contact, is singular to rounding."""
+"""Remedies, for an error message, if the residual flexibility is singular to rounding.
+
+The contact is rigid, and some pair cannot move quasi-statically beside the others.
+"""
 REMEDY_WITHOUT_COMPLIANCE = (
     "a penalty law with a tangential stiffness, as sticking pairs need some compliance; or "
     "reduce the structure by reduce_structure(structure, method='massless')"
 )
-"""Remedies if pairs with friction have no compliance in series."""
+"""Remedies, for an error message, if pairs with friction have no compliance in series."""
 N_JACOBIANS_IN_MEMORY = 4
-"""Dense matrices with the size of the Jacobian in memory at once. For coupled pairs, stiffnesses at
-all instants."""
+"""Number of Jacobian-sized dense matrices in memory at once.
+
+For coupled pairs, number of stiffness matrices per instant.
+"""
 MAX_SEARCH_ITERATIONS = 7500
-"""Search budget: iterations of all guesses together. Steps along a path that were too long count,
-too. With 300 unknowns in the kernel it takes 5 to 8 s."""
+"""Maximum number of Newton iterations in a search, over all guesses.
+
+Steps along a path that were too long count, too. With 300 unknowns in the kernel the search takes 5
+to 8 s.
+"""
 MIN_UNKNOWNS_WITH_GROWING_COST = 200
-"""Unknowns below which an iteration takes constant time, mostly for the contact integrals."""
+"""Number of unknowns below which an iteration takes constant time.
+
+The time is then mostly for the contact integrals.
+"""
 MAX_FRICTION_SEARCH_WORK = 8e6
-"""Search budget with friction: iterations times instants times unknowns. Unknowns count up to the
-largest Jacobian that is formed. It takes 1 to 3 s."""
+"""Search budget with friction: iterations times instants times unknowns.
+
+At most 350 unknowns count. The search takes 1 to 3 s.
+"""
 
 
 @with_old_names(compliance="compliance_model", cutoff="quasi_static_above")
 @dataclass(frozen=True)
 class Problem:
-    """A structure under its load, the law of its pairs, and how its motion is balanced.
+    """Structure under its load, with the contact law and the harmonics to solve for.
 
     Attributes
     ----------
@@ -145,13 +160,13 @@ class Problem:
     omega : float
         Angular frequency of the load [rad/s].
     contact : ContactLaw
-        Law of all pairs; :class:`UnilateralConstraint` too.
+        Law for all pairs; :class:`UnilateralConstraint` too.
     harmonics : int
-        H, the highest multiple of ``omega / subharmonic`` kept.
+        H, the highest multiple of ``omega / subharmonic`` kept; default: 5.
     samples : int, optional
         Instants per period of the response at which the contact force is evaluated. Default: none,
-        but exact integrals, where the law is piecewise linear; else 1024 for each period of the
-        load, or 32 H where that is more.
+        but exact integrals, if the law is piecewise linear; else 1024 for each period of the load,
+        or 32 H if that is more.
     subharmonic : int
         The response has this many times the load's period.
     static_above : float, optional
@@ -192,13 +207,13 @@ class Problem:
 
     @property
     def least_harmonics(self) -> int:
-        """Return the highest harmonic of the load, counted in the response's order."""
+        """Number of the load's highest harmonic, in multiples of the response's frequency."""
         return least_harmonics(self.structure, self.subharmonic)
 
     def response_harmonics(self, load_harmonics: int) -> int:
-        """Return harmonics of the response that cover ``load_harmonics`` of the load.
+        """Return how many response harmonics cover a number of load harmonics.
 
-        At least the harmonics of the load itself are covered.
+        They are ``subharmonic`` times as many, and at least cover the load itself.
         """
         return max(load_harmonics * self.subharmonic, self.least_harmonics)
 
@@ -209,46 +224,48 @@ class Problem:
 
     @property
     def load(self) -> np.ndarray:
-        """Return c, the load's coefficients: (2H+1, n_local) [N]."""
+        """Fourier coefficients of the load in the response's period: (2H+1, n_local) [N]."""
         return load_coefficients(self.structure, self.harmonics, self.subharmonic)
 
     @property
     def quasi_static_above(self) -> float:
-        """Return the frequency above which modes are quasi-static [rad/s].
+        """Frequency above which modes are quasi-static [rad/s].
 
-        It matters only with a :attr:`residual_compliance`.
+        It is ``static_above``, or 2 H times the response's frequency. It matters only with a
+        :attr:`residual_compliance`.
         """
         default_cutoff = CUTOFF_TO_HIGHEST_HARMONIC * self.harmonics * self.base_omega
         return default_cutoff if self.static_above is None else self.static_above
 
     @property
     def static_cutoff(self) -> float | None:
-        """Return :attr:`quasi_static_above`, or None without a residual flexibility [rad/s].
+        """Frequency above which modes are quasi-static [rad/s], for a solution's ``static_above``.
 
-        Solutions keep this value.
+        None without a residual flexibility: no mode is quasi-static.
         """
         return None if self.residual_compliance is None else self.quasi_static_above
 
     @cached_property
     def structure_with_row_pairs(self) -> Structure:
-        """Return the structure with one pair for each gap row.
+        """Structure with a pair for each normal gap and, with friction, each tangential gap.
 
-        Rows are the pairs' normal gaps; with friction, tangential gaps follow.
+        Without friction it is the structure itself.
         """
         return add_friction_pairs(self.contact, self.structure)
 
     @property
     def has_friction(self) -> bool:
-        """True if tangential forces are balanced, too."""
+        """True if the law has friction: tangential forces are then balanced, too."""
         return friction_of(self.contact) is not None
 
     @cached_property
     def residual_compliance(self) -> np.ndarray | None:
-        """Return R_inf, the residual flexibility in series with contact [m/N].
+        """Residual flexibility in series with contact: (n_rows, n_rows) [m/N], or None.
 
-        Crack faces with mass have R_inf if the law is rigid. They also have R_inf if the law is so
-        stiff that the faces bounce at frequencies beyond H harmonics. None: no residual
-        flexibility.
+        It is the quasi-static response of gaps to contact forces. Small structures have it with
+        friction, or without mass at the crack faces. With mass, they have it under a rigid law
+        without ``weight``, with ``static_above``, or if k R > 100, with contact stiffness k and
+        flexibility R. InputError: R is singular under a rigid law of crack faces without mass.
         """
         structure, contact_law = self.structure, self.contact
         if self.has_friction:
@@ -278,9 +295,9 @@ class Problem:
 
     @property
     def _residual_compliance_with_friction(self) -> np.ndarray | None:
-        """Return R_inf of normal, then tangential gaps: (2 n_pairs, 2 n_pairs) [m/N].
+        """Residual flexibility of normal, then tangential gaps: (2 n_pairs, 2 n_pairs) [m/N].
 
-        It is None for large structures. Raises InputError if gaps have no compliance in series.
+        None for large structures. Raises InputError if gaps have no compliance in series.
         """
         has_few_dofs = is_small(self.structure)
         pair_spring_compliances = spring_compliances(self.contact, self.structure.n_pairs)
@@ -299,10 +316,10 @@ class Problem:
         return residual_compliance
 
     def with_common_cutoff(self, cutoff: float) -> Problem:
-        """Return a problem whose static modes are settled for a whole family.
+        """Return a problem with a fixed set of quasi-static modes, for all points of a curve.
 
-        The cutoff [rad/s] decides for every member whether pairs have a residual flexibility, and
-        which modes are static.
+        ``cutoff`` [rad/s] decides for all points whether pairs have a residual flexibility, and
+        which modes are quasi-static: those above it.
         """
         base_omega = cutoff / (CUTOFF_TO_HIGHEST_HARMONIC * self.harmonics)
         residual_compliance = replace(
@@ -312,11 +329,19 @@ class Problem:
 
     @property
     def has_projected_constraint(self) -> bool:
-        """True if the constraint is balanced in frequency, for uncoupled pairs."""
+        """True if a rigid law is solved pair by pair: without residual flexibility and friction.
+
+        The contact force is then eps max(0, g + lambda / eps), with truncated series of gap g and
+        force lambda, and a weight eps (:func:`default_projection_weight`).
+        """
         return is_rigid(self.contact) and self.residual_compliance is None and not self.has_friction
 
     def with_weight(self, compliance_model: ComplianceModel) -> Problem:
-        """Return the problem with the weight of its projection, if it needs one."""
+        """Return the problem with a default weight if its rigid law is solved pair by pair.
+
+        The weight [N/m] stands for a contact stiffness (:func:`default_projection_weight`). Other
+        problems, and given weights, are returned unchanged.
+        """
         contact_law = self.contact
         if not (
             is_rigid(contact_law) and self.has_projected_constraint and contact_law.weight is None
@@ -327,22 +352,25 @@ class Problem:
         )
 
     def system(self, compliance_model: ComplianceModel) -> ContactSystem:
-        """Return the condensed equations."""
+        """Return the harmonic-balance equations with gaps as unknowns.
+
+        ``compliance_model`` is the gaps' dynamic compliance.
+        """
         return ContactSystem(compliance_model, self.with_weight(compliance_model).integrals())
 
     def wave(self, point: ContactPoint) -> Wave:
-        """Return the motion at a point of the equations (collective)."""
+        """Return the motion at a solution of the equations (collective)."""
         displacement = point.system.compliance_model.displacement(point.force)
         return self.wave_of(displacement, point.gap, point.force)
 
     def wave_of(self, displacement: np.ndarray, gap: np.ndarray, force: np.ndarray) -> Wave:
-        """Return the motion with given coefficients.
+        """Return the motion with given Fourier coefficients.
 
         Parameters
         ----------
         displacement : (2H+1, n_local) [m]
         gap, force : (2H+1, n_rows) [m], [N]
-            With friction, normal rows and then tangential ones.
+            With friction, normal columns and then tangential ones.
         """
         n_pairs = self.structure.n_pairs
         tangential_gap_and_force = (
@@ -354,9 +382,9 @@ class Problem:
         )  # fmt: skip
 
     def integrals(self) -> ContactIntegrals:
-        """Return the integrals of the contact force.
+        """Return the integrals from gaps to contact forces over a period.
 
-        A projected constraint uses its weight as the stiffness.
+        A rigid law that is solved pair by pair uses its weight as the contact stiffness.
         """
         contact_law, harmonics = self.contact, self.harmonics
         if self.residual_compliance is not None:
@@ -377,9 +405,9 @@ class Problem:
         )
 
     def compliance_model(self) -> ComplianceModel:
-        """Return the compliance at multiples of the base frequency (collective).
+        """Return the gaps' dynamic compliance at harmonics 0 to H (collective).
 
-        The caller destroys it.
+        The caller frees it with ``destroy``.
         """
         return make_compliance_model(
             self.structure_with_row_pairs, self.base_omega, self.harmonics, self.subharmonic
@@ -391,15 +419,15 @@ class Problem:
 
 
 def least_harmonics(structure: Structure, subharmonic: int) -> int:
-    """Return the highest harmonic of a structure's load, in the response's order."""
+    """Return the load's highest harmonic, in multiples of the response's frequency."""
     return subharmonic * (len(structure.force) // 2)
 
 
 def check_memory(structure: Structure, harmonics: int) -> None:
-    """Raise InputError if the equations would not fit into memory.
+    """Raise InputError if the equations with H = ``harmonics`` do not fit into memory.
 
-    Uncoupled pairs need the dense Jacobian. Crack faces without mass need the stiffnesses at all
-    instants, and vectors of the iterative solver.
+    They may take 80 % of the machine's memory. Uncoupled pairs need the dense Jacobian. Crack faces
+    without mass need the stiffnesses at all instants, and vectors of the iterative solver.
     """
     n_pairs = structure.n_pairs
     n_unknowns, memory_exponent = (2 * harmonics + 1) * n_pairs, 2
@@ -432,15 +460,19 @@ def check_memory(structure: Structure, harmonics: int) -> None:
 
 @dataclass
 class Search:
-    """Search for a solution of a system, with a record of its attempts."""
+    """Search for a solution of harmonic-balance equations, with a record of its attempts.
+
+    Newton's method starts from several guesses in turn, until it converges or the iterations are
+    spent.
+    """
 
     system: ContactSystem
     problem: Problem
-    """Problem that the system balances."""
+    """Problem whose equations ``system`` has."""
     tolerance: float
-    """Maximum |F| / |x| for acceptance; raised to the rounding error."""
+    """Maximum relative residual |F(x)| / |x| of a solution x; raised to the rounding error."""
     budget_fraction: float
-    """Fraction of the search budget that may be used."""
+    """Fraction of the search's iterations that may be used, 0 to 1."""
     remedy: str = (
         "other harmonics, a softer contact, more damping, or a neighbouring solution as initial"
     )
@@ -450,12 +482,14 @@ class Search:
     iterations: int = 0
     """Newton iterations, all attempts together."""
     orbit: PeriodicOrbit | None = None
-    """Exact orbit whose coefficients were the last guess."""
+    """Exact orbit whose coefficients were the last guess; None for another guess."""
     snes_residual_norms: list[float] = field(default_factory=list)
-    """``|F|`` of every SNES iteration. With the equations in the kernel, SNES makes only a last
-    attempt after all others have failed."""
+    """Residual norm |F| in every iteration of PETSc's SNES.
+
+    If the equations are in the kernel, SNES makes only a last attempt after all others have failed.
+    """
     attempt_texts: list[str] = field(default_factory=list)
-    """Attempts and their outcomes, in words."""
+    """Name, outcome and number of iterations of each attempt, in words."""
     _residual_rounding: float = ROUNDING
     _max_iterations: float = 0.0
     _simpler_point: ContactPoint | None = None
@@ -469,12 +503,13 @@ class Search:
         return f"{attempts_text}; no solution in {self.iterations} iterations: try {self.remedy}"
 
     def solve(self, *neighbour_slow_gaps: np.ndarray) -> Linearisation:
-        """Return the equations at the solution, or at the last point reached.
+        """Search, and return the equations linearised at the solution or the last point reached.
 
         Parameters
         ----------
         *neighbour_slow_gaps : (2H+1, n_rows) [m]
-            Neighbouring solutions, tried first.
+            Slow gaps of neighbouring solutions, tried first: gap plus residual flexibility times
+            contact force. n_rows is the number of pairs, with friction twice as many.
 
         Raises
         ------
@@ -518,16 +553,21 @@ class Search:
         return point
 
     def append_attempt_text(self, start_name: str, iterations_before: int) -> None:
-        """Record the outcome of a start."""
+        """Record in words whether an attempt converged, and in how many iterations.
+
+        ``start_name`` names the attempt. ``iterations_before`` is the search's number of iterations
+        before it.
+        """
         outcome_text = "converged" if self.has_converged else "failed"
         self.attempt_texts.append(
             f"{start_name}: {outcome_text} ({self.iterations - iterations_before} iterations)"
         )
 
     def _take_newton_steps(self, snes: SystemSnes | None, guess: np.ndarray) -> Linearisation:
-        """Return the point that full Newton steps reach, by SNES or the kernel.
+        """Take full Newton steps from a guess, and return their end.
 
-        Sets ``has_converged``. If the kernel's steps fail, the point is that of the guess.
+        ``guess`` (2H+1, n_rows) [m] has gap coefficients. ``snes`` None: the C kernel takes the
+        steps, and if they fail the guess is returned. ``has_converged`` is set.
         """
         if snes is not None:
             point, self.has_converged, n_iterations = snes.solve_and_linearise(
@@ -546,10 +586,14 @@ class Search:
         tolerance: float = 0.0,
         parameter: float = 1.0,
     ) -> Linearisation | None:
-        """Return the point that full Newton steps of the kernel reach, or None.
+        """Take full Newton steps in the C kernel; return the solution, or None if they fail.
 
         Parameters
         ----------
+        system : ContactSystem
+            Equations.
+        guess : (2H+1, n_rows) [m]
+            Gap coefficients at which the steps begin.
         tolerance : float
             Used if it is larger than the tolerance of the search.
         parameter : float
@@ -569,12 +613,12 @@ class Search:
 
     @property
     def _max_iterations_per_guess(self) -> int:
-        """Return the maximum iterations per guess; few with many harmonics and friction."""
+        """Maximum number of iterations per guess: 20; fewer with many harmonics and friction."""
         return min(MAX_FULL_STEPS, math.ceil(self.budget_fraction * _iteration_budget(self.system)))
 
     @property
     def _is_budget_spent(self) -> bool:
-        """True if the budget of iterations is spent."""
+        """True if the search has taken all iterations that it may use."""
         return self.iterations >= self._max_iterations
 
     # --- the ladder of starts ---------------------------------------------------------------------
@@ -582,7 +626,11 @@ class Search:
     def _yield_start_strategies(
         self, neighbour_slow_gaps: Sequence[np.ndarray]
     ) -> Iterator[StartStrategy]:
-        """Yield starts in the order of attempts."""
+        """Yield the ways to find a guess, in the order of attempts.
+
+        ``neighbour_slow_gaps`` (2H+1, n_rows) [m] are gap coefficients of neighbouring solutions,
+        tried first.
+        """
         system, problem = self.system, self.problem
         for neighbour_slow_gap in neighbour_slow_gaps:
             yield StartStrategy(
@@ -627,13 +675,20 @@ class Search:
 
     @property
     def _orbit_first_above_harmonics(self) -> int:
-        """Return the number of harmonics above which an exact orbit is tried first."""
+        """Number of harmonics above which an exact orbit is the first guess.
+
+        It is 40 harmonics of the load frequency.
+        """
         return self.problem.response_harmonics(SearchOptions.guess_harmonic_counts[-1])
 
     def _yield_guess_and_damped_newton_point(
         self, system: ContactSystem, guess: np.ndarray
     ) -> Iterator[np.ndarray]:
-        """Yield a guess, then the point that shortened steps reach from it."""
+        """Yield a guess, then the end of shortened Newton steps from it.
+
+        The second is left out if the iterations are spent, or the steps fail. Both are gap
+        coefficients (2H+1, n_rows) [m].
+        """
         yield guess
         if self._is_budget_spent:
             return
@@ -649,11 +704,12 @@ class Search:
     def _yield_guesses_from_fewer_harmonics(
         self, harmonic_counts: list[int]
     ) -> Iterator[np.ndarray]:
-        """Yield guesses with the last of ascending numbers of harmonics.
+        """Yield guesses from solutions with fewer harmonics.
 
-        Solutions with fewer harmonics lead there: each starts the next one, and the linear solution
-        starts the first. A number without a solution is skipped. Many harmonics try an exact orbit
-        first.
+        ``harmonic_counts`` ascend to the problem's number. The linear solution starts the first;
+        each solution starts the next. A number without a solution is skipped. Above 40 harmonics of
+        the load frequency, an exact orbit is tried first. Guesses are gap coefficients (2H+1,
+        n_rows) [m].
         """
         orbit_first_above_harmonics = self._orbit_first_above_harmonics
         for n_harmonics in harmonic_counts:
@@ -689,14 +745,23 @@ class Search:
     def _first_coarse_solution(
         self, system: ContactSystem, guesses: Iterator[np.ndarray]
     ) -> ContactPoint | None:
-        """Return the first solution by full steps from guesses, to a coarse tolerance."""
+        """Return the first solution by full Newton steps from guesses, or None.
+
+        The maximum |F| / |x| of residual and unknowns is coarse, 6e-6. Guesses are gap coefficients
+        (2H+1, n_rows) [m].
+        """
         points = (self._take_full_steps(system, guess, COARSE_TOLERANCE) for guess in guesses)
         return next(
             (system.linearise(point.unknown) for point in points if point is not None), None
         )
 
     def _yield_guesses_without_friction(self) -> Iterator[np.ndarray]:
-        """Yield the slow gap under the contact forces of the solution without friction."""
+        """Yield a guess by the contact forces of the solution without friction.
+
+        Above 40 harmonics of the load frequency, an exact orbit next to this solution is tried
+        first. Nothing is yielded if the solution is not found. Guesses are gap coefficients (2H+1,
+        n_rows) [m].
+        """
         problem_with_friction, system_with_friction = self.problem, self.system
         frictionless_problem = replace(
             problem_with_friction, contact=normal_law(problem_with_friction.contact)
@@ -731,7 +796,7 @@ class Search:
         yield self._simpler_point.unknown
 
     def _yield_guesses_from_orbit(self) -> Iterator[np.ndarray]:
-        """Yield guesses near an exact orbit.
+        """Yield guesses by an exact orbit: gap coefficients (2H+1, n_rows) [m].
 
         The search for the orbit begins at a simpler solution, if there is one, and otherwise at
         rest. Nothing is yielded without an exact flow, or if the search would take long.
@@ -771,7 +836,8 @@ class Search:
         """Yield the end of a path from very soft contact to the law.
 
         With friction the path leads from zero to the full coefficient instead. It may take
-        ``budget_fraction`` of the iterations that remain.
+        ``budget_fraction`` of the iterations left. Nothing is yielded if the path does not arrive.
+        The guess has gap coefficients (2H+1, n_rows) [m].
         """
         start_point: Linearisation | None = self._simpler_point
         if self.problem.has_friction:
@@ -813,10 +879,10 @@ def halved_harmonic_counts(harmonics: int, min_harmonics: int) -> list[int]:
 
 
 def relative_residual_rounding(compliance_model: ComplianceModel, law: ContactLaw) -> float:
-    """Return the rounding error of |F| / |x| for uncoupled pairs.
+    """Return the rounding error |F| / |x| of the residual F for uncoupled pairs.
 
-    It follows from the largest k R. Raises InputError if rounding leaves nothing of the contact
-    force.
+    x are the unknowns. It is machine epsilon times the largest contact stiffness times compliance.
+    Raises InputError if rounding leaves nothing of the contact force.
     """
     max_contact_stiffness = float(np.max(law.stiffness))
     row_sums = np.abs(compliance_model.matrices).sum(axis=2)
@@ -833,9 +899,10 @@ def relative_residual_rounding(compliance_model: ComplianceModel, law: ContactLa
 
 
 def _iteration_budget(system: ContactSystem) -> float:
-    """Return the number of iterations that a search may take.
+    """Return the maximum number of Newton iterations in a search.
 
-    Iterations in the kernel with many unknowns cost like the square of their number.
+    In the kernel it is 7500 with 300 unknowns, and falls with their square above 200; in Python it
+    is at most 1500. With friction it is ``MAX_FRICTION_SEARCH_WORK`` over instants times unknowns.
     """
     integrals = system.integrals
     if isinstance(integrals, FrictionIntegrals):

@@ -35,7 +35,7 @@ from fenics_crack.numerics.fourier import evaluate_series, resize_harmonics, sam
 
 @dataclass(frozen=True, repr=False)
 class Stability(Described):
-    """Floquet multipliers and the verdict on stability.
+    """Floquet multipliers and the stability of a periodic solution.
 
     Attributes
     ----------
@@ -43,26 +43,26 @@ class Stability(Described):
         Largest modulus first. For an irregular motion: the growth of a small disturbance in a
         period, and nan.
     verdict : "stable", "unstable", "irregular" or "undecided"
-        Verdict on the nearest exact orbit; for a smooth law, on the linear flow along the solution.
-        Irregular: no orbit was found, and a small disturbance of the exact motion that begins with
-        the solution grows.
+        Stability of the nearest exact orbit; for a smooth law, of the linear flow along the
+        solution. Irregular: no orbit was found, and a small disturbance of the exact motion that
+        begins with the solution grows.
     uncertainty : float
-        Uncertainty of the largest modulus. nan: the multipliers are those of the solution and
-        decide nothing.
+        Uncertainty of the largest modulus. nan: the multipliers decide nothing, as no orbit was
+        found.
     refined : bool
-        True if these are the multipliers of an exact orbit.
+        True if the multipliers belong to an exact orbit.
     distance : float
-        Relative distance from the solution to this orbit, in the gaps over the period. It is
-        relative to the moving part of B^T u, like the estimated errors, and is the actual error.
-        nan: no orbit.
+        Relative distance from the solution to the exact orbit, in the gaps over the period: the
+        actual error. The reference is the vibrating part of the gaps without clearance. nan: no
+        orbit.
     reason : str
         Why no orbit decides; "" if an orbit does.
     from_rest : str
         Outcome of the motion from rest, if it was integrated and does not settle to the solution;
         else "".
     rest_amplitude : float [m]
-        Half the peak-to-peak displacement of the watched dof to which that motion settles, over all
-        periods of the load after which it repeats itself. nan: it does not settle.
+        Half the peak-to-peak displacement of the watched dof to which the motion from rest settles,
+        over all periods of the load after which it repeats itself. nan: it does not settle.
     """
 
     multipliers: np.ndarray
@@ -75,7 +75,11 @@ class Stability(Described):
     rest_amplitude: float = math.nan
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the verdict, and the multiplier of largest modulus."""
+        """Return the entries of a table row by name.
+
+        They are the verdict, the multiplier of largest modulus, and the attributes from
+        ``uncertainty`` on.
+        """
         leading_multiplier = complex(self.multipliers[0])
         columns_by_name = {"verdict": self.verdict, "modulus": abs(leading_multiplier)}
         columns_by_name |= {"real": leading_multiplier.real, "imaginary": leading_multiplier.imag}
@@ -94,7 +98,9 @@ class Stability(Described):
 
 @dataclass(frozen=True, repr=False)
 class PeriodicSolution(Wave, ObservedMotion, Described):
-    """Steady vibration u(t) = a0 + sum_k a_k cos(k w t) + b_k sin(k w t), w = omega / subharmonic.
+    """Steady vibration with contact, as a Fourier series.
+
+        u(t) = a0 + sum_k a_k cos(k w t) + b_k sin(k w t),    w = omega / subharmonic,    k = 1 .. H
 
     Attributes
     ----------
@@ -108,7 +114,8 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
     displacement_coefficients : (2H+1, n_local) [m]
         Rows a0, a1, b1, ..., aH, bH; columns are the dofs that this rank owns.
     gap_coefficients : (2H+1, n_pairs) [m]
-        Normal gaps g = B^T u - g0, rows in the same order, on every rank; g > 0: penetration.
+        Normal gaps g = B^T u - g0 with clearances g0, rows in the same order, on every rank; g > 0:
+        penetration.
     force_coefficients : (2H+1, n_pairs) [N]
         Normal contact force, likewise.
     subharmonic : int
@@ -128,7 +135,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
     iterations : int
         Newton iterations of all attempts.
     stability : Stability or None
-        Set by :func:`fenics_crack.floquet`.
+        Result of :func:`fenics_crack.floquet`, if a caller has set it.
     others : tuple of PeriodicOrbit
         Other exact orbits at this frequency that the search met.
     assessment : Assessment
@@ -156,7 +163,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
 
     @property
     def report(self) -> ErrorReport:
-        """Return the estimated errors, relative to the gap's amplitude.
+        """Estimated errors, relative to the root mean square of the gap without clearance.
 
         They are computed on first request; for a structure with many dofs, together with the
         solution.
@@ -164,14 +171,14 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         return self.estimate()
 
     def reported(self, report: ErrorReport) -> PeriodicSolution:
-        """Return this solution with the given report of its errors."""
+        """Return this solution with another report of its errors."""
         return replace(self, estimate=lambda: report)
 
     @property
     def orbit(self) -> PeriodicOrbit | None:
-        """Return the exact orbit whose Fourier coefficients the solution has.
+        """Exact orbit whose Fourier coefficients the solution has.
 
-        It is None if the coefficients solve the equations of harmonic balance instead.
+        None: the coefficients solve the equations of harmonic balance.
         """
         return self.assessment.exact_orbit
 
@@ -187,7 +194,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
     def function(self, time: float) -> Any:
         """Return the displacement at a time [s] as DOLFINx's Function (collective).
 
-        It is on the space of the mesh, for ParaView and for further forms.
+        Its function space is on the mesh, for ParaView and for further forms.
         """
         check_number("time", time)
         return self.structure.function(self.displacement_of_local_dofs(np.array([time]))[0])
@@ -195,8 +202,13 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
     def records(self, rows: np.ndarray, instants: int | None = None) -> Iterator[Record]:
         """Yield the record of the motion at equally spaced instants of the period.
 
-        ``rows`` (m, n_local) are factors of the displacement. Default: the times of
-        :meth:`instants`. If a number ``instants`` is given, all numbers follow from those samples.
+        Parameters
+        ----------
+        rows : (m, n_local)
+            Factors of the displacement: their products with it are recorded.
+        instants : int, optional
+            Number of instants; all results then follow from these samples. Default: as many as
+            :meth:`instants` has.
         """
         friction_coefficient, static_motion_per_force = friction_coefficient_of(self.contact), None
         if self.static_above is not None and not self.still:
@@ -240,7 +252,10 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
 
     @property
     def _displacement_rows_mean_if_still(self) -> np.ndarray:
-        """Return the displacement's coefficients; only the mean if nothing vibrates."""
+        """Displacement coefficients: (2H+1, n_local) [m].
+
+        If nothing vibrates but by rounding, all except the mean are zero.
+        """
         coefficient_rows = self.displacement_coefficients
         return (
             resize_harmonics(coefficient_rows[:1], self.harmonics)
@@ -249,12 +264,15 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         )
 
     def coefficients_at(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
-        """Return the displacement's coefficients at dofs: (2H+1, len(dofs)) [m] (collective)."""
+        """Return displacement coefficients at dofs: (2H+1, len(dofs)) [m] (collective).
+
+        None stands for the watched dof.
+        """
         return self.structure.values_at(self._displacement_rows_mean_if_still, dofs)
 
     @cached_property
     def breathes(self) -> bool:
-        """True if a pair closes and opens again within the period."""
+        """True if at least one contact pair is both open and closed within the period."""
         time = self.instants()
         # The force of a smoothed law is never 0.
         signal_function = self.contact_force if is_unilateral(self.contact) else self.gap
@@ -263,7 +281,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
 
     @cached_property
     def still(self) -> bool:
-        """True if the load is steady and only rounding moves (collective)."""
+        """True if the load is constant and only rounding moves (collective)."""
         coefficient_rows = self.displacement_coefficients
         load_motion_and_mean = self.structure.force[1:], coefficient_rows[1:], coefficient_rows[:1]
         square_sums = self.structure.sum_over_ranks(
@@ -272,16 +290,17 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         return bool(square_sums[0] == 0.0 and square_sums[1] <= NEGLIGIBLE**2 * square_sums[2])
 
     def displacement_field(self, time: np.ndarray) -> np.ndarray:
-        """Return the displacement of the whole structure's dofs (collective).
+        """Return the displacement of the whole structure at times [s] (collective).
 
-        The shape is (len(time), n_local) [m], for this rank's dofs.
+        A reduced structure is expanded. The shape is (len(time), n_local) [m], for this rank's
+        dofs.
         """
         return self.structure.expand(self.displacement_of_local_dofs(time))
 
     def instants(self) -> np.ndarray:
-        """Return equally spaced times over the period, to search for extremes [s].
+        """Return equally spaced times over the period, at which extremes are searched [s].
 
-        They are 1024, or 8 H if that is more.
+        Their number is 1024, or 8 H if that is more.
         """
         n_instants = max(1024, 8 * self.harmonics)
         return np.linspace(0.0, self.period, n_instants, endpoint=False)
@@ -289,7 +308,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
     # --- shown ------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the frequency, extremes of the contact, errors, and the status."""
+        """Return frequency, contact extremes, errors, stability and status by name."""
         columns_by_name: dict[str, Any] = {
             "omega": float(self.omega),
             "harmonics": self.harmonics,
@@ -335,16 +354,20 @@ def solution_of(
     search: bool = True,
     assessment: Assessment | None = None,
 ) -> PeriodicSolution:
-    """Return the solution at a point of the condensed equations (collective).
+    """Return the periodic solution at a point of the harmonic-balance equations (collective).
+
+    Its errors are estimated on first request; for a structure with many dofs at once.
 
     Parameters
     ----------
     problem : Problem
+        Problem that was solved.
     point : ContactPoint
         Coefficients of gaps and contact forces.
     status : str
         Attempts and their outcomes, in words.
     has_converged : bool
+        True if the equations are solved.
     search : bool
         True: the error is the distance to the exact orbit. False: it is predicted.
     assessment : Assessment, optional
@@ -367,16 +390,16 @@ def solution_of(
 
 @dataclass(frozen=True)
 class Solver:
-    """Solver of a problem in condensed form, with its options."""
+    """Solver for a harmonic-balance problem with gaps as unknowns, with its options."""
 
     problem: Problem
     residual_tolerance: float = 1e-10
-    """Maximum |F| / |x| for acceptance."""
+    """Maximum relative residual |F(x)| / |x| of a solution x."""
     throw: bool = True
-    """Raise ConvergenceError if nothing converged; else return the last iterate."""
+    """True: raise ConvergenceError if nothing converged; else return the last iterate."""
 
     def solve(self, initial: PeriodicSolution | None = None) -> PeriodicSolution:
-        """Solve from a neighbouring solution, or from the linear one (collective).
+        """Solve from a neighbouring solution ``initial``, or from the linear one (collective).
 
         Raises
         ------
@@ -396,9 +419,10 @@ class Solver:
         return solution
 
     def _check_law_slope(self, gap_coefficients: np.ndarray) -> None:
-        """Raise InputError unless a user's law has the right tangent.
+        """Raise InputError unless the tangent of a user's law is the slope of its force.
 
-        The check samples gaps with the given coefficients (2H+1, n_pairs) [m], and their negatives.
+        Both are compared at gaps with the given coefficients (2H+1, n_pairs) [m] over a period, and
+        at their negatives.
         """
         if is_unilateral(self.problem.contact):
             return
@@ -413,11 +437,22 @@ class Solver:
         with_whole_budget: bool = True,
         more_modes: MoreModes | None = None,
     ) -> tuple[Search, PeriodicSolution]:
-        """Return a search and its last point as a solution, converged or not.
+        """Search for a solution; return the search, and its last point as a solution.
 
-        ``initial`` is a neighbouring solution, or None. ``with_whole_budget``: the search may use
-        its whole budget. ``more_modes`` has the motion with more modes, and the nearest orbit, if
-        known.
+        Parameters
+        ----------
+        initial : PeriodicSolution or None
+            Neighbouring solution at which the search starts.
+        with_whole_budget : bool
+            False: the search may use a quarter of its iterations.
+        more_modes : MoreModes, optional
+            Nearest orbit and its motion with more modes, if known.
+
+        Returns
+        -------
+        search : Search
+        solution : PeriodicSolution
+            Converged or not, as its ``converged`` says.
         """
         compliance_model = self.problem.compliance_model()
         budget_fraction = (
@@ -445,10 +480,16 @@ class Solver:
         initial: PeriodicSolution | None,
         budget_fraction: float = 1.0,
     ) -> tuple[Search, ContactPoint, Wave]:
-        """Search for a solution in the condensed equations.
+        """Search for a solution of the harmonic-balance equations.
 
-        ``compliance_model`` is that of the problem, ``budget_fraction`` the part of the budget to
-        use.
+        Parameters
+        ----------
+        compliance_model : ComplianceModel
+            Dynamic compliance of the problem.
+        initial : PeriodicSolution or None
+            Neighbouring solution at which the search starts.
+        budget_fraction : float
+            Fraction of the search's iterations to use, 0 to 1.
 
         Returns
         -------

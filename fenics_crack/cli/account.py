@@ -20,14 +20,12 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import MAX_SMALL_ROTATION, distances_from_clamp
 
 MAX_TRUSTED_TRANSVERSE_SLIDING = 0.3
-"""Maximum sliding across the lines of friction, relative to sliding along them.
-
-Above it, friction along lines is not trusted.
-"""
+"""Maximum sliding across friction lines, over sliding along the lines, without a warning."""
 PRINT_ALWAYS, PRINT_BY_DEFAULT, PRINT_NEVER = range(3)
-"""When a quantity is printed: always, unless the scene requests quantities, or never.
+"""Levels at which a quantity is printed in the result's table.
 
-Parts of an error, and sentences below the table, are never printed in it, but stand in files.
+PRINT_BY_DEFAULT: unless ``output.quantities`` requests quantities. PRINT_NEVER: in files alone, for
+parts of an error, and for sentences printed below the table.
 """
 DESCRIPTION_UNIT_AND_LEVEL_BY_NAME = {
     "periods": ("periods", "-", PRINT_BY_DEFAULT),
@@ -57,9 +55,12 @@ DESCRIPTION_UNIT_AND_LEVEL_BY_NAME = {
     "remarks": ("remarks", "-", PRINT_NEVER),
     "conclusion": ("conclusion", "-", PRINT_NEVER),
 }
-"""Description, unit and printing level by name, for quantities besides a motion's indicators."""
+"""Description, unit and printing level by name, for quantities on the computation.
+
+:data:`OBSERVABLES_BY_NAME` has the motion's quantities.
+"""
 TOLERANCE_OPTION_TEXT = "--set harmonic_balance.tolerance=1e-2"
-"""Option for an exact orbit with error and stability."""
+"""Command-line option proposed in warnings: the solver then chooses the number of harmonics."""
 MODE_DEPENDENCE_TEXT = "depends on truncated modes"
 MEANING_BY_BIFURCATION = {
     "fold": "the curve turns back here; in a test the amplitude jumps",
@@ -68,26 +69,31 @@ MEANING_BY_BIFURCATION = {
     "neimark_sacker": "beyond this point the vibration does not repeat each period; in a test the "
     "amplitude slowly rises and falls, and the spectrum has sidebands of the load's frequency",
 }
-"""Meaning at a test rig, by kind of bifurcation."""
+"""Sentence by kind of bifurcation: the effect in a test."""
 UNITS_ROUNDED_TO_ZERO = ("m", "N", "Pa m^0.5")
-"""Units in which values up to 1e-15 are rounding errors, and written as 0."""
+"""Units with values written as 0 up to 1e-15, as these are rounding errors."""
 
 
 # --- sentences ------------------------------------------------------------------------------------
 
 
 def list_large_motion_warnings(run: Run[Any], largest_displacements: Sequence[float]) -> list[str]:
-    """Warn if displacements are large relative to clamp distances (collective).
+    """Warn if displacements exceed the range of small rotations (collective).
+
+    A rotation [rad] is a displacement over the node's distance from the clamp; the limit is
+    :data:`MAX_SMALL_ROTATION`, 0.1.
 
     Parameters
     ----------
+    run : Run
+        Run with the watched dofs.
     largest_displacements : (n_watched,) [m]
         Largest displacements of the watched dofs, means included.
 
     Returns
     -------
     list of str
-        At most one warning.
+        A warning about the largest rotation, or nothing.
     """
     clamp_distances = distances_from_clamp(
         run.structure.whole, [watched_displacement.dof for watched_displacement in run.watched]
@@ -106,9 +112,9 @@ def list_large_motion_warnings(run: Run[Any], largest_displacements: Sequence[fl
 
 
 def find_largest_displacements(run: Run[Any]) -> list[float]:
-    """Return the largest displacement of each watched dof [m] (collective).
+    """Return each watched dof's largest displacement: (n_watched,) [m] (collective).
 
-    |mean| + half the peak-to-peak displacement; for a curve, the maximum over all points.
+    This is |mean| + half the peak-to-peak displacement; for a curve, the maximum over all points.
     """
     watched_indicators = run.result.indicators_of_dofs(
         [watched_displacement.dof for watched_displacement in run.watched]
@@ -126,9 +132,23 @@ def yield_large_error_warning(
     location_text: str = "",
     error_limit: float = LARGE_ERROR,
 ) -> Iterator[str]:
-    """Yield a warning if the estimated error exceeds a limit.
+    """Yield a warning if the estimated error of the gap exceeds a limit.
 
-    The warning names the largest part of the error, and a remedy that the scene does not use yet.
+    The warning names the largest part of the error, and a remedy not yet used in the scene. If
+    errors were not requested, no warning is given.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene of the solution.
+    report : ErrorReport
+        Estimated errors, relative to the gaps' root mean square motion B^T u.
+    n_harmonics : int
+        Number of harmonics in the solution.
+    location_text : str
+        Place on a curve, " at 50.1 Hz"; empty for a single solution.
+    error_limit : float
+        Maximum relative error, by default 5 %.
     """
     if not report.total > error_limit:  # or not requested
         return
@@ -173,7 +193,9 @@ def yield_instability_warning(
 ) -> Iterator[str]:
     """Yield a warning if a solution is unstable, irregular or undecided.
 
-    ``motion_text`` describes the motion that a test would show in place of the solution.
+    Irregular means that no periodic orbit was found and disturbances grow. ``stability`` None gives
+    no warning. ``motion_text`` describes the motion seen in a test in place of an unstable
+    solution; empty if unknown.
     """
     if stability is None or stability.verdict == "stable":
         return
@@ -214,7 +236,10 @@ def yield_instability_warning(
 
 
 def list_friction_line_notes_and_warnings(run: Run[Any]) -> tuple[list[str], list[str]]:
-    """Describe friction along lines in a solid, and warn if sliding turns.
+    """Describe friction along lines in a solid, and warn if the sliding direction turns.
+
+    At each contact pair friction acts along a fixed direction. The warning is given if sliding
+    across exceeds :data:`MAX_TRUSTED_TRANSVERSE_SLIDING`, 0.3, of sliding along the lines.
 
     Returns
     -------
@@ -235,7 +260,11 @@ def list_friction_line_notes_and_warnings(run: Run[Any]) -> tuple[list[str], lis
 
 
 def yield_nonunique_contact_force_warning(solution: PeriodicSolution) -> Iterator[str]:
-    """Yield a warning if contact forces are nearly not unique at an instant."""
+    """Yield a warning if friction nearly makes contact forces ambiguous at an instant.
+
+    The limit is half the critical coefficient of friction. Above the critical coefficient, forces
+    may not be unique. Without friction, or without an exact flow, no warning is given.
+    """
     exact_flow = solution.assessment.flow
     if exact_flow is None or exact_flow.friction_law is None:
         return
@@ -252,9 +281,10 @@ def yield_nonunique_contact_force_warning(solution: PeriodicSolution) -> Iterato
 def yield_mode_dependence_warning(
     scene: Scene, solution: PeriodicSolution, verdict: str
 ) -> Iterator[str]:
-    """Yield a warning if more modes change the verdict on stability.
+    """Yield a warning if the verdict on stability changes with more modes.
 
-    With twice the modes or more, the orbit then contradicts the ``verdict``.
+    The nearest orbit with twice the modes or more is compared with the ``verdict``. No warning is
+    given if this orbit agrees, or is not known.
     """
     assessment_with_more_modes = solution.assessment.more_modes
     if assessment_with_more_modes is not None and (
@@ -270,12 +300,14 @@ def yield_mode_dependence_warning(
 
 
 def select_printed_quantities(table: Table, scene: Scene, place_flag: ObservableFlag) -> Table:
-    """Return the printed part of a table: quantities that the scene requests.
+    """Select the part of a result's table to print: quantities requested by the scene.
 
-    Without a request, quantities with the ``place_flag`` are printed. Frequencies and speeds
-    are printed in the scene's units alone. A table with a column "name" has a quantity in each row,
-    any other table in each column. Other columns are always printed; other rows by the level in
-    :data:`DESCRIPTION_UNIT_AND_LEVEL_BY_NAME`. Rows with nan are left out.
+    Without ``output.quantities``, select the quantities with ``place_flag``. Frequencies and speeds
+    keep the scene's unit only.
+
+    If the first column is "name", each row is a quantity. Rows on the computation, such as
+    harmonics, follow :data:`DESCRIPTION_UNIT_AND_LEVEL_BY_NAME`; rows with nan are left out, and so
+    is the column "name". Otherwise each column is a quantity; all columns besides quantities stay.
     """
     requested_names, default_names = scene.quantities, observable_names(required_flags=place_flag)
     table = _round_to_zero(table)
@@ -304,7 +336,11 @@ def select_printed_quantities(table: Table, scene: Scene, place_flag: Observable
 
 
 def _round_to_zero(table: Table) -> Table:
-    """Return a table with 0 for rounding errors, in :data:`UNITS_ROUNDED_TO_ZERO`."""
+    """Replace rounding errors in a table by 0.
+
+    Rounding errors are absolute values up to 1e-15 in :data:`UNITS_ROUNDED_TO_ZERO`. Units come
+    from the column "unit", or from headings, "gap [m]".
+    """
     column_units = [heading.partition("[")[2].rstrip("]") for heading in table.columns]
     unit_column_index = table.columns.index("unit") if "unit" in table.columns else None
 
@@ -329,9 +365,9 @@ def _round_to_zero(table: Table) -> Table:
 
 
 def make_printed_table(report: Report) -> Table:
-    """Return the printed table of a report.
+    """Return the table printed for a report.
 
-    With a scene, frequencies and speeds have the scene's units alone.
+    If the report has a scene, frequencies and speeds keep the scene's unit only.
     """
     table, scene = report.printed_table or report.table, report.scene
     if scene is None:
@@ -340,7 +376,10 @@ def make_printed_table(report: Report) -> Table:
 
 
 def _is_in_unused_unit(name: str, unit: str, scene: Scene) -> bool:
-    """Return True if the scene shows this frequency or speed in another unit."""
+    """Return True for a frequency or speed in a unit not used in the scene.
+
+    A scene in Hz does not use rad/s, and vice versa; a scene in rpm does not use "speed" [rad/s].
+    """
     unused_name_prefix, unused_unit = (
         ("omega", "rad/s") if scene.is_frequency_in_hertz else ("frequency", "Hz")
     )
@@ -351,7 +390,10 @@ def _is_in_unused_unit(name: str, unit: str, scene: Scene) -> bool:
 
 
 def _select_columns(table: Table, is_selected: Callable[[str, str], bool]) -> Table:
-    """Return the columns whose name and unit are selected."""
+    """Return a table with the columns selected by ``is_selected(name, unit)``.
+
+    The heading "gap [m]" has the name "gap" and the unit "m".
+    """
     names_and_units = (heading.rstrip("]").partition(" [") for heading in table.columns)
     column_indices = [
         column_index
@@ -365,10 +407,10 @@ def _select_columns(table: Table, is_selected: Callable[[str, str], bool]) -> Ta
 
 
 def tabulate_known_quantities_as_text(table: Table) -> Table:
-    """Return the known quantities of a table as text: "7.916 µm".
+    """Tabulate quantities with values as text, "7.916 µm"; leave out nan.
 
-    The table has a column "name". Relative quantities are percentages: "5.7 %". Columns of errors
-    follow if the table has them.
+    ``table`` has the columns name, description, value and unit. Relative quantities become
+    percentages: "5.7 %". Further columns, errors and causes, are copied.
     """
     known_rows = [
         table_row[1:] for table_row in _round_to_zero(table).rows if table_row[2] == table_row[2]
@@ -385,7 +427,10 @@ def tabulate_known_quantities_as_text(table: Table) -> Table:
 def _format_description_and_value(
     description: str, quantity_value: Any, unit: str
 ) -> tuple[str, Any]:
-    """Return a quantity's description, and the value with unit as text."""
+    """Return a quantity's description, and the value with unit as text.
+
+    Numbers with a description "relative ..." become percentages, True and False "yes" and "no".
+    """
     is_finite_number = isinstance(quantity_value, float) and np.isfinite(quantity_value)
     if is_finite_number and unit in UNITS_ROUNDED_TO_ZERO:
         return description, format_quantity(quantity_value, unit)

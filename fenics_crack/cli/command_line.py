@@ -35,9 +35,13 @@ if TYPE_CHECKING:
 PETSC_OPTION_PREFIXES = tuple(
     f"-crack_{name}_" for name in ("hb", "krylov", "modes", "largest", "factor")
 )
-"""Prefixes of PETSc options for solvers: SNES, GMRES, SLEPc or a factorisation."""
+"""Prefixes of PETSc options read by solvers.
+
+In this order: SNES of harmonic balance, GMRES, SLEPc for lowest modes, SLEPc for the largest
+frequency, factorisations.
+"""
 OUT_OF_MEMORY_TEXTS = ("PetscMalloc", "failed to map segment")
-"""Texts by which PETSc and the library loader report too little memory."""
+"""Texts in errors of PETSc and the library loader if memory is short."""
 ARGUMENT_NAMES_BY_TABLE = {
     "curve": ("parameter", "start"),
     "disk": ("families",),
@@ -64,9 +68,9 @@ SCENE_KEY_BY_ARGUMENT = {
     "record_periods": "integration.periods",
     "start, end": "curve.start, curve.stop",
 }
-"""Scene key or option, by the argument name in an error of the library."""
+"""Scene key or command-line option to print, by the argument name in an error of the library."""
 MAX_ENGINE_ORDER = 1000
-"""Maximum engine order of ``--orders``."""
+"""Maximum engine order in the option ``--orders``."""
 HELP_EPILOG_TEXT = """\
 Start with:
 
@@ -88,9 +92,10 @@ stopped by Ctrl-C; 1 a full disk, too little memory, or a fault of the program.
 
 
 def main(command_words: Sequence[str] | None = None) -> int:
-    """Run a command and return the exit code, the same on every rank.
+    """Run a command of the program and return the exit code, equal on all ranks.
 
-    ``command_words`` replace the words of the command line.
+    ``command_words`` replace the words of the command line, without the program's name. Errors are
+    printed, not raised; only --help and words refused by the parser raise SystemExit.
     """
     gc.set_threshold(10_000)  # more than 100,000 objects stay, to be searched again and again
     atexit.register(gc.freeze)  # the system takes back what is left, garbage or not
@@ -143,7 +148,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
 
 
 def _abort_all_ranks(exit_code: Exit) -> None:
-    """End all ranks with an exit code."""
+    """End all MPI ranks with an exit code; do nothing for a single rank."""
     if threads.is_started_by_mpirun():
         from mpi4py import MPI
 
@@ -152,9 +157,10 @@ def _abort_all_ranks(exit_code: Exit) -> None:
 
 
 def _parse_arguments(command_words: Sequence[str] | None) -> argparse.Namespace:
-    """Parse the program's arguments, which stand before PETSc's options.
+    """Parse the program's arguments, without PETSc's options behind them.
 
-    Raises SystemExit after --help, and for words that the parser refuses.
+    ``command_words`` None stands for the words of the command line. Raises SystemExit after --help,
+    and for words refused by the parser.
     """
     try:
         arguments = build_parser().parse_args(
@@ -172,10 +178,10 @@ def _parse_arguments(command_words: Sequence[str] | None) -> argparse.Namespace:
 
 
 def _arguments_before_petsc() -> list[str]:
-    """Return the words of the command line before the first ``-crack_``.
+    """Return the words of the command line before the first PETSc option, ``-crack_...``.
 
     PETSc reads all later words itself, as in scripts (``basics/ranks.py``). Raises InputError for a
-    prefix that no solver has.
+    prefix not in :data:`PETSC_OPTION_PREFIXES`.
     """
     for argument in (petsc_arguments := _petsc_arguments()):
         if argument.startswith("-crack_") and not argument.startswith(PETSC_OPTION_PREFIXES):
@@ -188,23 +194,26 @@ def _arguments_before_petsc() -> list[str]:
 
 
 def _petsc_arguments() -> list[str]:
-    """Return the words of the command line from the first ``-crack_`` on."""
+    """Return the words of the command line from the first PETSc option, ``-crack_...``, on."""
     return [*dropwhile(lambda argument: not argument.startswith("-crack_"), sys.argv[1:])]
 
 
 def _discard_output_of_this_rank() -> None:
-    """Discard the output of this rank; tracebacks still reach the true standard error."""
+    """Discard all text printed by this MPI rank; tracebacks still reach ``sys.__stderr__``."""
     sys.stdout = sys.stderr = open(os.devnull, "w")
 
 
 def _print_to_stderr(text: str, stream: TextIO | None = None) -> None:
-    """Print a message, by default to standard error; a closed stream is ignored."""
+    """Print a message after "fenics-crack: ", by default to standard error.
+
+    A closed stream is ignored.
+    """
     with contextlib.suppress(OSError):
         print(f"fenics-crack: {text}", file=stream or sys.stderr or sys.__stderr__, flush=True)
 
 
 def _print_input_errors(input_errors: Sequence[InputError]) -> None:
-    """Print a line for each error, with examples for missing input.
+    """Print a line for each input error, with example lines for missing keys and tables.
 
     The example for a key ends the error's line; examples for tables follow all errors.
     """
@@ -233,13 +242,16 @@ def _print_input_errors(input_errors: Sequence[InputError]) -> None:
 
 
 def _redirect_stdout_to_null() -> None:
-    """Redirect standard output to the null device, so that Python's exit writes nothing."""
+    """Redirect standard output to the null device: Python then writes nothing at exit."""
     with contextlib.suppress(OSError):  # it may be no file
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _describe_resource_shortage(error: Exception) -> str:
-    """Describe the lack of memory or disk space behind an error, else ""."""
+    """Describe the lack of memory or disk space behind an error; "" for any other error.
+
+    Memory counts as short, too, above 90 % of the process's address space limit.
+    """
     is_reported = any(shortage_text in str(error) for shortage_text in OUT_OF_MEMORY_TEXTS)
     # Few libraries name their need.
     is_near_limit = threads.process_memory("VmPeak") > 0.9 * threads.address_space_limit()
@@ -254,10 +266,10 @@ def _describe_resource_shortage(error: Exception) -> str:
 
 
 def _run_command(arguments: argparse.Namespace) -> Exit:
-    """Read the inputs of a command, prepare this process, and call the command.
+    """Read a command's inputs, load MPI and PETSc, and call the command.
 
-    Inputs are read before MPI and PETSc are loaded, so that wrong input is refused at once. Under
-    mpirun, rank 0 reads for all ranks.
+    Inputs are read before MPI and PETSc are loaded, to refuse wrong input at once. Under mpirun,
+    rank 0 reads for all ranks.
     """
     if arguments.command == "doctor":  # checks itself which libraries are there
         return _call_command(arguments, None, None) or Exit.DONE
@@ -320,9 +332,10 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
 def _call_command(
     arguments: argparse.Namespace, inputs: CommandInputs | None, console: Console | None
 ) -> Exit | None:
-    """Call a command, with a writable folder and the kept structure.
+    """Make the results folder and the stored structure ready, and call a command.
 
-    Returns None for exit code 0.
+    ``inputs`` is None without a scene. Without ``--fresh``, the command may read the meshed and
+    reduced structure stored in the folder by an earlier command. Returns None for exit code 0.
     """
     function_path, *_ = HELP_AND_CALL_BY_COMMAND[arguments.command][1].split()
     command_function: Callable[..., Exit | None] = resolve_name(f"fenics_crack.{function_path}")
@@ -364,12 +377,18 @@ def _call_command(
 
 
 class OrderRangeAction(argparse.Action):
-    """Set ``tip_timing.orders`` to the whole numbers of a range."""
+    """Parse ``--orders FIRST LAST`` into the scene key ``tip_timing.orders``.
+
+    The key gets all whole numbers from FIRST to LAST.
+    """
 
     def __call__(
         self, _: Any, arguments: argparse.Namespace, order_range: Any, option_string: Any = None
     ) -> None:
-        """Add the orders to the values of --set, called by argparse."""
+        """Append the engine orders to the assignments of ``--set``; argparse calls this.
+
+        Raises InputError unless 1 <= FIRST <= LAST <= :data:`MAX_ENGINE_ORDER`.
+        """
         first_order, last_order = order_range
         if not 1 <= first_order <= last_order <= MAX_ENGINE_ORDER:
             raise InputError(
@@ -382,9 +401,9 @@ class OrderRangeAction(argparse.Action):
 
 
 def path(text: str) -> Path:
-    """Convert an argument to a path; argparse names this function in errors.
+    """Convert an argument to a path; argparse prints this function's name in errors.
 
-    Raises ValueError for paths that cannot be opened, or written into files of results.
+    Raises ValueError for a null character, and for characters without a UTF-8 encoding.
     """
     if b"\0" in text.encode("utf-8"):
         raise ValueError
@@ -474,7 +493,7 @@ HELP_AND_CALL_BY_COMMAND = {
         "cli.doctor:run_and_print_checks",
     ),
 }
-"""Description, function and arguments by command name.
+"""Help text, and "folder.file:function" followed by command-line arguments, by command name.
 
 A function of ``cli`` takes arguments, inputs and console. Any other function takes a scene, and
 arguments by the names of parameters.
@@ -594,25 +613,28 @@ HELP_AND_OPTIONS_BY_ARGUMENT: dict[str, tuple[str, dict[str, Any]]] = {
 KEY_COMPLETION_BY_SHELL = {
     "bash": "_fenics_crack_keys", "zsh": "_fenics_crack_keys", "fish": "(_fenics_crack_keys)",
 }  # fmt: skip
-"""Completion of ``--set`` for shtab, by shell: the function defined below."""
+"""Completion of ``--set`` for shtab, by shell: the name of a shell function.
+
+:data:`KEY_FUNCTION_CODE_BY_SHELL` defines the function.
+"""
 PATH_COMPLETION_BY_SHELL = {
     "bash": "_shtab_compgen_files", "zsh": "_files",
     "fish": "(__fish_complete_path (commandline -ct))",
 }  # fmt: skip
-"""Completion of paths for shtab, by shell."""
+"""Shell function for shtab to complete paths, by shell."""
 KEY_FUNCTION_CODE_BY_SHELL = {
     "bash": '_fenics_crack_keys() {{ compgen -W "{}" -- "$1"; }}',
     "zsh": "_fenics_crack_keys() {{ compadd {}; }}",
     "fish": "function _fenics_crack_keys; string split ' ' '{}'; end",
 }
-"""Shell function for the completion of ``--set``, by shell; {} stands for all scene keys."""
+"""Code of the shell function to complete ``--set``, by shell; {} stands for all scene keys."""
 
 
 class SuggestingParser(argparse.ArgumentParser):
-    """Parse arguments, and suggest commands or options for unknown ones."""
+    """Parse arguments; for an unknown command or option, suggest similar names."""
 
     def error(self, message: str) -> NoReturn:
-        """Print the error and suggestions, and exit."""
+        """Print argparse's message with suggestions to standard error, and exit with code 2."""
         wrong_word_match = re.search(
             r"invalid choice: '(.*?)'|unrecognized arguments: (-\S+)", message
         )
@@ -646,10 +668,13 @@ class SuggestingParser(argparse.ArgumentParser):
 
 
 class CompletionAction(argparse.Action):
-    """Print what a shell needs to complete the program's words, and exit."""
+    """Print a shell's code to complete the program's words, and exit."""
 
     def __call__(self, parser: argparse.ArgumentParser, *call_arguments: Any) -> NoReturn:
-        """Print the completion; argparse passes the namespace, the shell and the option."""
+        """Print the completion code for a shell; argparse calls this.
+
+        ``call_arguments`` are the namespace, the name of the shell and the option.
+        """
         from fenics_crack.scene.scene import known_keys
 
         try:
@@ -666,7 +691,7 @@ class CompletionAction(argparse.Action):
 
 
 def list_options(*command_names: str) -> list[str]:
-    """Return the options of several commands without repetition."""
+    """Return the options of several commands and the options common to all, each once."""
     argument_names = " ".join(
         HELP_AND_CALL_BY_COMMAND[command_name][1] for command_name in command_names
     ).split()
@@ -679,7 +704,7 @@ def list_options(*command_names: str) -> list[str]:
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """Build the parser for all commands and arguments."""
+    """Build the argparse parser with a subparser for each command."""
     program_parser = SuggestingParser(
         prog="fenics-crack",
         description="Periodic vibration of a plate with a crack that opens and closes.",

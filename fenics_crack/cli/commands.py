@@ -48,9 +48,26 @@ def run_and_report_function(
 ) -> Exit:
     """Run a package function as a command, write the result, print the report.
 
-    The function gets the scene (or the study from a file of ``reduce``), and arguments, folder,
-    ranks and progress by the names of parameters. Ctrl-C is ignored while files are written. An
-    interrupted result replaces no earlier file: the new name then ends in "_interrupted".
+    Parameters
+    ----------
+    package_function : callable
+        Function of a scene, or of the study from a file of ``reduce``. Further parameters get
+        arguments, folder, MPI ranks and progress by name.
+
+    Returns
+    -------
+    Exit
+        Exit code of the report.
+
+    Raises
+    ------
+    StoppedError
+        Ctrl-C ended the estimate of errors; the result is saved without a report.
+
+    Notes
+    -----
+    Ctrl-C is ignored while files are written. If Ctrl-C ended the computation, an earlier result
+    stays: the new files are named "..._interrupted".
     """
     folder = inputs.folder
     if arguments.command == "curve" and inputs.scene.curve is None:
@@ -98,7 +115,10 @@ def run_and_report_function(
 
 
 def _save_result(result: Any, path: Path, console: Console) -> None:
-    """Save a result; only a run knows the ranks without the console."""
+    """Save a result to a .h5 file.
+
+    A run has its own MPI ranks; any other result is saved with the console's.
+    """
     result.save(path, **({} if isinstance(result, Run) else {"comm": console.comm}))
 
 
@@ -113,17 +133,19 @@ def write_and_print_report(
 
     Parameters
     ----------
+    report : Report
+        Tables and sentences about the result.
     stem_path : Path
-        Path of all files without ending.
+        Path of all files without ending: .h5, .csv, .json, pictures.
     result
-        Result to be saved; None if the file exists already.
+        Result to save as .h5; None if the file exists already.
     picture_format : str or None
-        Ending of pictures; None: no pictures.
+        Ending of pictures; None: draw none, and print the command for pictures.
 
     Returns
     -------
     Exit
-        Exit code.
+        Exit code, as from :func:`print_report_sentences`.
     """
     replacement_note = ""
     for structure_file in STRUCTURE_FILES:
@@ -165,7 +187,11 @@ def write_and_print_report(
 
 
 def print_report_sentences(report: Report, console: Console) -> Exit:
-    """Print notes, remarks, warnings and conclusion of a report; return the exit code."""
+    """Print a report's notes, remarks, warnings and closing sentence.
+
+    Returns the exit code: 0, or 3 if not converged, or 4 if the error is unknown or above the
+    tolerance.
+    """
     console.print_notes(*report.notes)
     console.print_remarks(*report.remarks)
     console.print_warnings(*report.warnings)
@@ -174,7 +200,7 @@ def print_report_sentences(report: Report, console: Console) -> Exit:
 
 
 def run_and_report_sweep(_: Namespace, inputs: CommandInputs, console: Console) -> Exit:
-    """Run the unsolved cases of a sweep, and report all cases."""
+    """Run the command ``sweep``: solve the cases not solved yet, and report all cases."""
     from fenics_crack.sweep.result import run_sweep
 
     scene, stem_path = inputs.scene, inputs.folder / "sweep"
@@ -186,12 +212,19 @@ def run_and_report_sweep(_: Namespace, inputs: CommandInputs, console: Console) 
 
 
 def remove_kept_structure(_: Namespace, inputs: CommandInputs, console: Console) -> None:
-    """Remove the structure that earlier commands have kept in the folder."""
+    """Run the command ``clean``: remove the stored structure from the results folder.
+
+    Earlier commands have written this file, :data:`STRUCTURE_FILE_NAME`, to mesh and reduce only
+    once.
+    """
     on_root(console.comm, lambda: remove_file(inputs.folder / STRUCTURE_FILE_NAME, "--output"))
 
 
 def write_prepared_study(arguments: Namespace, inputs: CommandInputs, console: Console) -> None:
-    """Write a scene's prepared study to a file, which replaces the mesh."""
+    """Run the command ``reduce``: mesh and reduce a scene, and write the study to a file.
+
+    ``solve`` and ``curve`` take the file in place of the scene, and need no mesh.
+    """
     from fenics_crack.study.artefact import save_prepared
     from fenics_crack.study.prepare import prepare
 
@@ -207,7 +240,11 @@ def write_prepared_study(arguments: Namespace, inputs: CommandInputs, console: C
 def compute_and_report_bladed_disk(
     arguments: Namespace, inputs: CommandInputs, console: Console
 ) -> Exit:
-    """Compute frequencies over the nodal diameter, and amplification by mistuning patterns."""
+    """Run the command ``disk``: natural frequencies over the nodal diameter, and mistuning.
+
+    With ``--patterns`` N, also compute the amplification factors for N random mistuning patterns.
+    Returns the last report's exit code.
+    """
     from fenics_crack.disk.bladed_disk import amplification, nodal_diameters
 
     scene, comm, folder = inputs.scene, console.comm, inputs.folder
@@ -238,15 +275,23 @@ def _convert_arrivals_to_measurements(
     *,
     is_uncracked: bool = False,
 ) -> Measurements:
-    """Convert arrivals to measurements for an identification.
+    """Convert blade tip arrivals to measurements for an identification (collective).
 
-    At constant speed they are displacements; in a run-up, natural frequencies of the resonances
-    passed. ``is_uncracked`` marks arrivals of the blade before it had a crack: only a run-up.
+    Arrivals at constant speed become displacements. A run-up gives the natural frequencies of the
+    resonances passed.
+
+    Parameters
+    ----------
+    arrival_source : dict of ArrivalTimes, or Path
+        Arrivals by blade number, or a computed result (.h5).
+    is_uncracked : bool
+        True for arrivals of the blade before the crack; these must be a run-up.
 
     Raises
     ------
     InputError
-        The arrivals have no resonance, or do not fit the scene.
+        The arrivals pass no resonance of the blade, or do not fit the scene: the speed differs by
+        more than 1 %, for example.
     """
     from fenics_crack.arrivals.arrival_times import MAX_STEADY_SPEED_VARIATION
     from fenics_crack.monitoring import scene_timing
@@ -309,7 +354,11 @@ def _convert_arrivals_to_measurements(
 
 
 def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Console) -> Exit:
-    """Identify a crack from measurements, and propose where to measure next."""
+    """Run the command ``identify``: find a crack from measurements.
+
+    Writes the posterior and a picture, the fit, and proposed places to measure next. Returns the
+    exit code: not converged if the identification has doubts.
+    """
     from fenics_crack.draw.plot_study import draw_posterior  # Matplotlib
     from fenics_crack.monitoring.identification import identify as search_module  # SciPy
     from fenics_crack.monitoring.identification.report import IdentificationOutput

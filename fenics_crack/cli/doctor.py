@@ -32,7 +32,7 @@ from fenics_crack.basics.threads import (
 from fenics_crack.version import VERSION
 
 MIN_NUMPY_VERSION = (1, 24)
-"""Oldest supported NumPy, from Debian 12."""
+"""Oldest supported NumPy, the version in Debian 12."""
 REFERENCE_MAX_AND_MIN_DISPLACEMENT = (2.19791942, -2.94941155)
 """Maximum and minimum of x in a period of x'' + 0.1 x' + x + max(x, 0) = cos t.
 
@@ -50,12 +50,16 @@ PLATE_SCENE_TABLES = {
 }
 """Scene tables for a plate, 0.1 m wide and high, with Poisson's ratio zero.
 
-Without the crack, the plate has a bar's longitudinal modes, sin((2 n - 1) pi y / (2 L)).
+Without the crack, the plate has a bar's longitudinal modes, sin((2 n - 1) pi y / (2 L)), n = 1, 2,
+..., L = 0.1 m.
 """
 
 
 def run_and_print_checks(arguments: Namespace, *_: object) -> Exit:
-    """Print a table of all checks; return FAULT if any check fails."""
+    """Run the command ``doctor``: print a table of all checks of the installation.
+
+    Returns ``Exit.FAULT`` if any check fails, otherwise ``Exit.DONE``.
+    """
     with report_missing_libraries():
         from fenics_crack.basics.tables import Table  # NumPy
     check_rows = [
@@ -73,13 +77,15 @@ def run_and_print_checks(arguments: Namespace, *_: object) -> Exit:
 def run_and_yield_checks(
     checks_by_name: dict[str, Callable[[], str]],
 ) -> Iterator[tuple[str, str, bool]]:
-    """Run checks, and yield the findings.
+    """Run checks in order, and yield the result of each.
 
-    Warnings from the program are faults, too. A fault known from an earlier check is "as above".
+    A check fails by an exception, or by a warning of the program. A fault seen in an earlier check
+    has the finding "same fault as above".
 
     Yields
     ------
     check_name, finding_text : str
+        Name, and versions, errors or fault in words.
     is_fault : bool
     """
     warning_texts: list[str] = []
@@ -107,7 +113,7 @@ def run_and_yield_checks(
 
 
 def _describe_program() -> str:
-    """Return version and folder of the program and Python."""
+    """Return versions and folders of the program and of Python."""
     package_folder = Path(__file__).parents[1]
     return (
         f"fenics_crack {VERSION}, {package_folder}; Python {platform.python_version()}, "
@@ -116,7 +122,7 @@ def _describe_program() -> str:
 
 
 def _check_numpy() -> str:
-    """Return the versions of NumPy and SciPy; InputError if NumPy is too old."""
+    """Return the versions of NumPy and SciPy; raise InputError if NumPy is too old."""
     check_debian_module_versions()
     with report_missing_libraries():
         import numpy
@@ -127,7 +133,10 @@ def _check_numpy() -> str:
 
 
 def _check_mpi() -> str:
-    """Return MPI library and launcher; InputError if they do not fit together."""
+    """Return MPI library, number of ranks and launcher path.
+
+    Raises InputError if several MPI libraries are loaded, or if mpirun belongs to another MPI.
+    """
     with set_one_process_variables():
         from fenics_crack.basics.ranks import MPI
     mpi_vendor, mpi_version = MPI.get_vendor()
@@ -150,7 +159,7 @@ def _check_mpi() -> str:
 
 
 def _check_petsc() -> str:
-    """Return the versions of PETSc and SLEPc; InputError without MUMPS."""
+    """Return the versions of PETSc and SLEPc; raise InputError without MUMPS or real numbers."""
     from fenics_crack.basics.ranks import check_scalar_type, import_slepc
 
     check_scalar_type()
@@ -190,7 +199,7 @@ def _check_compiler() -> str:
 
 
 def _settle_cache_folder() -> str:
-    """Settle the folder for compiled forms, and return it."""
+    """Make the cache folder for compiled finite-element forms usable; return the path."""
     replace_unusable_caches()
     cache_folder = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return f"compiled forms are kept in {cache_folder}/fenics"
@@ -204,7 +213,10 @@ def _check_picture_libraries() -> str:
 
 
 def _check_two_masses() -> str:
-    """Compare the gap extrema of two masses at stops with known values."""
+    """Compare the gap extrema of two masses at stops with known values.
+
+    Returns the error in words; raises ArithmeticError above 1e-3.
+    """
     import numpy as np
 
     package_module = import_module("fenics_crack")
@@ -223,7 +235,10 @@ def _check_two_masses() -> str:
 
 
 def _check_plate() -> str:
-    """Compare a plate's frequency with a bar's, and its vibration by two solvers."""
+    """Compare a plate's frequency with a bar's, and its vibration by two solvers.
+
+    Returns both errors in words; raises ArithmeticError above 1e-5 and 1e-8.
+    """
     import numpy as np
 
     package_module = import_module("fenics_crack")
@@ -253,7 +268,7 @@ def _check_plate() -> str:
 
 
 def _describe_error_or_raise(quantity_name: str, relative_error: float, tolerance: float) -> str:
-    """Return a sentence on the error of a quantity; ArithmeticError above the tolerance."""
+    """Return a quantity's relative error in words; raise ArithmeticError above ``tolerance``."""
     error_text = f"{quantity_name}: relative error {relative_error:.0e}"
     if not relative_error <= tolerance:
         raise ArithmeticError(
@@ -275,4 +290,7 @@ CHECKS_BY_NAME = {
     "two masses": _check_two_masses,
     "plate": _check_plate,
 }
-"""Checks by name; a check needs at most the libraries of earlier checks."""
+"""Functions of all checks by name, in order.
+
+A check uses its own libraries and those of earlier checks.
+"""

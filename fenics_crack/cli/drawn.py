@@ -8,20 +8,20 @@ from pathlib import Path
 
 @dataclass
 class PictureFiles:
-    """Record the pictures of results that are drawn into a folder.
+    """Record paths and captions of pictures, drawn into a folder.
 
     Attributes
     ----------
     folder : Path
-        Folder of all files.
+        Folder for all files.
     file_format : str
-        Ending of the pictures, "png".
+        Ending of the pictures: "png", "pdf" or "svg".
     has_vtk_files : bool
         True if files for ParaView are written, too.
     captions_by_path : dict of Path to str
         Sentence below each picture; empty for files for ParaView.
     notes : list of str
-        Pictures that are left out, with the reasons.
+        Pictures left out, with the reasons.
     """
 
     folder: Path
@@ -33,7 +33,8 @@ class PictureFiles:
     def __call__(self, file_stem: str, caption: str, file_format: str = "") -> Path:
         """Return the path of a new picture, and record the caption.
 
-        ``file_format`` replaces the common format for this picture.
+        ``file_stem`` is the file's name without ending. ``file_format`` replaces the common format
+        for this picture.
         """
         picture_path = self.folder / f"{file_stem}.{file_format or self.file_format}"
         self.captions_by_path[picture_path] = caption

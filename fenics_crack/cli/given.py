@@ -50,24 +50,24 @@ if TYPE_CHECKING:
 
 PLATE_TEMPLATE_PATH = "cli/new_scene.toml"
 ARRIVAL_FILE_SUFFIXES = (".csv", ".h5")
-"""Endings of files with measured arrivals, or with results for computed arrivals."""
+"""Endings of files with measured arrivals, and of results to compute arrivals from."""
 STRUCTURE_FILE_NAME = "prepared.h5"
-"""Name of the file with the structure kept for later commands."""
+"""Name of the file with a meshed and reduced structure, stored for later commands."""
 PERIOD_FRAMES_FOLDER_NAME = "solution_period"
-"""Folder for the frames of a period, inside the folder for results."""
+"""Folder for a period's frames for ParaView, inside the results folder."""
 RESULT_ENDINGS = (".h5", ".csv", ".json", ".png", ".pdf", ".svg")
-"""Endings of result files."""
+"""Endings of all files belonging to a result."""
 COMMANDS_FOR_PREPARED_FILES = ("solve", "curve")
 """Commands that accept a file from ``reduce`` in place of a scene."""
 COMBINABLE_NEW_SCENE_OPTIONS = ("blade", "timing", "identify")
 """Options of ``new`` that change the plate's template, also together."""
 EXCLUSIVE_NEW_SCENE_OPTIONS = ("solid", "disk")
-"""Options of ``new`` with a separate template, never combined."""
+"""Options of ``new`` with a separate template, not combined with any further option."""
 
 
 @dataclass(frozen=True)
 class CommandInputs:
-    """Hold the inputs of a command; None for absent inputs.
+    """Hold a command's inputs, read from files and options.
 
     Attributes
     ----------
@@ -75,14 +75,15 @@ class CommandInputs:
     folder : Path
         Folder for results.
     measurements : Measurements or None
+        Measurements for ``identify``.
     arrival_source : dict of ArrivalTimes, Path or None
-        Measured arrivals by blade, or the path to a result for computed arrivals.
+        Measured arrivals by blade number, or the path to a result for computed arrivals.
     uncracked_arrival_source : dict of ArrivalTimes, Path or None
-        Same for the blade before the crack.
+        The same for the blade before the crack.
     speeds : (n_speeds,) [rad/s] or None
-        Speeds of a Campbell diagram.
+        Speeds of a Campbell diagram; None for other commands.
     prepared_study : Study or None
-        Study from a ``reduce`` file.
+        Study from a file of ``reduce``; None: the scene must be meshed.
     """
 
     scene: Scene
@@ -95,9 +96,9 @@ class CommandInputs:
 
 
 def read_inputs(arguments: Namespace) -> CommandInputs | None:
-    """Read the text files that a command is given.
+    """Read a command's scene, measurements and arrivals from text files.
 
-    The result is None without a scene, as for a record of ``timing``.
+    Returns None for a command without a scene, such as ``timing`` with a record (.csv).
 
     Raises
     ------
@@ -145,7 +146,7 @@ def read_inputs(arguments: Namespace) -> CommandInputs | None:
 
 
 def read_prepared_inputs(arguments: Namespace, comm: MPI.Comm) -> CommandInputs:
-    """Read a file of ``reduce`` in place of a scene (collective).
+    """Read a file written by ``reduce`` in place of a scene (collective).
 
     Raises
     ------
@@ -170,12 +171,17 @@ def read_prepared_inputs(arguments: Namespace, comm: MPI.Comm) -> CommandInputs:
 def _yield_further_errors(
     error: InputError, scene_path: Path, changes_by_key: dict[str, Any]
 ) -> Iterator[InputError]:
-    """Yield the errors of further keys of a scene with changes.
+    """Yield errors of further keys of a scene, after the first ``error``.
 
-    After each error the scene is corrected and read again. A missing key or table, and a wrong
-    number, get the template's value; an unknown key is removed; a wrong word is replaced by the
-    suggestion. Once the template's value is in the scene, only missing and unknown keys are
-    reported: other errors may be due to that value. A key that fails again ends the search.
+    ``changes_by_key`` are the changes by ``--set``. After each error the scene is corrected and
+    read again:
+
+    - A missing key or table, and a wrong number, get the value of the template for new scenes.
+    - An unknown key is removed.
+    - A wrong word is replaced by the suggestion in the error.
+
+    Once a value of the template is in the scene, only missing and unknown keys are reported: other
+    errors may be due to this value. A key that fails again ends the search.
     """
     corrected_values_by_key, reported_keys = {**changes_by_key}, {"scene"}
     suggestions_text, has_no_template_value = "", True
@@ -228,7 +234,10 @@ def _yield_further_errors(
 
 
 def _check_option_numbers(arguments: Namespace, scene: Scene) -> None:
-    """Raise InputError if a numerical option is out of range."""
+    """Check the numbers of --count, --patterns and --deviation.
+
+    Raises InputError below 1 mode, outside 0 to :data:`MAX_VALUES_OF_AXIS` patterns, or outside 0 to 0.1.
+    """
     if (mode_count := vars(arguments).get("count")) is not None:
         check_count("--count", mode_count, 1)
     if arguments.command == "disk":
@@ -239,7 +248,11 @@ def _check_option_numbers(arguments: Namespace, scene: Scene) -> None:
 
 
 def _find_campbell_speeds_or_none(arguments: Namespace, scene: Scene) -> np.ndarray | None:
-    """Return the Campbell diagram's speeds [rad/s]; None for other commands."""
+    """Return a Campbell diagram's speeds (n_speeds,) [rad/s]; None for other commands.
+
+    ``--speeds`` START STOP COUNT, in rpm if the scene gives rpm; by default 13 speeds from 0 to 1.5
+    times the scene's. Raises InputError unless 0 <= START < STOP and COUNT >= 2.
+    """
     if arguments.command != "campbell":
         return None
     scene.given("rotation")
@@ -266,9 +279,15 @@ def _find_campbell_speeds_or_none(arguments: Namespace, scene: Scene) -> np.ndar
 def _read_measurements(
     arguments: Namespace, scene: Scene, uncracked_path: Path | None
 ) -> Measurements | None:
-    """Read the measurements of all files, and frequency responses before the crack.
+    """Read and add up the measurements of all files for ``identify``.
 
-    The result is None if there are arrivals only.
+    ``uncracked_path`` is a file of frequency responses before the crack, or None. Returns None if
+    only arrivals are given.
+
+    Raises
+    ------
+    InputError
+        Nothing is given, ``--modes`` has no frequency responses, or a file does not fit the scene.
     """
     measurement_paths, mode_numbers = arguments.measurements, arguments.modes
     if not measurement_paths and arguments.arrivals is None:
@@ -309,9 +328,10 @@ def _read_measurements(
 
 
 def _read_arrivals(scene: Scene, arguments: Namespace, path: Path | None) -> ArrivalSource:
-    """Read measured arrivals by blade number; return a result's path unchanged.
+    """Read measured arrivals by blade number; return the path of a result (.h5) unchanged.
 
-    A bladed disk has arrivals from all blades. Otherwise the option --blade selects a blade.
+    A bladed disk has arrivals at all blades. Otherwise the option --blade selects a blade. ``path``
+    None gives None.
     """
     if path is None or path.suffix.lower() == ".h5":
         return path
@@ -334,9 +354,15 @@ def select_blades(
     *,
     allows_several: bool = True,
 ) -> dict[int, ArrivalTimes]:
-    """Select a blade of a record by number.
+    """Select a blade by number from a record of arrivals.
 
-    Without a number, all blades are returned if ``allows_several``, or if the record has only one.
+    ``blade_number`` None returns all blades if ``allows_several``, or if the record has a single
+    blade. ``record_path`` is named in errors.
+
+    Raises
+    ------
+    InputError
+        The number is missing, or is not in the record.
     """
     if blade_number is None and (allows_several or len(arrivals_by_blade) == 1):
         return arrivals_by_blade
@@ -351,9 +377,10 @@ def select_blades(
 
 
 def parse_changes(assignments: Sequence[str]) -> dict[str, Any]:
-    """Parse the assignments of ``--set key=value`` into values by key.
+    """Parse the assignments ``key=value`` of ``--set`` into values by full key.
 
-    A value is TOML, or else a word; ``none`` becomes None, which removes the key.
+    A value is TOML, or else a word; ``none`` becomes None, to remove the key. Raises InputError for
+    an assignment without key or "=".
     """
     values_by_key: dict[str, Any] = {}
     for assignment in assignments:
@@ -370,7 +397,7 @@ def parse_changes(assignments: Sequence[str]) -> dict[str, Any]:
 
 
 def format_command(*words: object) -> str:
-    """Return a call of the program, quoted for a shell."""
+    """Return a command line of the program, quoted for a shell."""
     return shlex.join(["fenics-crack", *map(str, words)])
 
 
@@ -384,15 +411,15 @@ class Console:
     Attributes
     ----------
     comm : MPI.Comm
-        Rank 0 writes files.
+        MPI ranks of the command; rank 0 writes files.
     table_format : str
         "text", "csv" or "json".
     is_quiet : bool
         Print the table and warnings alone.
     is_verbose : bool
-        Print how long each part took.
+        Print how long each stage took.
     picture_format : str
-        Ending of pictures, "png".
+        Ending of pictures: "png", "pdf" or "svg".
     printed_remarks : set of str
         Remarks that were printed already.
     """
@@ -406,20 +433,20 @@ class Console:
 
     @property
     def shows_progress(self) -> bool:
-        """Return True if progress bars are shown."""
+        """True if progress bars are shown: not quiet, and verbose or at a terminal."""
         return not self.is_quiet and (self.is_verbose or sys.stderr.isatty())
 
     def print_table(self, table: Table) -> None:
-        """Print a table."""
+        """Print a table to standard output, in ``table_format``."""
         print(table.format_as(self.table_format), end="", flush=True)
 
     def print_notes(self, *note_texts: str) -> None:
-        """Print notes that are not empty, unless quiet."""
+        """Print all notes except empty texts, unless quiet."""
         for note_text in filter(None, note_texts):
             LOGGER.info("%s", note_text)
 
     def print_remarks(self, *remarks: object) -> None:
-        """Print remarks on a scene, each once, unless quiet."""
+        """Print remarks about unusual values of a scene, each once, unless quiet."""
         unprinted_texts = [
             remark_text
             for remark_text in map(str, remarks)
@@ -435,10 +462,10 @@ class Console:
 
     @contextmanager
     def report_stage(self, stage_name: str, *, has_bars: bool = False) -> Iterator[None]:
-        """Print the stages of running code, and the duration if verbose.
+        """Print the progress of the code in a ``with`` block, and the duration if verbose.
 
-        Stages are not printed if quiet, or if the code shows progress bars (``has_bars``). If no
-        progress is shown, a message appears every few seconds.
+        ``stage_name`` is the printed name. Nothing is printed meanwhile if quiet, or if the code
+        shows progress bars (``has_bars``). Without a terminal, a message appears every few seconds.
         """
         start_time = time.perf_counter()
         is_silent = self.is_quiet or (has_bars and self.shows_progress)
@@ -450,7 +477,7 @@ class Console:
 
 
 def make_writable_folder(folder: Path, comm: MPI.Comm) -> None:
-    """Create a folder for results; InputError unless files can be written (collective)."""
+    """Create a folder for results; raise InputError if files cannot be written (collective)."""
     from fenics_crack.basics.ranks import on_root  # PETSc
 
     on_root(
@@ -462,21 +489,22 @@ def make_writable_folder(folder: Path, comm: MPI.Comm) -> None:
 def keep_previous_files_with_note(
     table_path: Path, table_text: str, comm: MPI.Comm, *other_stems: str
 ) -> str:
-    """Keep files of the previous result in the folder ``before`` (collective).
+    """Keep the files of the previous result in the folder ``before`` (collective).
 
-    Only one generation is kept, and nothing if the previous table has the same text.
+    The folder keeps a single previous result. Nothing is kept if the previous table has the same
+    text.
 
     Parameters
     ----------
     table_path : Path
-        Table of the previous result; its stem and the ``other_stems`` name the files.
+        Table of the previous result; the table's stem and the ``other_stems`` name the files.
     table_text : str
         Text of the new table.
 
     Returns
     -------
     str
-        Note that files were kept, or why they were not; empty if there was nothing to keep.
+        Note on the kept files, or why they were not kept; empty without previous files.
     """
     from fenics_crack.basics.ranks import on_root  # PETSc
 
@@ -511,7 +539,10 @@ def keep_previous_files_with_note(
 
 
 def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
-    """Write a commented scene to start from."""
+    """Run the command ``new``: write a commented scene to start from.
+
+    Raises InputError if the file exists, or if the options cannot be combined.
+    """
     from fenics_crack.basics.ranks import on_root  # PETSc
 
     scene_path: Path = arguments.file
@@ -573,10 +604,10 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
 def build_scene_text(
     scene_name: str, measurements_name: str, combinable_options: Collection[str]
 ) -> str:
-    """Build a new scene's text from the template of a plate.
+    """Build the text of a new scene from the template of a plate.
 
-    ``options`` are from :data:`COMBINABLE_NEW_SCENE_OPTIONS`. Both names are file names that the
-    text mentions.
+    ``options`` are from :data:`COMBINABLE_NEW_SCENE_OPTIONS`. ``scene_name`` and
+    ``measurements_name`` are names of files, mentioned in the text.
     """
     line_marks = [
         f"(--{option})"
@@ -596,10 +627,10 @@ def build_scene_text(
 
 
 def find_example_line(key: str, requirement_text: str) -> str:
-    """Return the template line that sets a key, or "" without any.
+    """Return a template's line for a scene key, "young = 2.1e11"; "" if no template has the key.
 
-    If an error's ``requirement_text`` names other keys of the table, lines with these keys are
-    accepted, too.
+    ``requirement_text`` is the error's description of allowed values. If this text names other keys
+    of the table, a line with any of them is accepted, too.
     """
     table_name, _, key_name = key.partition(".")
     key_names = key_name, *re.findall(rf"\b{re.escape(table_name)}\.(\w+)", requirement_text)
@@ -620,14 +651,14 @@ def find_example_line(key: str, requirement_text: str) -> str:
 
 
 def find_example_table_text(table_name: str) -> str:
-    """Return the template lines that set a table, or "" without any."""
+    """Return the lines of a scene table, from the first template with this table; else ""."""
     return "\n".join(next(_yield_table_lines(table_name), ()))
 
 
 def _yield_table_lines(table_name: str) -> Iterator[list[str]]:
-    """Yield the lines that set a table, without marks, template by template.
+    """Yield the lines of a scene table, once for each place in the templates.
 
-    A table that is commented out is commented in.
+    Tables in comments are commented in. Marks for options of ``new``, ``(--blade)``, are removed.
     """
     template_texts = map(
         read_packaged_text,
@@ -657,7 +688,10 @@ def _remove_mark(line: str) -> str:
 
 
 def _toggle_comment(line: str) -> str:
-    """Comment a line out or in; a remark keeps the column."""
+    """Comment a template line in if it is a comment, otherwise out.
+
+    A remark at the line's end keeps the column.
+    """
     if line.startswith("# "):
         return line.removeprefix("# ").replace("  #", "    #", 1)
     return "# " + line.replace("    #", "  #", 1)

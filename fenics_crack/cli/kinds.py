@@ -16,7 +16,9 @@ from fenics_crack.files.store import StoredFile
 
 
 class ResultKind(NamedTuple):
-    """Name the functions that handle a kind of result, as "folder.file:function".
+    """Name files, heading and functions for a kind of result.
+
+    Functions are paths, "folder.file:function", loaded when needed.
 
     Attributes
     ----------
@@ -25,14 +27,14 @@ class ResultKind(NamedTuple):
     heading : str
         Heading in a report.
     report_function_path : str
-        Builds a :class:`Report` from a result.
+        Function to build a :class:`Report` from a result.
     reader_function_path : str
-        Builds a result from a :class:`StoredFile`.
+        Function to build a result from a :class:`StoredFile`.
     drawing_function_path : str
-        Draws a result: into ``picture_files``, :class:`PictureFiles`; with a ``caption`` one
-        picture, to ``path``.
+        Function to draw a result: all pictures into ``picture_files``, a :class:`PictureFiles`;
+        with a ``caption``, a single picture to ``path``.
     caption : str
-        Sentence below the only picture; empty if there may be several.
+        Sentence below the only picture; empty for any number of pictures.
     """
 
     file_stem: str
@@ -98,7 +100,7 @@ RESULT_KIND_BY_NAME = {
         "monitoring.timing:Timing.from_stored_file", "cli.pictures:draw_tip_timing",
     ),
 }  # fmt: skip
-"""Kinds of results by the class attribute ``KIND``, in a report's order."""
+"""Kind of result by the class attribute ``KIND``, in the order of the report page."""
 
 
 def load_function(function_path: str) -> Callable[..., Any]:
@@ -108,13 +110,13 @@ def load_function(function_path: str) -> Callable[..., Any]:
 
 
 def build_report(result: Any) -> Report:
-    """Return the report of a result (collective)."""
+    """Build the report of a result, with the function for this kind (collective)."""
     report: Report = load_function(RESULT_KIND_BY_NAME[result.KIND].report_function_path)(result)
     return report
 
 
 def draw_result(result: Any, picture_files: PictureFiles) -> None:
-    """Draw the pictures of a result."""
+    """Draw all pictures of a result, and record them in ``picture_files``."""
     result_kind = RESULT_KIND_BY_NAME[result.KIND]
     path_keywords = (
         {"path": picture_files(result_kind.file_stem, result_kind.caption)}
@@ -125,7 +127,7 @@ def draw_result(result: Any, picture_files: PictureFiles) -> None:
 
 
 def restore_result(stored_file: StoredFile) -> Any:
-    """Build a result from a file read on one rank.
+    """Build a result object from a stored file, on this rank alone.
 
     Raises
     ------

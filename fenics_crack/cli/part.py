@@ -15,19 +15,19 @@ from fenics_crack.fem.solid import find_ray_hit_distance, read_part_triangles_an
 from fenics_crack.version import read_packaged_text
 
 MAX_LISTED_FACES = 40
-"""Maximum number of faces in the scene and the picture, largest first."""
+"""Maximum number of the part's faces, largest first, listed in the scene and in the picture."""
 CRACK_HEIGHT_FRACTION = 0.2
 """Height of the proposed crack above the clamp, relative to the part's length."""
 
 
 @dataclass(frozen=True)
 class _PartSurface:
-    """Hold a part's triangles, and a point on each face.
+    """Hold the surface triangles of a CAD part, and a point on each face.
 
     Attributes
     ----------
     triangles : (n, 3, 3) [m]
-        Corners.
+        Three corners of each triangle, with coordinates.
     face_numbers : (n,)
         Face number of each triangle.
     triangle_areas : (n,) [m^2]
@@ -35,9 +35,9 @@ class _PartSurface:
         Outward unit vectors.
     triangle_centers : (n, 3) [m]
     face_numbers_largest_first : list of int
-        Numbers of the faces, the largest face first.
+        Face numbers, the largest face first.
     face_points : (n_faces, 3) [m]
-        Triangle center nearest to the center of each face, in the order of
+        Triangle center nearest to each face's center, in the order of
         ``face_numbers_largest_first``.
     """
 
@@ -50,13 +50,15 @@ class _PartSurface:
     face_points: np.ndarray
 
     def face_area(self, face_number: int) -> float:
-        """Return the area of a face [m^2]."""
+        """Return a face's area [m^2]."""
         return float(self.triangle_areas[self.face_numbers == face_number].sum())
 
     def find_end_face_index(self, axis: int, *, at_top: bool) -> int:
-        """Find the largest face among those with the highest, or lowest, point.
+        """Find the largest face at an end of the part along an axis.
 
-        Returns the face's index in ``face_numbers_largest_first``.
+        ``at_top`` selects faces with the highest point along coordinate ``axis``, 0 to 2, otherwise
+        the lowest, within 0.1 % of the part's length. Returns the face's index in
+        ``face_numbers_largest_first``.
         """
         point_heights = self.face_points[:, axis]
         height_tolerance = 1e-3 * float(np.ptp(self.triangles[..., axis]))
@@ -69,7 +71,10 @@ class _PartSurface:
 
 
 def _measure_surface(part_path: Path, length_unit: str | None) -> _PartSurface:
-    """Measure the faces of a part."""
+    """Read the triangles of a CAD part, and measure all faces.
+
+    ``length_unit`` "mm" holds for files without a unit; None: the file has the unit.
+    """
     arrays_by_name = read_part_triangles_and_owners(str(part_path), length_unit)
     triangles, face_numbers = arrays_by_name["triangles"], arrays_by_name["owners"]
     edge_vectors = triangles[:, 1:] - triangles[:, :1]
@@ -103,7 +108,10 @@ def _measure_surface(part_path: Path, length_unit: str | None) -> _PartSurface:
 
 
 def _propose_crack(part_surface: _PartSurface, axis: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Propose a crack above the clamp, on the largest face along an axis.
+    """Propose a crack on the largest face along the part's longest axis.
+
+    All normals of this face differ by more than 45 degrees from coordinate ``axis``, 0 to 2. The
+    crack is at :data:`CRACK_HEIGHT_FRACTION`, 0.2, of the length above the clamped end.
 
     Returns
     -------
@@ -139,11 +147,14 @@ def _propose_crack(part_surface: _PartSurface, axis: int) -> tuple[np.ndarray, n
 
 
 def propose_scene_and_draw_faces(part_path: Path, scene_path: Path) -> tuple[str, Path]:
-    """Return a part's scene text, and draw the faces.
+    """Write a scene's text for a CAD part, and draw the part's numbered faces.
+
+    The text proposes clamp, load and crack.
 
     Returns
     -------
     scene_text : str
+        TOML text for ``scene_path``, not written yet.
     picture_path : Path
         Picture of the faces, beside the scene.
 
@@ -205,5 +216,5 @@ def propose_scene_and_draw_faces(part_path: Path, scene_path: Path) -> tuple[str
 
 
 def _format_vector(components: np.ndarray | list[float]) -> str:
-    """Write the components of a vector as a list with six digits."""
+    """Write a vector as a TOML list, each component with six digits."""
     return json.dumps([float(f"{round(component, 9):.6g}") + 0.0 for component in components])

@@ -50,7 +50,7 @@ from fenics_crack.sweep.result import SweepResult
 from fenics_crack.time.march import TimeHistory
 
 CRACK_CLOSING_COLOURS_AND_STYLES = (("orange", "--"), ("green", "-."), ("pink", ":"))
-"""Colour and line style of the closing, crack by crack."""
+"""Colour and line style of a crack's closing over time; a fourth crack repeats the first."""
 
 NO_MESH_NOTE = "the structure has no mesh: pictures of a mesh are left out"
 
@@ -58,9 +58,10 @@ NO_MESH_NOTE = "the structure has no mesh: pictures of a mesh are left out"
 def draw_scene_mesh(
     scene: Scene, folder: Path, structure: Structure | None = None, file_format: str = "png"
 ) -> Path:
-    """Draw the mesh of a scene, and return the picture's path.
+    """Draw the mesh of a scene into mesh.png, and return the picture's path.
 
-    Without a structure, the scene is meshed.
+    ``structure`` is the meshed scene; None: mesh the scene. ``file_format`` may also be "pdf" or
+    "svg".
     """
     picture_path = folder / f"mesh.{file_format}"
     structure = structure or prepare(scene, MPI.COMM_SELF, whole=True).structure
@@ -71,7 +72,7 @@ def draw_scene_mesh(
 
 
 def draw_mode_shapes(run: Run[Modes], picture_files: PictureFiles) -> None:
-    """Draw mode shapes, if the structure has a mesh."""
+    """Draw the mode shapes of a result of ``modes``; only a note without a mesh."""
     if run.structure.whole.drawable_nodes is None:
         picture_files.notes.append(NO_MESH_NOTE)
         return
@@ -84,7 +85,10 @@ def draw_mode_shapes(run: Run[Modes], picture_files: PictureFiles) -> None:
 
 
 def draw_solution(run: Run[PeriodicSolution], picture_files: PictureFiles) -> None:
-    """Draw a solution: waveforms, harmonics, orbits and the moving mesh."""
+    """Draw a steady vibration: waveforms, harmonics, phase plane and moving mesh.
+
+    Depending on the scene, also friction loops, a bladed disk and stress intensities.
+    """
     solution, watched_dof = run.result, run.watched_dof
     title = f"{frequency_in_words(run.scene, solution.omega)}, H = {solution.harmonics}"
     if error_text := describe_stated_error(run):
@@ -133,7 +137,10 @@ def draw_solution(run: Run[PeriodicSolution], picture_files: PictureFiles) -> No
 
 
 def _draw_solution_on_mesh(run: Run[PeriodicSolution], picture_files: PictureFiles) -> None:
-    """Draw contact along the crack, and the motion of the mesh."""
+    """Draw contact along the crack over a period, and animate the mesh.
+
+    With ParaView's files requested, also write the frames of a period.
+    """
     from fenics_crack.draw.animation import animate_period  # VTK
 
     solution, material = run.result, run.scene.material
@@ -156,7 +163,7 @@ def _draw_solution_on_mesh(run: Run[PeriodicSolution], picture_files: PictureFil
 
 
 def draw_history(run: Run[TimeHistory], picture_files: PictureFiles) -> None:
-    """Draw a motion in time."""
+    """Draw a motion in time: waveforms, and stress intensities if possible."""
     integration_table = run.scene.integration
     load_omega = run.scene.excitation.omega
     period_omega = None
@@ -178,7 +185,11 @@ def draw_history(run: Run[TimeHistory], picture_files: PictureFiles) -> None:
 
 
 def _draw_stress_intensity(run: Run[Any], picture_files: PictureFiles, file_stem: str) -> None:
-    """Draw stress intensities over the period, if they can be computed."""
+    """Draw stress intensities at crack tips over the period.
+
+    Nothing is drawn if :func:`stress_intensity` refuses the run: matrices, a disk, friction, or too
+    long elements at a tip.
+    """
     with suppress(InputError):  # a tip next to an edge, or no plate
         stress_intensities = stress_intensity(run)
         unit_factor, unit = choose_factor_and_prefixed_unit(
@@ -204,7 +215,8 @@ def _draw_waveforms(
 ) -> None:
     """Draw the first watched displacement and the closings of cracks over time.
 
-    Time is in periods of the frequency ``omega`` [rad/s], or in seconds if that is None.
+    Time is in periods of the frequency ``omega`` [rad/s]; None: in seconds. ``picture_options`` are
+    path and title.
     """
     colours_and_styles = itertools.cycle(CRACK_CLOSING_COLOURS_AND_STYLES)
     time = waveforms.time - waveforms.time[0]
@@ -221,7 +233,10 @@ def _draw_waveforms(
 
 
 def draw_curve_pictures(run: Run[ResponseCurve], picture_files: PictureFiles) -> None:
-    """Draw response, harmonics and multipliers along a curve, and all blades."""
+    """Draw a response curve: response, harmonics and Floquet multipliers.
+
+    A bladed disk also has a picture of all blades.
+    """
     curve, watched_dof, in_hertz = run.result, run.watched_dof, run.scene.is_frequency_in_hertz
     title = f"{run.watched_description}, {curve.method}"
     linear_responses_by_label = _compute_linear_responses(run)
@@ -258,8 +273,8 @@ def draw_curve_pictures(run: Run[ResponseCurve], picture_files: PictureFiles) ->
 def _compute_linear_responses(run: Run[ResponseCurve]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Compute responses without contact: crack open, crack bonded, and no crack.
 
-    The plate without its crack is included if the program meshes it. Responses without vibration
-    are left out. A curve over another parameter than the load frequency has none.
+    "No crack" is included for plates meshed by the program. Responses without vibration are left
+    out. A curve over another parameter than the load frequency gives an empty dict.
 
     Returns
     -------
@@ -301,6 +316,8 @@ def _compute_linear_response(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute a dof's response without contact over a curve's frequencies.
 
+    ``lips`` is the state of the crack: "open", or "tied" (bonded).
+
     Returns
     -------
     omega : (n,) [rad/s]
@@ -329,10 +346,10 @@ def _compute_linear_response(
 def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
     """Draw the quantities of a sweep over one or two axes.
 
-    The horizontal axis is the frequency, else the longest axis. The next longest axis has a line
-    for each of up to 6 values, or a map from 4 values on. Each combination of the other axes has
-    separate pictures; twelve combinations are drawn. Raises InputError as
-    :func:`_select_drawn_axis_indices`.
+    The horizontal axis is the load frequency, else the longest axis. The next longest axis has a
+    line for each of up to 6 values, or a map from 4 values on. Each combination of values on
+    further axes has separate pictures, for the first 12 combinations. Raises InputError if no axis
+    has two numbers, or no case has converged.
     """
     drawn_axis_indices = _select_drawn_axis_indices(sweep_result)
     drawn_axes = [sweep_result.axes[axis_index] for axis_index in drawn_axis_indices]
@@ -343,7 +360,7 @@ def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
     ]
 
     def split_pictures(picture_values: np.ndarray) -> np.ndarray:
-        """Reshape values to (n_pictures, n_x, n_y); n_y is 1 with one axis."""
+        """Reshape values over all axes to (n_pictures, n_x, n_y); n_y is 1 with one axis."""
         axis_lengths = [*(len(axis.values) for axis in drawn_axes), 1][:2]
         return picture_values.transpose(*fixed_axis_indices, *drawn_axis_indices).reshape(
             -1, *axis_lengths
@@ -383,10 +400,10 @@ def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
 
 
 def _select_drawn_axis_indices(sweep_result: SweepResult) -> list[int]:
-    """Return the indices of the one or two axes to be drawn.
+    """Return the indices of the one or two sweep axes to draw.
 
-    A frequency comes first, then the longest axis. Raises InputError if no axis has two or more
-    numbers, or if no case has converged.
+    A load frequency comes first, then the longest axis. Raises InputError if no axis has two or
+    more numbers, or if no case has converged.
     """
     axes = sweep_result.axes
     axis_indices = [
@@ -423,18 +440,25 @@ def draw_swept_quantity(
     file_stem: str,
     fixed_texts: Sequence[str] = (),
 ) -> None:
-    """Draw a quantity over one or two axes: lines, a map, or both.
+    """Draw a sweep's quantity over one or two axes: lines, a map, or both.
+
+    Up to 6 values on the second axis give lines; a map needs 4 or more values on both axes, or more
+    than 6 on the second.
 
     Parameters
     ----------
+    axes : sequence of Axis
+        Horizontal axis, and second axis if there are two.
     values, is_doubtful : (n_x, n_y)
-        Values, and True for a large error or a case that is not stable.
+        Values, and True for a large error or a case that is not stable; n_y is 1 with one axis.
     name_and_unit : (str, str)
         Name and unit of the quantity.
+    picture_files : PictureFiles
+        Record of the pictures.
     file_stem : str
-        Name of the pictures.
+        Name of the pictures without ending.
     fixed_texts : sequence of str
-        Names and values on all other axes.
+        Names and values on all other axes, for the title.
     """
     axis_arrays = [np.array(axis.values, dtype=float) for axis in axes]
     sorting_indices = [np.argsort(axis_array) for axis_array in axis_arrays]
@@ -496,7 +520,7 @@ def draw_swept_quantity(
 
 
 def _scale_axis(axis: Axis, axis_values: np.ndarray) -> tuple[np.ndarray, str]:
-    """Return an axis's values in a readable unit, and the label."""
+    """Scale an axis's values to a readable unit, mm for m; return values and label."""
     unit, unit_factor = unit_of_key(axis.key), 1.0
     if unit and unit not in UNITS_WITHOUT_PREFIX:
         unit_factor, unit = choose_factor_and_prefixed_unit(float(np.abs(axis_values).max()), unit)
@@ -504,7 +528,7 @@ def _scale_axis(axis: Axis, axis_values: np.ndarray) -> tuple[np.ndarray, str]:
 
 
 def draw_crack_growth(growth: Growth, picture_files: PictureFiles) -> None:
-    """Draw the growth of a crack in the scene's units."""
+    """Draw crack length over load cycles, with frequencies in the scene's unit."""
     caption = "Crack length over the load cycles; dots: lengths at which the vibration was solved."
     plot_study.draw_growth(
         growth, path=picture_files("growth", caption), in_hertz=growth.scene.is_frequency_in_hertz
@@ -512,7 +536,10 @@ def draw_crack_growth(growth: Growth, picture_files: PictureFiles) -> None:
 
 
 def draw_campbell_diagram(campbell: Campbell, picture_files: PictureFiles) -> None:
-    """Draw a Campbell diagram in the scene's units."""
+    """Draw a Campbell diagram in the scene's units, with engine orders.
+
+    Orders run from 1 to :data:`MAX_REPORTED_ORDER`, with the load's order in addition.
+    """
     scene = campbell.scene
     engine_orders = sorted({*range(1, MAX_REPORTED_ORDER + 1), scene.excitation.order or 1})
     caption = "Natural frequencies over the speed; grey: engine orders; circles: where both meet."
@@ -526,7 +553,11 @@ def draw_campbell_diagram(campbell: Campbell, picture_files: PictureFiles) -> No
 
 
 def draw_tip_timing(tip_timing: Timing, picture_files: PictureFiles) -> None:
-    """Draw each blade's passages or track, or the largest blade's fit."""
+    """Draw the fits of tip timing.
+
+    A run-up has a picture for each blade: resonances passed, or amplitudes over the frequency. At
+    constant speed, draw the fit of the blade with the largest amplitude.
+    """
     caption = "Displacements at the probes over the speed; resonances with their engine orders."
     for blade_index, (blade_number, arrivals) in enumerate(tip_timing.arrivals.items()):
         blade_fit = tip_timing.fits[blade_number]
@@ -556,7 +587,7 @@ def draw_tip_timing(tip_timing: Timing, picture_files: PictureFiles) -> None:
 def copy_posterior_picture(
     identification: IdentificationOutput, picture_files: PictureFiles
 ) -> None:
-    """Copy the posterior's picture that ``identify`` has drawn.
+    """Copy the picture of the posterior drawn by the command ``identify``.
 
     Raises
     ------

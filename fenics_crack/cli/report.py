@@ -50,12 +50,16 @@ LISTED_SCENE_TABLE_NAMES = (
     "geometry", "structure", "material", "damping", "crack", "cracks", "contact", "rotation",
     "excitation", "loads", "base", "growth",
 )  # fmt: skip
-"""Scene tables with keys listed above the scene's text."""
+"""Scene tables with values listed on the report page, in this order."""
 DATE_FORMAT = "%d %B %Y, %H:%M %Z"
 
 
 def plot_results(arguments: Namespace, _: None, console: Console) -> None:
-    """Draw results, curves in one picture, or a scene's mesh, on rank 0."""
+    """Run the command ``plot``: draw results, a picture of several curves, or a mesh.
+
+    Several files, or a ``--label``, give a single picture of curves; a folder gives the pictures of
+    all results inside. Rank 0 draws.
+    """
     first_result_path, curve_labels = arguments.results[0], arguments.label
     is_scene_file = first_result_path.suffix.lower() == ".toml"
     picture_folder = arguments.output or (
@@ -98,7 +102,10 @@ def plot_results(arguments: Namespace, _: None, console: Console) -> None:
 
 
 def write_report_page(arguments: Namespace, _: None, console: Console) -> None:
-    """Write an HTML page on results, on rank 0."""
+    """Run the command ``report``: write an HTML page about results.
+
+    Rank 0 writes the page, by default report.html beside the first result.
+    """
     first_result_path = arguments.results[0]
     page_path = (
         arguments.output
@@ -118,15 +125,16 @@ def write_report_page(arguments: Namespace, _: None, console: Console) -> None:
 
 
 def _read_result_files_and_note(result_paths: Sequence[Path]) -> tuple[list[StoredFile], str]:
-    """Read result files, also from folders, without parts of other results.
+    """Read result files, and all .h5 files of result folders.
+
+    Two kinds of files are left out unless nothing else is left: sweeps made as a part of another
+    computation, and structures stored for later commands.
 
     Returns
     -------
     result_files : list of StoredFile
-        Parts stay if all files are parts. Structures kept by commands stay without any other
-        file.
     exclusion_note : str
-        File names left out; empty without any.
+        Names of the sweeps left out, to print; empty without any.
 
     Raises
     ------
@@ -168,9 +176,9 @@ def _draw_curves(
     picture_folder: Path,
     picture_format: str,
 ) -> Path:
-    """Draw responses from several curves into one picture; return the path.
+    """Draw several response curves into a common picture, and return the picture's path.
 
-    Without ``given_labels``, curves are labelled by differences between scenes. If two labels are
+    Without ``given_labels``, differences between the scenes label the curves. If two labels are
     equal, file names are added.
 
     Raises
@@ -234,12 +242,12 @@ def _draw_curves(
 def _write_page(
     stored_files: Sequence[StoredFile], page_path: Path, command_words: Sequence[str]
 ) -> None:
-    """Write the page on results.
+    """Write the HTML page about results.
 
     Parameters
     ----------
     stored_files : sequence of StoredFile
-        Results with scenes, which the page sorts by :data:`RESULT_KIND_BY_NAME`.
+        Results in any order; the page has the order of :data:`RESULT_KIND_BY_NAME`, each file once.
     page_path : Path
         The .html file.
     command_words : sequence of str
@@ -248,7 +256,7 @@ def _write_page(
     Raises
     ------
     InputError
-        A file is no result with a scene, or the page cannot be written.
+        A file is no result of a command, or the page cannot be written.
     """
     if page_path.suffix.lower() not in (".html", ".htm"):
         raise InputError("--output", str(page_path), "a file name that ends in .html")
@@ -311,7 +319,12 @@ def _write_page(
 def _build_result_fields(
     stored_file: StoredFile, result: Any, picture_folder: Path
 ) -> dict[str, Any]:
-    """Draw a result, and return template fields about the result."""
+    """Draw a result into a folder, and return the page's part about this result.
+
+    Keys are variables of the template report.html: heading, sentences, pictures as data URLs,
+    tables. "box" is the colour of the result: "bad" if not converged, "doubtful" with warnings or
+    above the tolerance, else "good".
+    """
     report, picture_files = build_report(result), PictureFiles(picture_folder)
     try:
         draw_result(result, picture_files)
@@ -359,7 +372,11 @@ def _capitalize_sentence(sentence: str) -> str:
 
 
 def _build_scene_fields(result: Any, picture_folder: Path) -> dict[str, Any]:
-    """Return template fields about a scene: values, mesh and text."""
+    """Return the page's part about the scene of a result.
+
+    Keys are variables of the template report.html: "mesh", a picture or None without a mesh;
+    "scene", a table of values; "toml", the scene's text.
+    """
     scene, mesh_picture = result.scene, None
     if scene.geometry is not None:
         structure = result.structure.whole if isinstance(result, Run) else None
@@ -387,14 +404,14 @@ def _build_scene_fields(result: Any, picture_folder: Path) -> dict[str, Any]:
 
 
 def _format_value(key: str, value: object) -> str:
-    """Return a scene's value in words; a vector has all components."""
+    """Return a scene key's value in words with unit; a vector keeps all components."""
     if isinstance(value, list):
         return f"{value} {unit_of_key(key)}".rstrip()
     return value_in_words(key, value)
 
 
 def _tabulate_versions(stored_files: Sequence[StoredFile]) -> Table:
-    """Tabulate program versions behind each result and the page."""
+    """Tabulate the versions of program and libraries behind each file and the page."""
     version_rows = []
     for stored_file in stored_files:
         file_versions_text = (
@@ -410,6 +427,6 @@ def _tabulate_versions(stored_files: Sequence[StoredFile]) -> Table:
 
 
 def _encode_picture(picture_path: Path, caption: str) -> dict[str, str]:
-    """Return the data URL and the caption of a picture."""
+    """Return a picture for the page: caption "words", and "data", the file as data URL."""
     base64_text = base64.b64encode(read_regular_file(picture_path, None)).decode("ascii")
     return {"words": caption, "data": f"data:image/{picture_path.suffix[1:]};base64,{base64_text}"}

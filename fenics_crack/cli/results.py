@@ -63,15 +63,15 @@ from fenics_crack.study.plausibility import highest_harmonic_omega
 from fenics_crack.time.march import TimeHistory
 
 ERROR_COLUMN_HEADING = "error [%]"
-"""Heading for stated errors of numbers, in percent."""
+"""Heading of the table column with stated errors."""
 ERROR_NAMES_NAN_IF_UNKNOWN = ("total_error", "displacement_error")
-"""Names of errors that are nan if the error is unknown."""
+"""Names of error quantities set to nan if the error report is unknown."""
 QuantityRow = tuple[str, str, object, str]
-"""Name, description, value and unit of a quantity."""
+"""Row of a table of quantities: name, description, value and unit."""
 
 
 def report_of_modes(run: Run[Modes]) -> Report:
-    """Report natural frequencies with the crack open."""
+    """Build the report of natural frequencies with the crack open, with mesh errors if known."""
     table = run.result.table()
     frequency_names = [
         natural_frequency_name(run.scene, "open", mode_number)
@@ -87,13 +87,16 @@ def report_of_modes(run: Run[Modes]) -> Report:
 
 
 def _make_report(run: Run[Any], table: Table, **report_fields: Any) -> Report:
-    """Build a run's report, with notes common to all runs (collective).
+    """Build a run's report, with notes common to all kinds of runs (collective).
 
-    Notes describe friction along lines, watched nodes away from their points, and incomplete
-    errors. In a table of quantities, the conclusion becomes the last row.
+    Notes describe friction along lines, watched nodes away from the output points, and quantities
+    with an incomplete error. In a table of quantities, the closing sentence becomes the last row.
 
     Parameters
     ----------
+    run : Run
+    table : Table
+        Table for files; the first column "name" marks a table of quantities.
     report_fields
         Further fields of the :class:`Report`.
     """
@@ -124,7 +127,10 @@ def _make_report(run: Run[Any], table: Table, **report_fields: Any) -> Report:
 
 
 def _list_node_distance_notes(run: Run[Any]) -> list[str]:
-    """Note how far watched nodes are from their points; empty without a distance."""
+    """Note how far watched nodes are from the output points of the scene.
+
+    Returns a list with a single note; empty if all points are nodes.
+    """
     distance_by_point = {
         watched_displacement.name.partition(".")[0]: watched_displacement.distance
         for watched_displacement in run.watched
@@ -151,7 +157,7 @@ def _list_node_distance_notes(run: Run[Any]) -> list[str]:
 
 
 def report_of_solution(run: Run[PeriodicSolution]) -> Report:
-    """Report a solution with error and stability (collective)."""
+    """Build the report of a steady vibration, with errors and stability (collective)."""
     solution, scene = run.result, run.scene
     table = _tabulate_quantities(
         run, solution.omega, solution.to_dict() | _collect_doubts_by_name(run)
@@ -223,7 +229,7 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
 def _blade_tables_by_heading(run: Run[Any], heading: str) -> dict[str, Table]:
     """Tabulate the vibration of each blade of a bladed disk (collective).
 
-    The table stands under ``heading``; without a disk the result is empty.
+    The table stands under ``heading``; without a disk the dict is empty.
     """
     if run.scene.disk is None:
         return {}
@@ -235,7 +241,8 @@ def _blade_tables_by_heading(run: Run[Any], heading: str) -> dict[str, Table]:
 def _front_tables_by_heading(run: Run[Any]) -> dict[str, Table]:
     """Tabulate stress intensities along the crack fronts of a solid (collective).
 
-    The result is empty in two dimensions, or if the scene requests none.
+    The result is a table by heading; empty in two dimensions, or if the scene requests no stress
+    intensities at tips.
     """
     requested_places = [
         OBSERVABLES_BY_NAME[name].place for name in list_requested_extra_quantities(run.scene)
@@ -259,10 +266,11 @@ def _front_tables_by_heading(run: Run[Any]) -> dict[str, Table]:
 
 
 def _collect_doubts_by_name(run: Run[PeriodicSolution]) -> dict[str, object]:
-    """Collect numbers and texts that cast doubt on a solution.
+    """Collect reasons to doubt a solution, by quantity name.
 
-    Keys are names in :data:`DESCRIPTION_UNIT_AND_LEVEL_BY_NAME`. Empty texts, zeros and nan are
-    left out. If the error is unknown, :data:`ERROR_NAMES_NAN_IF_UNKNOWN` are nan.
+    Names are "unknown_error", the reason; "remarks" on the scene; "from_rest" and "rest_amplitude"
+    of the motion from rest. Empty texts, zeros and nan are left out. If the error is unknown,
+    "total_error" and "displacement_error" are nan.
     """
     stability = run.result.stability
     doubts_by_name: dict[str, object] = {"unknown_error": explain_unknown_solution_error(run)}
@@ -281,7 +289,11 @@ def _collect_doubts_by_name(run: Run[PeriodicSolution]) -> dict[str, object]:
 
 
 def _quantity_text_tables_by_heading(run: Run[Any], table: Table) -> dict[str, Table]:
-    """Tabulate all numbers as text, after the numbers requested by the scene."""
+    """Tabulate quantities as text for the report page.
+
+    "Requested by the scene" has the quantities in ``output.quantities``, left out without any; "In
+    numbers" has all.
+    """
     requested_names = run.scene.quantities or ()
     requested_rows = [
         row for row in table.rows if str(row[0]).rpartition(".")[2] in requested_names
@@ -297,9 +309,10 @@ def _quantity_text_tables_by_heading(run: Run[Any], table: Table) -> dict[str, T
 
 
 def _describe_departing_motions(solution: PeriodicSolution, watched_dof: int) -> str:
-    """Describe the size of motions that leave an unstable or irregular solution (collective).
+    """Describe the motions reached from an unstable or irregular solution (collective).
 
-    The text is empty if no motion was found.
+    The text has the half peak-to-peak displacement at ``watched_dof``, for periodic motions and for
+    motions still varying. The text is empty if no motion was found.
     """
     departing_motions: list[tuple[bool, int, np.ndarray]] = []
     with suppress(ConvergenceError, InputError):
@@ -330,7 +343,10 @@ def _describe_departing_motions(solution: PeriodicSolution, watched_dof: int) ->
 
 
 def _describe_range(amplitudes: np.ndarray) -> str:
-    """Describe a range of amplitudes [m]: "between 1.2 mm and 1.5 mm"."""
+    """Describe a range of amplitudes [m]: "between 1.2 mm and 1.5 mm".
+
+    Equal ends give a single value.
+    """
     end_texts = dict.fromkeys(
         format_quantity(amplitude, "m") for amplitude in (amplitudes.min(), amplitudes.max())
     )
@@ -341,7 +357,10 @@ def _describe_range(amplitudes: np.ndarray) -> str:
 
 
 def report_of_history(run: Run[TimeHistory]) -> Report:
-    """Report a motion in time, and whether it has settled (collective)."""
+    """Build the report of a motion in time, and warn if not settled (collective).
+
+    A settled motion changes over the last period by at most ``integration.settle``.
+    """
     history, scene = run.result, run.scene
     table = _tabulate_quantities(
         run, scene.excitation.omega, vars(history) | {"distance": history.distance}
@@ -372,7 +391,11 @@ def report_of_history(run: Run[TimeHistory]) -> Report:
 
 
 def _describe_longer_period(history: TimeHistory) -> str:
-    """Describe why a motion has not settled, such as a longer period."""
+    """Describe why a motion has not settled: a longer period, or too few periods.
+
+    The period is n load periods if the motion's change over n periods is below a tenth of the
+    change over a single period.
+    """
     for n_periods in range(2, len(history.by_period(history.time))):
         if (relative_change := history.change(n_periods)) < 0.1 * history.settled:
             return (
@@ -388,12 +411,25 @@ def _describe_longer_period(history: TimeHistory) -> str:
 def _tabulate_quantities(
     run: Run[Any], omega: float, values_by_name: Mapping[str, object]
 ) -> Table:
-    """Tabulate the numbers of a vibration or motion (collective).
+    """Tabulate the quantities of a vibration or a motion in time (collective).
 
-    They are the load frequency ``omega`` [rad/s], indicators of the watched dofs and the crack
-    faces, natural frequencies near the load's (vibration only), and the ``values_by_name`` that
-    :data:`DESCRIPTION_UNIT_AND_LEVEL_BY_NAME` has. Without contact pairs, errors and shares are
-    left out.
+    Rows are the load frequency ``omega`` [rad/s], indicators of watched dofs and crack faces, and
+    quantities of the computation. A vibration with contact pairs also has natural frequencies near
+    the load's. Without contact pairs, errors and shares are left out.
+
+    Parameters
+    ----------
+    run : Run
+    omega : float [rad/s]
+        Load frequency.
+    values_by_name : mapping of str to object
+        Quantities of the computation; names not in :data:`DESCRIPTION_UNIT_AND_LEVEL_BY_NAME` are
+        ignored.
+
+    Returns
+    -------
+    Table
+        Columns name, quantity, value and unit; with stated errors also error [%] and main cause.
     """
     quantity_rows: list[QuantityRow] = [
         (name, name, value, UNIT_BY_NAME[name])
@@ -434,16 +470,16 @@ def _tabulate_quantities(
 
 
 def _find_error_and_cause(run: Run[Any], quantity_name: str) -> tuple[float, str]:
-    """Return the stated error of a number, and its main cause.
+    """Return a quantity's stated error, and the main cause.
 
     A natural frequency has the error of the mode nearest to the load.
 
     Returns
     -------
     error_percent : float [%]
-        nan if unknown.
+        At least 0.001; nan if the error is unknown, or as large as the value.
     cause_text : str
-        Main cause, and the causes not included.
+        Main cause, and causes not included; empty if the error is unknown and no cause is missing.
     """
     assert run.stated is not None
     frequency_kind = quantity_name.rpartition("_")[2]
@@ -467,7 +503,12 @@ def _find_error_and_cause(run: Run[Any], quantity_name: str) -> tuple[float, str
 def _yield_natural_frequencies(
     frequencies_by_name: Mapping[str, np.ndarray],
 ) -> Iterator[tuple[str, str, str, np.ndarray]]:
-    """Yield natural frequencies, in rad/s and Hz, and frequency ratios.
+    """Yield natural frequencies, and load frequency over natural frequency, with units.
+
+    Parameters
+    ----------
+    frequencies_by_name : dict of str to ndarray
+        Result of :meth:`BilinearFrequencies.nearest`, in rad/s.
 
     Yields
     ------
@@ -492,7 +533,7 @@ def _yield_natural_frequencies(
 
 
 class Waveforms(NamedTuple):
-    """Hold a solution's period, or a motion's record in time.
+    """Hold displacements, gaps and contact forces at n times.
 
     Attributes
     ----------
@@ -500,7 +541,7 @@ class Waveforms(NamedTuple):
     displacement : (n, n_watched) [m]
         Watched displacements.
     closings_by_place : dict of str to (n,) [m]
-        Gaps at watched pairs, by description of the pair.
+        Gaps at watched pairs, positive if closed, by description of the pair.
     contact_force : (n, n_pairs) [N]
     """
 
@@ -511,9 +552,10 @@ class Waveforms(NamedTuple):
 
 
 def sample_waveforms(run: Run[Any]) -> Waveforms:
-    """Return displacements, closings and forces over time.
+    """Sample displacements, gaps and contact forces over time.
 
-    A solution is sampled over one period; a motion in time is recorded already.
+    A periodic solution is sampled at 401 instants of a period, a motion in time at the recorded
+    instants.
     """
     motion, structure = run.result, run.structure.whole
     watched_dofs = [watched_displacement.dof for watched_displacement in run.watched]
@@ -532,7 +574,10 @@ def sample_waveforms(run: Run[Any]) -> Waveforms:
 
 
 def _tabulate_waveforms(run: Run, waveforms: Waveforms) -> Table:
-    """Tabulate watched displacements, crack closings and the sum of contact forces over time."""
+    """Tabulate watched displacements, crack closings and total contact force over time.
+
+    Without contact pairs the table has displacements alone.
+    """
     headings = [
         "time [s]",
         *(f"{watched_displacement.words} [m]" for watched_displacement in run.watched),
@@ -553,7 +598,10 @@ def _tabulate_waveforms(run: Run, waveforms: Waveforms) -> Table:
 
 
 def report_of_curve(run: Run[ResponseCurve]) -> Report:
-    """Report a curve, its special points, errors and stability (collective)."""
+    """Build the report of a response curve (collective).
+
+    The report has the curve's special points, errors and stability, and a .csv table of all points.
+    """
     curve, scene = run.result, run.scene
     indicator_columns_by_heading = _indicator_columns_by_heading(run, curve)
     special_point_table = tabulate_special_points(run, indicator_columns_by_heading)
@@ -620,10 +668,10 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
 
 
 def _describe_unstable_peak(run: Run[ResponseCurve]) -> str:
-    """State that the largest response is unstable or irregular (collective).
+    """State that the curve's largest response is unstable or irregular (collective).
 
-    The text adds the motion that a test would show instead. Without instability, or if the curve
-    ended early at this point, the text is empty.
+    The text adds the motion seen in a test instead. The text is empty for any other verdict,
+    without stability, or if the curve ended early at this point.
     """
     curve = run.result
     peak_index = int(np.argmax(curve.amplitude(run.watched_dof)))
@@ -636,12 +684,15 @@ def _describe_unstable_peak(run: Run[ResponseCurve]) -> str:
 
 
 def _is_before_early_end(curve: ResponseCurve, point_index: int) -> bool:
-    """Return False if the curve ended early at the largest response."""
+    """Return False for the last point of a curve that ended early.
+
+    At this point the response may still rise.
+    """
     return bool(curve.complete) or point_index < len(curve) - 1
 
 
 def _format_parameters(run: Run[ResponseCurve], *parameter_values: float) -> str:
-    """Return parameter values with unit: "50.1 and 50.3 Hz"."""
+    """Return values of the curve's parameter with unit: "50.1 and 50.3 Hz"."""
     return format_in_unit(
         axis_factor_name_and_unit(run.result.parameter, run.scene.is_frequency_in_hertz),
         *parameter_values,
@@ -649,7 +700,11 @@ def _format_parameters(run: Run[ResponseCurve], *parameter_values: float) -> str
 
 
 def _yield_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
-    """Yield warnings about large errors, undecided stability and an early end."""
+    """Yield warnings about large errors, undecided stability and an early end.
+
+    The largest response and eight points along the curve are checked for errors above 5 %. A curve
+    interrupted by Ctrl-C gives a warning about this alone.
+    """
     curve, scene = run.result, run.scene
     if (
         curve.status == INTERRUPTED_CURVE_STATUS
@@ -706,9 +761,9 @@ def _yield_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
 
 
 def _find_undecided_ranges(curve: ResponseCurve) -> list[tuple[int, int]]:
-    """Find ranges of points with undecided stability.
+    """Find ranges of successive curve points with undecided stability.
 
-    Returns pairs (first index, last index), longest range first.
+    Returns pairs (first index, last index), longest range first; empty without stability.
     """
     if curve.undecided is None:
         return []
@@ -727,13 +782,13 @@ def _find_undecided_ranges(curve: ResponseCurve) -> list[tuple[int, int]]:
 
 
 ColumnsByHeading = dict[str, np.ndarray]
-"""Columns by heading, with a value for each point of a curve."""
+"""Columns (n_points,) by heading with unit, "tip.ux.amplitude [m]"."""
 
 
 def tabulate_curve_points(
     run: Run[ResponseCurve], columns_by_heading: ColumnsByHeading | None = None
 ) -> Table:
-    """Tabulate every point of a curve with indicators.
+    """Tabulate all points of a curve: parameter, harmonics, verdicts and indicators.
 
     ``columns_by_heading`` are the indicators, if known already.
     """
@@ -755,9 +810,9 @@ def tabulate_curve_points(
 def tabulate_special_points(
     run: Run[ResponseCurve], columns_by_heading: ColumnsByHeading | None = None
 ) -> Table:
-    """Tabulate ends, largest response, bifurcations and changes of stability.
+    """Tabulate a curve's ends, largest response, bifurcations and changes of stability.
 
-    The largest response is that of the first watched dof. A curve over the load frequency has
+    The response is the amplitude of the first watched dof. A curve over the load frequency has
     columns in rad/s and in Hz; a run-up also has the speed, in rad/s and rpm.
     ``columns_by_heading`` are the indicators at all points, if known already.
     """
@@ -798,10 +853,11 @@ def tabulate_special_points(
 def _interpolate_peak_columns(
     run: Run[ResponseCurve], peak: LargestResponse, columns_by_heading: ColumnsByHeading
 ) -> ColumnsByHeading:
-    """Return a row of columns at the first watched dof's largest response.
+    """Return columns (1,) at the largest response of the first watched dof.
 
-    The parameter and the ratios to natural frequencies are linear between neighbouring points. The
-    amplitude is the peak's; all other columns have values from the nearest point.
+    ``columns_by_heading`` are (n_points,). The parameter and the ratios to natural frequencies are
+    linear between neighbouring points. The amplitude is the peak's; all other columns have the
+    value of the nearest point.
     """
     neighbour_slice = slice(max(peak.index - 1, 0), peak.index + 2)
     parameter_sorting = np.argsort(run.result.values[neighbour_slice])
@@ -819,7 +875,10 @@ def _interpolate_peak_columns(
 
 
 def _parameter_columns_by_heading(curve: ResponseCurve) -> dict[str, np.ndarray]:
-    """Return the columns of a curve's parameter; frequencies and speeds in both units."""
+    """Return columns (n_points,) with the parameter of a curve.
+
+    Frequencies are in rad/s and Hz, speeds in rad/s and rpm.
+    """
     columns_by_heading: dict[str, np.ndarray] = {}
     columns_by_name: dict[str, Any] = {"omega": curve.omega}
     if curve.parameter in ("omega", "speed"):
@@ -835,7 +894,7 @@ def _parameter_columns_by_heading(curve: ResponseCurve) -> dict[str, np.ndarray]
 
 
 def shorten_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, int]:
-    """Shorten the table of special points to few rows.
+    """Shorten the table of a curve's special points to at most 8 rows.
 
     Ends and the largest response stay. Bifurcations are kept before changes of stability, larger
     responses before smaller ones. If all points are undecided, no change of stability is kept.
@@ -870,9 +929,11 @@ def shorten_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table
 def _indicator_columns_by_heading(
     run: Run[ResponseCurve], curve: ResponseCurve
 ) -> ColumnsByHeading:
-    """Return columns with indicators, and natural frequencies near the load's.
+    """Return columns (n_points,) with indicators of motion and contact, by heading with unit.
 
-    ``curve`` is the run's curve, or a part with fewer points. Headings have units.
+    Indicators are amplitudes, harmonic ratios, opening and further quantities. Natural frequencies
+    of the mode nearest to the load follow. ``curve`` is the run's curve, or a part with fewer
+    points.
     """
     columns_by_heading = {
         heading_with_unit(observation.column_name, observation.unit): observation.value
@@ -891,8 +952,8 @@ def _solve_natural_frequencies(
     """Compute natural frequencies, in a run-up at the speed of each load frequency.
 
     A run-up's load frequencies ``load_omega`` (...) [rad/s] are proportional to the speeds W.
-    Squared natural frequencies, (..., n_modes), are interpolated linearly in W^2 between nine
-    speeds.
+    Squared natural frequencies, (..., n_modes), are interpolated linearly in W^2 between at most
+    nine speeds. Without a run-up, the frequencies are (n_modes,).
     """
     structure, curve = run.structure, run.result
     if not isinstance(structure, RunUpStructure):

@@ -51,7 +51,11 @@ from fenics_crack.study.solve import candidate_mode_counts
 
 
 def compute_and_print_key_figures(_: Namespace, inputs: CommandInputs, console: Console) -> None:
-    """Mesh and assemble a scene; print key figures, natural frequencies and remarks."""
+    """Run the command ``check``: mesh a scene, and print key figures.
+
+    Key figures are sizes, natural frequencies, the resonance at the load, contact, and memory;
+    remarks follow. Raises InputError if the memory does not suffice.
+    """
     scene = inputs.scene
     with console.report_stage("mesh and matrices"):
         study = prepare(scene, console.comm, whole=True)
@@ -124,9 +128,10 @@ def compute_and_print_key_figures(_: Namespace, inputs: CommandInputs, console: 
 
 
 def make_missing_curve_error(scene: Scene, console: Console) -> InputError:
-    """Return the error of a scene without the table [curve] (collective).
+    """Make the error of a scene without the table [curve] (collective).
 
-    The error's example is a curve through the resonance nearest to the load, if it is found.
+    The error's example is a proposed curve through the resonance nearest to the load; empty if no
+    curve can be proposed.
     """
     error = missing_table_error("curve", ", which this command, as a table [curve]")
     error.example = ""
@@ -138,7 +143,7 @@ def make_missing_curve_error(scene: Scene, console: Console) -> InputError:
 
 
 def _extents_by_label(key_figures: KeyFigures) -> dict[str, object]:
-    """Return the lengths of the mesh's sides as one text, by label."""
+    """Return the mesh's side lengths [m] in a text, by label: "width x height [m]"."""
     side_names = ("width", "height", "thickness")[: len(key_figures.mesh_extents)]
     return {
         " x ".join(side_names) + " [m]": " x ".join(
@@ -148,7 +153,10 @@ def _extents_by_label(key_figures: KeyFigures) -> dict[str, object]:
 
 
 def _cad_part_texts_by_label(scene: Scene, structure: Structure) -> dict[str, str]:
-    """Return texts on a CAD part's faces and crack fronts by label, else none."""
+    """Return texts about a CAD part's faces and crack fronts, by label.
+
+    Empty for scenes without a CAD part.
+    """
     if scene.geometry is None or scene.geometry.file is None:
         return {}
     from fenics_crack.fem.solid import part_text_by_name  # DOLFINx
@@ -157,7 +165,11 @@ def _cad_part_texts_by_label(scene: Scene, structure: Structure) -> dict[str, st
 
 
 def _frequencies_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
-    """Return natural frequencies and the load's relative frequency by label."""
+    """Return natural frequencies and the load's frequency by printed label.
+
+    Frequencies are in Hz and rad/s; the load's also over the first natural frequency, with the
+    crack open and bonded.
+    """
     faces_text = word_for_crack_faces(scene)
     frequencies_by_condition = {
         f", {faces_text} open": key_figures.omega_open,
@@ -199,7 +211,10 @@ def _frequencies_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str, ob
 
 
 def _mesh_error_texts_by_label(mesh_errors: Verification) -> dict[str, str]:
-    """Return frequency errors due to the mesh by label; none for matrices."""
+    """Return the errors of frequencies due to the mesh as texts, by label.
+
+    Empty for matrices; a text with the reason if the errors are unknown.
+    """
     if mesh_errors.scene.structure is not None:
         return {}
     if mesh_errors.unknown:
@@ -220,7 +235,10 @@ def _mesh_error_texts_by_label(mesh_errors: Verification) -> dict[str, str]:
 
 
 def _resonance_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
-    """Return the resonance at the load by label, or why it is unknown."""
+    """Return the resonance at the load by printed label, or the reason if unknown.
+
+    Under an engine order the resonance is a rotor speed. Without crack faces, the dict is empty.
+    """
     load_resonance, engine_order = key_figures.load_resonance, scene.excitation.order
     if key_figures.n_face_elements is None:
         return {}
@@ -251,7 +269,10 @@ def _resonance_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[st
 
 
 def _rotation_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
-    """Return rotor speed and the crack's opening by rotation, by label."""
+    """Return the rotor speed, and the crack opening by rotation, by label.
+
+    Without rotation, the dict is empty.
+    """
     if scene.speed == 0.0:
         return {}
     values_by_label: dict[str, object] = {
@@ -266,7 +287,11 @@ def _rotation_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str
 
 
 def _crack_and_contact_values_by_label(study: Study, key_figures: KeyFigures) -> dict[str, object]:
-    """Return crack lengths, contact pairs, contact law and static stiffness by label."""
+    """Return crack lengths, contact law and static stiffness by printed label.
+
+    Stiffnesses are [N/m] for each contact pair, lengths and openings [m]. Without contact, lengths
+    and the number of pairs alone.
+    """
     cracks_by_name = study.scene.crack_by_name
     contact_law = study.contact
     contact_table = study.scene.contact
@@ -304,7 +329,7 @@ def _crack_and_contact_values_by_label(study: Study, key_figures: KeyFigures) ->
 
 
 def format_harmonic_count(scene: Scene) -> int | str:
-    """Return the number of harmonics H, or the lowest H in words."""
+    """Return the number of harmonics; with a tolerance, "20 or more, until ..."."""
     balance_table = scene.harmonic_balance
     if balance_table.tolerance is None:
         return balance_table.harmonics
@@ -314,7 +339,7 @@ def format_harmonic_count(scene: Scene) -> int | str:
 
 
 def _describe_reduction(study: Study) -> str:
-    """Describe the reduction of a structure in words."""
+    """Describe the reduction of a study in words: method and modes, or "none"."""
     scene = study.scene
     scene_reduction = modal_reduction_or_none(scene, study.structure)
     mode_counts = candidate_mode_counts(study)
@@ -330,7 +355,10 @@ def _describe_reduction(study: Study) -> str:
 
 
 def _describe_invalid_cases(scene: Scene) -> str:
-    """Return the count of invalid cases in a sweep, and a reason."""
+    """Return how many cases of a sweep are refused, and the reason for the first.
+
+    Only the first 10,000 cases are checked, without a mesh.
+    """
     from fenics_crack.sweep.plan import Plan  # gmsh
 
     sweep_plan = Plan(scene)
@@ -354,10 +382,10 @@ def _describe_invalid_cases(scene: Scene) -> str:
 
 
 def describe_undamped_harmonics(structure: Structure, highest_omega: float) -> str:
-    """Remark that no damping acts on harmonics below a frequency [rad/s] (collective).
+    """Remark that harmonics lie above all damped modes (collective).
 
-    The text is empty if all harmonics are damped, or without contact: only contact excites
-    harmonics.
+    ``highest_omega`` [rad/s] is the frequency of the highest harmonic. The text is empty if modes
+    up to this frequency are damped, or without contact: only contact excites harmonics.
     """
     damped_modes_and_highest_omega = (
         damped_count_and_max_omega(structure) if structure.n_pairs else None
@@ -379,10 +407,10 @@ def describe_undamped_harmonics(structure: Structure, highest_omega: float) -> s
 def _describe_undamped_after_reduction(
     scene: Scene, structure: Structure, highest_omega: float
 ) -> str:
-    """Remark on harmonics without damping, given the scene's reduction (collective).
+    """Remark that harmonics lie above all damped modes, after the scene's reduction (collective).
 
-    A massless reduction damps all further modes by the last ratio of the scene: if this is above
-    zero, the text is empty. Otherwise see :func:`describe_undamped_harmonics`.
+    A massless reduction damps all further modes by the last damping ratio of the scene: if this is
+    above zero, the text is empty. Otherwise see :func:`describe_undamped_harmonics`.
     """
     scene_reduction = modal_reduction_or_none(scene, structure)
     damping_ratio = None if scene.damping is None else scene.damping.ratio

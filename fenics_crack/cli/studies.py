@@ -32,7 +32,7 @@ ROTOR_SPEED_KEYS = ("rotation.speed", "rotation.rpm")
 
 
 def report_of_verification(verification: Verification) -> Report:
-    """Report a convergence study."""
+    """Build the report of a convergence study: errors by cause, notes and warnings."""
     return Report(
         verification.table(),
         verification.build_conclusion(),
@@ -46,7 +46,7 @@ def report_of_verification(verification: Verification) -> Report:
 
 
 def report_of_sweep(sweep_result: SweepResult) -> Report:
-    """Report the cases of a sweep."""
+    """Build the report of a sweep: table of cases, failed cases and warnings."""
     short_table, selection_text = shorten_sweep_table(sweep_result)
     counts_by_state = {
         "converged": int(sweep_result.converged.sum()),
@@ -86,7 +86,7 @@ def report_of_sweep(sweep_result: SweepResult) -> Report:
 
 
 def yield_sweep_warnings(sweep_result: SweepResult) -> Iterator[str]:
-    """Yield warnings about failed cases, large errors and stability."""
+    """Yield warnings about failed cases, large errors, doubtful stability and an early stop."""
     yield from iterate_texts_by_reason(
         sweep_result, sweep_result.failed_indices_and_reasons, "failed"
     )
@@ -115,10 +115,11 @@ def yield_sweep_warnings(sweep_result: SweepResult) -> Iterator[str]:
 
 
 def _yield_large_error_warnings(sweep_result: SweepResult) -> Iterator[str]:
-    """Yield warnings about cases with a large error, or above the scene's tolerance.
+    """Yield warnings about cases with a large estimated error.
 
-    Cases with the same largest part of the error share a warning. It describes the case with the
-    largest error by :func:`yield_large_error_warning`.
+    An error is large above 5 % (:data:`LARGE_ERROR`), or above a lower
+    ``harmonic_balance.tolerance``. Cases are grouped by the largest part of the error: harmonics,
+    modes, sampling or residual. Each group has a warning about the worst case.
     """
     error_limit = min(LARGE_ERROR, sweep_result.scene.harmonic_balance.tolerance or LARGE_ERROR)
     part_errors = sweep_result.error_parts
@@ -153,11 +154,12 @@ def _yield_large_error_warnings(sweep_result: SweepResult) -> Iterator[str]:
 
 
 def list_skipped_peak_remarks(sweep_result: SweepResult) -> list[str]:
-    """Remark that a peak is narrower than a step in frequency or speed.
+    """Remark that the sweep steps over a resonance peak narrower than a step.
 
-    Between the half-power points of a peak the phase falls by a quarter turn. A larger fall in one
-    step is a skipped peak. The phase rises instead if speeds pass a load of constant frequency.
-    Returns at most one remark.
+    At a peak in frequency or speed, the phase falls by a quarter turn between the half-power
+    points. A larger fall from a case to the next is a skipped peak. The phase rises instead if
+    speeds pass a load of constant frequency. Several skipped peaks share a remark; without any, the
+    list is empty.
     """
     axis_indices = [
         axis_index
@@ -204,14 +206,17 @@ def list_skipped_peak_remarks(sweep_result: SweepResult) -> list[str]:
 
 
 def shorten_sweep_table(sweep_result: SweepResult) -> tuple[Table, str]:
-    """Tabulate all cases of a small sweep, or cases with largest response.
+    """Tabulate all cases of a small sweep, or the largest responses of a large sweep.
 
-    A larger sweep has a case for each combination on all other axes: the largest response over the
-    load frequency, or over the longest axis. Of these cases, the largest are kept.
+    A sweep is small up to :data:`N_SELECTED_ROWS`, 8, cases. Otherwise take the largest response
+    over the load frequency, or over the longest axis, for each combination on all further axes;
+    keep the 8 largest.
 
     Returns
     -------
     table : Table
+        Swept keys, quantities, state (pending, converged or failed) if any case has not converged,
+        and verdict on stability if known.
     selection_text : str
         Selection of cases in words; empty if all cases are kept.
     """

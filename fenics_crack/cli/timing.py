@@ -42,7 +42,7 @@ RECORD_TIMING_KEYS = (
     "tip_radius", "probes", "orders", "stiffening", "frequencies", "fitted_harmonics",
     "subharmonic", "angle_deviation",
 )  # fmt: skip
-"""Keys in [tip_timing] for a record without a scene."""
+"""Keys of [tip_timing] allowed in ``--set`` for a record without a scene."""
 PROBES_REQUIREMENT_TEXT = (
     "given for a record at constant speed, as --set tip_timing.probes=[0,17,40] in degrees: "
     "probe angles estimated from the arrivals hide an engine order of constant amplitude"
@@ -52,7 +52,11 @@ PROBES_REQUIREMENT_TEXT = (
 def fit_and_report_timing(
     arguments: Namespace, inputs: CommandInputs | None, console: Console
 ) -> Exit:
-    """Fit and report the vibration in measured or computed arrival times."""
+    """Run the command ``timing``: fit the blade vibration to arrival times.
+
+    ``inputs`` None: the first argument is a record (.csv), not a scene. Returns the exit code, as
+    from :func:`print_report_sentences`.
+    """
     if inputs is None:
         return _fit_and_report_record(arguments, console)
     scene, result_folder, arrival_source = inputs.scene, inputs.folder, inputs.arrival_source
@@ -94,7 +98,10 @@ def _write_and_draw_arrivals(
     run: Run[Any] | None,
     console: Console,
 ) -> None:
-    """Write, draw and describe a blade's arrivals."""
+    """Write a blade's arrivals as CSV, draw them beside, and print the range of speeds.
+
+    ``run`` is the run of computed arrivals; None for measured arrivals.
+    """
 
     def write_files() -> None:
         arrivals.to_csv(arrivals_path)
@@ -128,7 +135,11 @@ def _fit_vibration_by_blade(
     console: Console,
     *scene_and_run: Any,
 ) -> dict[int, Any]:
-    """Fit the vibration of each blade, with or without scene and run."""
+    """Fit the vibration to the arrivals of each blade.
+
+    ``scene_and_run`` are the scene and the run of computed arrivals, if known. Returns, by blade
+    number, a fit at constant speed, a track over a run-up, or a tuple of resonances passed.
+    """
     fits_by_blade = {}
     with console.report_stage("vibration"):
         for blade_number, arrivals in arrivals_by_blade.items():
@@ -140,14 +151,14 @@ def _fit_vibration_by_blade(
 
 
 def _write_timing_report(tip_timing: Timing, folder: Path, console: Console) -> Exit:
-    """Write and print the result of tip timing; return the exit code."""
+    """Save a tip timing result, write and print the report; return the exit code."""
     return write_and_print_report(
         build_report(tip_timing), folder / "timing", console, tip_timing, console.picture_format
     )
 
 
 def _describe_arrival_counts(arrivals: ArrivalTimes) -> str:
-    """Return the numbers of revolutions and probes in words."""
+    """Return the numbers of revolutions and probes in words: "100 revolutions, 4 probes"."""
     revolutions_text = format_count(len(arrivals), "revolution")
     return f"{revolutions_text}, {format_count(len(arrivals.probes), 'probe')}"
 
@@ -155,7 +166,12 @@ def _describe_arrival_counts(arrivals: ArrivalTimes) -> str:
 def _yield_timing_warnings(
     arrivals: ArrivalTimes, scene: Scene, run: Run[Any] | None
 ) -> Iterator[str]:
-    """Yield warnings about measured arrivals, or the run of computed arrivals."""
+    """Yield warnings about measured arrivals, or about the run of computed arrivals.
+
+    ``run`` None: the arrivals are measured. A measured speed is doubtful below half and above twice
+    the scene's speed. A run is doubtful with another scene, an early end, a large error or an
+    unstable orbit.
+    """
     if run is None:
         yield from scene_timing.list_arrival_remarks(arrivals)
         record_and_scene_speeds = arrivals.mean_speed, scene.speed
@@ -184,7 +200,12 @@ def _yield_timing_warnings(
 
 
 def _fit_and_report_record(arguments: Namespace, console: Console) -> Exit:
-    """Fit and report the vibration in a record without a scene."""
+    """Fit and report the vibration in a record of arrivals (.csv) without a scene.
+
+    ``--set`` accepts :data:`RECORD_TIMING_KEYS`. A record at constant speed needs the probes'
+    angles, in the file or as ``tip_timing.probes``, unless a frequency range is given. Returns the
+    exit code.
+    """
     table_values_by_name = {}
     for full_key, key_value in parse_changes(arguments.set).items():
         table_name, _, key_name = full_key.partition(".")

@@ -38,9 +38,14 @@ from fenics_crack.numerics.fourier import stretch_period
 
 
 class BalanceEquations(CurveSystem):
-    """Harmonic-balance equations of a structure along a parameter, in the gaps alone.
+    """Harmonic-balance equations along a curve's parameter, with gaps as unknowns.
 
-    The structure is small or reduced.
+        F(g, v) = g - g_lin(v) + R(v) b(g, v) = 0
+
+    The unknowns g (2H+1, n_pairs) [m] are the gaps' Fourier coefficients. With a residual
+    flexibility they belong to slow gaps: gap plus residual flexibility times contact force. g_lin
+    are the gaps without contact, R the compliance, b the contact forces' coefficients, and v the
+    parameter. The structure is small or reduced.
 
     Attributes
     ----------
@@ -66,10 +71,11 @@ class BalanceEquations(CurveSystem):
         start_system = self.system(start)
         self.shape, self.is_matrix_free = start_system.shape, start_system.is_matrix_free
         self.angle_weights: np.ndarray | None = None
-        """Weights of the unknowns in angles between tangents.
+        """Weights of the unknowns in angles between tangents: (2H+1, 1), or None for 1.
 
-        If J is not formed, harmonic k has the weight 1 / k^2. Where the phase of the motion turns,
-        the phase of harmonic k turns k times as far, and a tangent's high harmonics are not small.
+        Without a dense Jacobian, harmonic k has the weight 1 / k^2. Where the phase of the motion
+        turns, the phase of harmonic k turns k times as far, and a tangent's high harmonics are not
+        small.
         """
         if self.is_matrix_free:
             harmonic_order = (np.arange(self.shape[0]) + 1) // 2
@@ -77,69 +83,81 @@ class BalanceEquations(CurveSystem):
 
     @classmethod
     def check_value(cls, structure: Structure, key: str, value: float) -> None:
-        """Raise InputError unless the parameter can have a value."""
+        """Raise InputError unless a parameter value can be used.
+
+        ``key`` names the value in the message. By default it must be above 0.
+        """
         check_number(key, value, 0.0, excludes_bound=True)
 
     def _common_cutoff(self, problem: Problem, start: float, end: float) -> float:
-        """Return the largest cutoff of the problems at both ends [rad/s].
+        """Return the frequency above which modes are quasi-static on the whole curve [rad/s].
 
-        Modes above it are quasi-static on the whole range.
+        It is the larger of the cutoffs at ``start`` and ``end``.
         """
         return max(self.vary(problem, value).quasi_static_above for value in (start, end))
 
     @cached_property
     def _contact_integrals(self) -> ContactIntegrals:
-        """Fourier integrals of the contact force under the problem's law."""
+        """Integrals of the contact force over a period, under the problem's law."""
         return self.problem.integrals()
 
     @cached_property
     def max_force_slope(self) -> float:
-        """Largest slope of the contact forces, under the stiffer law of both ends [N/m]."""
+        """Largest slope of contact forces over gaps, under the stiffer law of both ends [N/m].
+
+        With a residual flexibility it is the slope over slow gaps, and smaller.
+        """
         laws = (self.problem_at(value).contact for value in (self.start, self.end))
         return max(self.system(self.start).max_contact_stiffness(law) for law in laws)
 
     @classmethod
     @abstractmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
-        """Return a problem with another parameter value."""
+        """Return a problem with another value of the curve's parameter."""
 
     @classmethod
     def load_frequency(cls, problem: Problem, value: float) -> float:
-        """Return the load frequency of a problem with another parameter value [rad/s]."""
+        """Return a problem's load frequency at another parameter value [rad/s]."""
         return problem.omega
 
     def problem_at(self, value: float) -> Problem:
-        """Return the problem at a parameter value."""
+        """Return the problem at a value of the curve's parameter."""
         return self.vary(self.problem, value)
 
     def _make_system(self, value: float) -> ContactSystem:
-        """Make the harmonic-balance equations at a parameter value."""
+        """Make the harmonic-balance equations at a value of the curve's parameter."""
         if self.has_varying_integrals:
             return self.problem_at(value).system(self.compliance_model_at(value))
         return ContactSystem(self.compliance_model_at(value), self._contact_integrals)
 
     def _residual_derivative_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
-        """Return the residual's derivative by the parameter value, dF/dv."""
+        """Return the residual's derivative by the curve's parameter: (2H+1, n_pairs).
+
+        ``point`` has the linearised equations at ``value``.
+        """
         assert isinstance(point.system.compliance_model, ModalCompliance)
         return point.system.compliance_model.residual_derivative(self.parameter_name, point.force)
 
     def system(self, value: float) -> ContactSystem:
-        """Return the harmonic-balance equations at a parameter value; the last ones are kept."""
+        """Return the harmonic-balance equations at a parameter value.
+
+        The equations at the last value are kept.
+        """
         if self._last_value_and_system is None or self._last_value_and_system[0] != value:
             self._last_value_and_system = value, self._make_system(value)
         return self._last_value_and_system[1]
 
     def compliance_model_at(self, value: float) -> ModalCompliance:
-        """Return the model of the dynamic compliance at a parameter value."""
+        """Return the dynamic compliance of the gaps at a parameter value."""
         return self._unvaried_compliance_model
 
     def omega(self, value: float, unknown: np.ndarray) -> float:
         return self.load_frequency(self.problem, value)
 
     def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
-        """Return the unknowns for a row of :attr:`ResponseCurve.points`.
+        """Return the unknowns (2H+1, n_pairs) [m] for a row of :attr:`ResponseCurve.points`.
 
-        A solution with half the period, or another part of it, is repeated to fill the period.
+        A row from a solution with a fraction of the period is repeated to fill the period.
         """
         return stretch_period(state, max(1, self.shape[0] // 2 // max(1, len(state) // 2)))
 
@@ -147,12 +165,18 @@ class BalanceEquations(CurveSystem):
 
     @cached_property
     def compiled_equations(self) -> CompiledEquations | None:
-        """Same equations in the kernel; None if the kernel lacks them."""
+        """Same equations in the C kernel; None without exact contact integrals.
+
+        Also None if the kernel lacks the parameter, or if damping couples modes.
+        """
         system = self.system(self.start)
         return self._compile_equations(system) if system.integrals.is_exact else None
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
-        """Make the kernel's equations from the system at p = 0, or None."""
+        """Make the kernel's equations from the equations at the curve's start.
+
+        None: the kernel lacks this parameter.
+        """
         return None
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> ContactPoint:
@@ -164,14 +188,18 @@ class BalanceEquations(CurveSystem):
 
     @property
     def n_time_means(self) -> int:
-        """Number of leading unknowns that are means over time, one per gap row."""
+        """Number of unknowns that are means over time.
+
+        They come first: a mean for each pair's normal gap, with friction also for each tangential
+        gap.
+        """
         return int(self.shape[1])
 
     def rounding(self, parameter: float) -> float:
-        """Return the rounding error of the residual, as |F| / |x|, near a point.
+        """Return the rounding error |F| / |x| of the residual F, for unknowns x.
 
-        It follows from the largest slope of R lambda over the gap: compliance R times contact
-        stiffness, or less with a residual flexibility.
+        It follows from the largest compliance times the largest contact stiffness, or less with a
+        residual flexibility. ``parameter`` is the path parameter, 0 to 1.
         """
         if self.compiled_equations is not None:
             max_compliance_row_sum = self.compiled_equations.max_dynamic_row_sum(parameter)
@@ -183,9 +211,10 @@ class BalanceEquations(CurveSystem):
         return residual_rounding(4.0 * max_compliance_row_sum * self.max_force_slope)
 
     def relative_half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
-        """Return a motion's change over half its period, relative to the motion.
+        """Return a motion's change over half its period, relative to its size.
 
-        The change is twice the odd harmonics.
+        The change is twice the odd harmonics; it is 0 if the motion has half the period.
+        ``unknown`` has the gaps' Fourier coefficients.
         """
         is_odd = (np.arange(self.shape[0]) + 1) // 2 % 2 == 1
         return float(2.0 * np.linalg.norm(unknown[is_odd]) / (np.linalg.norm(unknown) or 1.0))
@@ -196,10 +225,11 @@ class BalanceEquations(CurveSystem):
         base_omega_and_change: tuple[float, float],
         damping_factor_and_change: tuple[float, float],
     ) -> CompiledEquations | None:
-        """Make the kernel's equations along frequencies, or along factors for the damping.
+        """Make the kernel's equations along frequencies or damping factors; None if damping couples
+        modes.
 
-        Each tuple has the value at p = 0 and the change to p = 1. The frequency [rad/s] is that of
-        the motion's period.
+        Each tuple has the value at the curve's start and the change to its end.
+        ``base_omega_and_change`` [rad/s] is the response's frequency.
         """
         modal_fields = self._unvaried_compliance_model.modal_fields_for_kernel(
             base_omega_and_change, damping_factor_and_change, self.problem.residual_compliance
@@ -214,7 +244,7 @@ class BalanceEquations(CurveSystem):
 
 
 class BalanceAlongFrequency(BalanceEquations):
-    """Equations along v: load frequency [rad/s]."""
+    """Harmonic-balance equations along the load frequency [rad/s]."""
 
     parameter_name = "omega"
 
@@ -243,7 +273,10 @@ class BalanceAlongFrequency(BalanceEquations):
 
 
 class _BalanceOfVariedStructure(BalanceEquations):
-    """Equations along a parameter of :meth:`Structure.varied`, by its name."""
+    """Harmonic-balance equations along a keyword of :meth:`Structure.varied`.
+
+    Subclasses name the keyword: load, damping or clearance.
+    """
 
     @classmethod
     def check_value(cls, structure: Structure, key: str, value: float) -> None:
@@ -259,7 +292,9 @@ class _BalanceOfVariedStructure(BalanceEquations):
         )
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
-        """Make the kernel's equations if v changes only the gap without contact, linearly."""
+        """Make the kernel's equations, for a parameter that changes the gap without contact
+        linearly.
+        """
         residual_derivative = self._unvaried_compliance_model.residual_derivative(
             self.parameter_name, np.zeros(start_system.shape)
         )
@@ -272,7 +307,7 @@ class _BalanceOfVariedStructure(BalanceEquations):
 
 
 class BalanceAlongLoadFactor(_BalanceOfVariedStructure):
-    """Equations along v: factor for the load; a negative factor reverses it."""
+    """Harmonic-balance equations along a factor for the load; a negative factor reverses it."""
 
     parameter_name = "load"
 
@@ -287,7 +322,7 @@ class BalanceAlongLoadFactor(_BalanceOfVariedStructure):
 
 
 class BalanceAlongDampingFactor(_BalanceOfVariedStructure):
-    """Equations along v: factor for the damping."""
+    """Harmonic-balance equations along a factor for the structure's damping."""
 
     parameter_name = "damping"
 
@@ -305,13 +340,16 @@ class BalanceAlongDampingFactor(_BalanceOfVariedStructure):
 
 
 class BalanceAlongClearance(_BalanceOfVariedStructure):
-    """Equations along v: clearance [m] added to every pair."""
+    """Harmonic-balance equations along a clearance [m] added to every pair."""
 
     parameter_name = "clearance"
 
 
 class BalanceAlongStiffnessFactor(BalanceEquations):
-    """Equations along v: factor for the contact stiffness; p is proportional to ln v."""
+    """Harmonic-balance equations along a factor for the contact stiffness.
+
+    Steps are logarithmic: the path parameter is proportional to the factor's logarithm.
+    """
 
     parameter_name, is_logarithmic, has_varying_integrals = "stiffness", True, True
 
@@ -337,7 +375,7 @@ class BalanceAlongStiffnessFactor(BalanceEquations):
 
 
 class BalanceAlongFrictionFactor(BalanceEquations):
-    """Equations along v: factor for the coefficient of friction."""
+    """Harmonic-balance equations along a factor for the coefficient of friction."""
 
     parameter_name, has_varying_integrals = "friction", True
 
@@ -356,10 +394,11 @@ class BalanceAlongFrictionFactor(BalanceEquations):
 
 
 class BalanceAlongSpeed(BalanceEquations):
-    """Equations along v: rotor speed [rad/s], in a constant ratio to the load frequency.
+    """Harmonic-balance equations along a rotor speed [rad/s].
 
-    The modes change with the speed. dF/dv is a central difference, since the quasi-static part of
-    the compliance and with it the sets of closed pairs change, too.
+    The load frequency keeps its ratio to the speed. The modes change with the speed. The residual's
+    derivative by the speed is a central difference: the quasi-static part of the compliance, and
+    with it the sets of closed pairs, change, too.
     """
 
     parameter_name, has_varying_integrals = "speed", True
@@ -379,9 +418,11 @@ class BalanceAlongSpeed(BalanceEquations):
         return problem.omega * value / as_run_up_structure(problem.structure).speed
 
     def _common_cutoff(self, problem: Problem, start: float, end: float) -> float:
-        """Return a cutoff between two modes whose frequencies do not cross it on the range [rad/s].
+        """Return the frequency above which modes are quasi-static on the whole curve [rad/s].
 
-        A mode that crosses the cutoff would become quasi-static.
+        A mode that crosses the cutoff would become quasi-static on the way. The cutoff lies between
+        two modes that do not cross it at start, middle and end; without such modes, it is the
+        larger cutoff of start and end.
         """
         min_cutoff = super()._common_cutoff(problem, start, end)
         run_up_structure = as_run_up_structure(problem.structure)
@@ -412,7 +453,10 @@ class BalanceAlongSpeed(BalanceEquations):
 
 
 def as_run_up_structure(structure: Structure) -> RunUpStructure:
-    """Return a structure with modes at every speed; InputError for any other structure."""
+    """Return the structure if it has modes at every speed, else raise InputError.
+
+    Such a structure comes from :func:`fenics_crack.run_up_structure`.
+    """
     if not isinstance(structure, RunUpStructure):
         requirement = "one of run_up_structure(structure, start, stop, modes)"
         raise InputError("structure", repr(structure), requirement)
@@ -420,9 +464,10 @@ def as_run_up_structure(structure: Structure) -> RunUpStructure:
 
 
 class BalanceAtResonance(BalanceEquations):
-    """Equations along v: factor for the load without its mean, at a resonance (:mod:`resonance`).
+    """Harmonic-balance equations along a factor for the vibrating load, at a phase resonance.
 
-    The load frequency follows the resonance; these equations hold at one frequency.
+    The mean load stays. The load frequency follows the resonance (:class:`ResonanceSystem`); these
+    equations hold at a constant frequency.
     """
 
     parameter_name = "resonance"
@@ -447,4 +492,4 @@ EQUATIONS_CLASS_BY_PARAMETER: dict[str, type[BalanceEquations]] = {
         BalanceAtResonance,
     )
 }
-"""Equations of harmonic balance along each parameter of a curve, by name."""
+"""Class of the harmonic-balance equations for each name in :attr:`ResponseCurve.parameter`."""

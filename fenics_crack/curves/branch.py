@@ -46,10 +46,10 @@ from fenics_crack.numerics.path import (
 
 
 class ReturnToParent(Event):
-    """Junction of a branch with its parent branch, which has half the period.
+    """Event at which a branch with a doubled period joins its parent branch again.
 
-    At the junction the parent branch crosses or the parameter turns back, and the motion repeats
-    itself after half its period.
+    There the parent branch crosses or the parameter turns back, and the motion repeats itself after
+    half its period.
     """
 
     is_terminal, description = True, "joined the branch that it left"
@@ -86,9 +86,9 @@ def path_points_with_chord(
     first_index: int,
     last_index: int,
 ) -> tuple[PathPoint, PathPoint]:
-    """Convert two curve points to path points.
+    """Convert two curve points to path points, with the chord between them as tangent.
 
-    Both have the chord between them as tangent.
+    ``first_index`` and ``last_index`` are the points' indices.
     """
     end_values = curve.values[[first_index, last_index]].tolist()
     end_states = curve.points[[first_index, last_index]]
@@ -112,12 +112,14 @@ def find_branch_start_point(
 
     Parameters
     ----------
-    system : BalanceEquations or Orbits
+    system : BalanceEquations or OrbitEquations
+        Equations of the branch.
     bifurcation : Bifurcation
+        Period doubling or branch point.
     longest_step : float
         Longest step along the branch.
     parent_curve : ResponseCurve, optional
-        The points next to the bifurcation give its tangent.
+        Curve with the bifurcation; its neighbouring points give the curve's tangent there.
 
     Raises
     ------
@@ -185,9 +187,10 @@ def _branch_tangent(
 ) -> Tangent:
     """Return the unit tangent to the branch at a bifurcation.
 
-    With the equations F(x, p) = 0, J = dF/dx and F_p = dF/dp: at a period doubling the tangent lies
-    in the null space of J. Otherwise it lies in the null space of [J, F_p], orthogonal to the
-    parent's tangent.
+    The equations are F(x, p) = 0, with J = dF/dx and F_p = dF/dp at the ``unknown`` x and path
+    ``parameter`` p. At a period doubling (``is_doubling``) the tangent lies in the null space of J.
+    Otherwise it lies in the null space of [J, F_p], orthogonal to the parent's tangent.
+    ``parent_tangent`` None: computed here.
     """
     linearisation = system.linearise(unknown, parameter)
     parent_tangent = parent_tangent or tangent_of(system, unknown, linearisation)

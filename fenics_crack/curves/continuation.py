@@ -73,7 +73,7 @@ from fenics_crack.numerics.path import (
 
 
 class StepOptions(TypedDict, total=False):
-    """Keyword arguments of :class:`StepLimits`."""
+    """Keyword arguments for the steps along a curve, with the meaning in :class:`StepLimits`."""
 
     longest_step: float
     most_points: int
@@ -82,7 +82,17 @@ class StepOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class StepLimits:
-    """Step limits for a curve, as in :class:`Continuation`."""
+    """Step limits for a curve.
+
+    Attributes
+    ----------
+    longest_step : float
+        Longest step, relative to the parameter range and to the solution's size; at most 1.
+    most_points : int
+        Maximum number of points.
+    turning_back : float
+        How far the curve may turn back past its start, relative to the parameter range.
+    """
 
     longest_step: float = 0.05
     most_points: int = 50_000
@@ -97,19 +107,20 @@ class StepLimits:
 
 
 class GrowingCurve:
-    """Curve along any system that grows from a first point: iterate over it, or :meth:`run` it.
+    """Curve that grows from a first point: iterate over it, or :meth:`run` it.
 
     Parameters
     ----------
     system : CurveSystem
-        Equations, followed from the first point to p = 1; a branch may also end at p = 0.
+        Equations, followed from the first point to the path parameter p = 1; a branch may also end
+        at p = 0.
     start_point : PathPoint
         First point, with the direction.
     step_limits : StepLimits
     tolerance : float, optional
-        Tolerance for exact orbits.
+        Error tolerance for solutions from exact orbits; None: harmonic balance.
     is_branch : bool
-        True if the curve leaves another curve.
+        True if the curve leaves another curve at a bifurcation.
 
     Attributes
     ----------
@@ -135,7 +146,7 @@ class GrowingCurve:
         self.complete, self.has_returned, self.status = False, False, "not begun"
 
     def _convert_path_point(self, point: PathPoint) -> CurvePoint:
-        """Return a path point as a point of the curve."""
+        """Convert a path point to a point of the curve."""
         return self._make_curve_point(
             point.parameter, point.unknown, point.iterations, point.step_control_values
         )
@@ -152,9 +163,13 @@ class GrowingCurve:
         Parameters
         ----------
         parameter : float
-            p, 0 at the curve's start and 1 at the end.
+            Path parameter, 0 at the curve's start and 1 at the end.
+        unknown : array of ``system.shape``
+            Solution.
+        iterations : int
+            Newton iterations.
         multipliers_and_counts : (k + 3,) complex or None
-            An exact orbit's leading multipliers and three counts
+            An exact orbit's leading multipliers, and how many are outside the unit circle
             (:func:`leading_multipliers_and_counts`).
         """
         value = self.system.value(parameter)
@@ -166,7 +181,7 @@ class GrowingCurve:
 
     @property
     def unjudged_curve(self) -> ResponseCurve:
-        """Points so far, without the verdicts of harmonic balance."""
+        """Points so far as a curve; for harmonic balance, without stability."""
         system, points = self.system, self.points
         problem, is_exact = system.problem, self._tolerance is not None
         leading_multipliers = [
@@ -206,24 +221,24 @@ class GrowingCurve:
 
     @property
     def curve(self) -> ResponseCurve:
-        """Points so far, with verdicts."""
+        """Points so far as a curve; a subclass adds the stability if requested."""
         return self.unjudged_curve
 
     def progress_fraction(self) -> float:
-        """Return the completed fraction of the way from start to end, 0 to 1."""
+        """Return the completed fraction of the path from start to end, 0 to 1."""
         return min(1.0, max(0.0, self._last_path_point.parameter))
 
     def describe_progress(self) -> str:
-        """Describe the progress: completed percentage, range and number of points."""
+        """Return a progress text: completed percentage, parameter range and number of points."""
         end_values = self.system.start, self.system.end
         return (
             f"{self.progress_fraction():.0%} of the way between {self.describe_values(*end_values)}"
         )
 
     def describe_values(self, *values: float) -> str:
-        """Describe parameter values and the number of points.
+        """Return parameter values in their unit, and the number of points, as text.
 
-        The values are printed in their unit; default: the value at the last point.
+        Without ``values``, the value at the last point is described.
         """
         axis = axis_factor_name_and_unit(self.system.parameter_name, True)
         point_count_text = format_count(len(self.points), "point")
@@ -232,7 +247,7 @@ class GrowingCurve:
     # --- how it goes on ---------------------------------------------------------------------------
 
     def __iter__(self) -> Iterator[CurvePoint]:
-        """Yield the last point so far, then all points that follow."""
+        """Yield the last point so far, then each further point."""
         yield self.points[-1]
         for segment in self._yield_segments():
             for one_point_segment in segment.yield_one_point_segments():
@@ -241,13 +256,16 @@ class GrowingCurve:
     def run(self) -> None:
         """Follow the curve to its end.
 
-        This is faster than iteration, since whole segments without events are recorded together.
+        Iteration would be slower: here whole segments without events are recorded together.
         """
         for segment in self._yield_segments():
             self._append_segment(segment)
 
     def _yield_segments(self) -> Iterator[PathSegment]:
-        """Yield the rest of the path, from the last point to the end of the curve."""
+        """Yield the path from the last point to the end of the curve, piece by piece.
+
+        Sets ``status``, ``complete`` and ``has_returned``.
+        """
         if self.complete:
             return
         system = self.system
@@ -284,7 +302,7 @@ class GrowingCurve:
         )
 
     def _append_segment(self, segment: PathSegment) -> CurvePoint:
-        """Append a segment's points and special points; return its last point."""
+        """Append the points and special points of a path segment; return its last point."""
         kinds_and_special_points = [
             (event.kind, self._convert_path_point(path_point))
             for event, path_point in segment.located_events
@@ -340,11 +358,11 @@ class Continuation(GrowingCurve):
         bifurcation starts the branch that begins there; ``start`` and ``end`` then bound the
         parameter on either side (:func:`follow_branch`).
     branch_of : ResponseCurve, optional
-        Curve of the bifurcation.
+        Curve with the bifurcation ``initial``.
     tolerance : float, optional
-        Requires ``samples`` to be None. Choose H, between the problem's ``harmonics`` and 100, for
-        a truncation error below the tolerance at the first point. For exact orbits: the curve's
-        ``tolerance``; default: that of ``branch_of``, or 0.01.
+        Requires ``samples`` to be None. Choose the number of harmonics, from the problem's
+        ``harmonics`` to 500, for a truncation error below the tolerance at the first point. For
+        exact orbits: the curve's ``tolerance``; default: the value of ``branch_of``, or 0.01.
     stability : bool
         Assess ``curve`` on each access (:func:`judge_curve`). Exact orbits always have their
         stability.
@@ -354,9 +372,9 @@ class Continuation(GrowingCurve):
     most_points : int
         Maximum number of points; default: 50,000.
     turning_back : float
-        Maximum return past the start, relative to the parameter range; default: 0.1. The curve
-        never returns to a frequency, damping or speed of zero. Only within this return can a closed
-        curve be recognised.
+        How far the curve may turn back past its start, relative to the parameter range; default:
+        0.1. A frequency, damping or speed of zero is never reached. A closed curve is recognised
+        only within this distance.
 
     Attributes
     ----------
@@ -448,7 +466,7 @@ class Continuation(GrowingCurve):
 
     @property
     def curve(self) -> ResponseCurve:
-        """Points so far; assessed with ``stability=True``."""
+        """Points so far as a curve; with ``stability=True``, with their stability."""
         return judge_curve(self.unjudged_curve) if self._needs_verdicts else self.unjudged_curve
 
 
@@ -456,23 +474,26 @@ def make_first_path_point(
     system: CurveSystem, unknown: np.ndarray, parameter: float, iterations: int,
     direction: Tangent | None = None,
 ) -> PathPoint:  # fmt: skip
-    """Add the tangent to a solution, as the first point of a curve.
+    """Return a solution with its tangent, as the first point of a curve.
 
     Parameters
     ----------
+    system : CurveSystem
+        Equations of the curve.
     unknown : array of ``system.shape``
         Solution.
     parameter : float
-        The solution's p.
+        Path parameter of the solution, 0 at the curve's start and 1 at the end.
     iterations : int
         Newton iterations that found the solution; the point keeps their number.
     direction : Tangent, optional
-        Tangent in whose sense the curve begins; default: growing p.
+        The tangent's angle to this direction is below 90 degrees; default: the path parameter
+        grows.
 
     Returns
     -------
     PathPoint
-        An exact orbit also has its monodromy matrix and multipliers, by which steps are controlled.
+        An exact orbit also has its monodromy matrix and multipliers, for step control.
     """
     linearisation = system.linearise(unknown, parameter)
     tangent = tangent_of(system, unknown, linearisation, direction)
@@ -491,8 +512,8 @@ def make_first_path_point(
 def can_follow_orbits(problem: Problem, parameter: str, start: float, end: float) -> bool:
     """Return True if exact orbits can be followed along a parameter.
 
-    The structure must be small. The law must have an exact flow, with few enough modes to form the
-    monodromy matrix. The load must not be too slow.
+    The structure is small, and the law has an exact flow with at most 120 modes. At ``start`` and
+    ``end``, the load is not too slow for time integration.
     """
     check_range(problem, parameter, start, end)
     flow = exact_flow_or_none(problem.structure, problem.contact)
@@ -505,7 +526,11 @@ def can_follow_orbits(problem: Problem, parameter: str, start: float, end: float
 
 
 def check_range(problem: Problem, parameter: str, start: float, end: float) -> None:
-    """Raise InputError unless a curve can go from one parameter value to another."""
+    """Raise InputError unless a curve can run from ``start`` to ``end`` of a parameter.
+
+    The values must differ and suit the structure. Without clearance, load factors must not be zero
+    or change their sign. A rigid contact has no stiffness to vary.
+    """
     structure = problem.structure
     check_choice("parameter", parameter, EQUATIONS_CLASS_BY_PARAMETER)
     if is_rigid(problem.contact) and parameter == "stiffness":
@@ -523,7 +548,11 @@ def check_range(problem: Problem, parameter: str, start: float, end: float) -> N
 def _find_start_orbit(
     problem: Problem, initial: PeriodicSolution | PeriodicOrbit | None
 ) -> PeriodicOrbit:
-    """Return the orbit at the start of a curve: the given one, or the result of a search."""
+    """Return the exact orbit at the start of a curve.
+
+    ``initial``: an orbit is returned unchanged; a solution starts the search. None: search from
+    harmonic-balance solutions. Raises ConvergenceError without an orbit.
+    """
     if isinstance(initial, PeriodicOrbit):
         return initial
     if initial is not None:

@@ -64,22 +64,27 @@ DESCRIPTION_BY_PARAMETER = {
     "speed": "rotor speed [rad/s]",
     "resonance": "load at resonance, as a multiple of the scene's [-]",
 }
-"""Parameters of a curve, with their units, by name (:attr:`ResponseCurve.parameter`)."""
+"""Description with unit of each parameter in :attr:`ResponseCurve.parameter`, for axes and tables.
+"""
 
 MIN_ORBIT_HARMONICS = SearchOptions.guess_harmonic_counts[0]
-"""Minimum harmonics of the load frequency in a solution from an exact orbit."""
+"""Minimum harmonics of the load frequency in a solution from an exact orbit: 5."""
 OBSERVED_INSTANTS_PER_PERIOD = 256
-"""Instants per period at which the motion at a point is observed."""
+"""Instants per period at which the motion at a curve's point is observed."""
 MISSED_WINDOW_TO_STEP_RATIO = 0.1
-"""Width of a window that a curve may miss, relative to the longest step.
+"""Width of an unstable window that a curve may miss, relative to the longest step.
 
-The step control interpolates between the ends of a step. The interpolation is wrong if orbits
-graze, or if several multipliers collide in one step.
+Step control interpolates multipliers between the ends of a step. The interpolation is wrong if
+orbits graze, or if several multipliers collide in one step.
 """
 
 
 def axis_factor_name_and_unit(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
-    """Return factor, name and unit of a curve's parameter: in Hz and rpm, or in rad/s."""
+    """Return factor, name and unit for printing values of a curve's parameter.
+
+    ``in_hertz``: frequencies in Hz and speeds in rpm, else in rad/s. Other parameters have the
+    factor 1.
+    """
     if parameter in ("omega", "speed"):
         return (
             choose_frequency_factor_name_unit
@@ -91,13 +96,13 @@ def axis_factor_name_and_unit(parameter: str, in_hertz: bool) -> tuple[float, st
 
 
 def leading_multiplier_in_upper_half(multipliers: np.ndarray) -> complex:
-    """Return the first multiplier mu, or its conjugate, so that Im mu >= 0."""
+    """Return the first Floquet multiplier, conjugated if its imaginary part is negative."""
     largest_multiplier = complex(multipliers[0])
     return complex(largest_multiplier.real, abs(largest_multiplier.imag))
 
 
 def kind_in_words(kind: str) -> str:
-    """Return the printed name of a kind of bifurcation."""
+    """Return the printed name for a :attr:`Bifurcation.kind`, such as "period doubling"."""
     return "Neimark-Sacker" if kind == "neimark_sacker" else kind.replace("_", " ")
 
 
@@ -124,7 +129,7 @@ class Bifurcation(Described):
 
     @property
     def value(self) -> float:
-        """Value of the curve's parameter."""
+        """Parameter value of the curve at the bifurcation."""
         return float(self.point.values[0])
 
     @property
@@ -136,12 +141,15 @@ class Bifurcation(Described):
 
     @cached_property
     def problem(self) -> Problem:
-        """Problem solved at the bifurcation."""
+        """Problem solved at the bifurcation, with the varied structure and load frequency."""
         return self.point.problem_of(0)
 
     @cached_property
     def solution(self) -> PeriodicSolution:
-        """Solution at the bifurcation, with displacement and error report."""
+        """Solution at the bifurcation, with displacement and error report.
+
+        On a harmonic-balance curve the error is predicted, without a search for an exact orbit.
+        """
         return self.point.solution(0, search=False)
 
     @cached_property
@@ -159,24 +167,24 @@ class Bifurcation(Described):
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """Point that a growing curve yields.
+    """Point that iteration over a growing curve yields.
 
     Attributes
     ----------
     value : float
-        Value of the parameter.
+        Value of the curve's parameter.
     omega : float
         Load frequency [rad/s].
     unknown : (2H+1, n_pairs) [m]
-        Fourier coefficients of the gaps g; with a residual flexibility R_inf those of the slow gap
-        g + R_inf lambda. For exact orbits (2 n_modes,), the state at phase zero: modal
-        displacements, then velocities over frequencies, both less the rest state.
+        Fourier coefficients of the gaps g; with a residual flexibility R_inf, of the slow gaps g +
+        R_inf lambda with the contact forces lambda. For exact orbits (2 n_modes,), the state at
+        phase zero: modal displacements, then velocities over frequencies, both less the rest state.
     iterations : int
         Newton iterations.
     multipliers : (8,) complex or None
-        Leading multipliers if the point is an exact orbit, largest modulus first.
+        Leading Floquet multipliers if the point is an exact orbit, largest modulus first.
     bifurcations : sequence of (str, float)
-        Kinds and parameters of the special points since the point before.
+        Kind and parameter value of each special point since the point before.
     """
 
     value: float
@@ -199,8 +207,8 @@ class ResponseCurve(ObservedMotion, Tabular):
     parameter : str
         "omega", "load", "stiffness", "damping", "clearance", "friction", "speed", or "resonance".
     values : (n,)
-        Parameter values: load frequencies [rad/s], factors, added clearances [m], or rotor
-        speeds [rad/s].
+        Parameter values: load frequencies [rad/s], factors, added clearances [m], or rotor speeds
+        [rad/s].
     omega : (n,) [rad/s]
         Load frequencies.
     iterations : (n,) int
@@ -214,15 +222,16 @@ class ResponseCurve(ObservedMotion, Tabular):
     subharmonic : int
         The response has this many times the load's period.
     points : (n, 2H+1, n_pairs) [m], or (n, 2 n_modes)
-        Harmonic balance: gap coefficients, or those for the slow gap s = g + R_inf lambda if the
-        structure has a residual flexibility R_inf. With friction (n, 2H+1, 2 n_pairs), normal gaps
-        first. Exact orbits: modal displacements and velocities at phase zero, in the modes of the
-        varied structure.
+        Harmonic balance: gap coefficients; for a structure with a residual flexibility R_inf, those
+        of the slow gap s = g + R_inf lambda, with gap g and contact force lambda. With friction (n,
+        2H+1, 2 n_pairs), normal gaps first. Exact orbits: modal displacements and velocities at
+        phase zero, in the modes of the varied structure.
     tolerance : float or None
         Error to which :meth:`solution` keeps an exact orbit's Fourier coefficients; None for points
         that solve the truncated harmonic-balance equations.
     samples : int or None
-        Number of samples given to the curve.
+        Number of instants per period for the contact force; None: the default of
+        :class:`fenics_crack.Problem`.
     static_above : float or None
         Harmonic balance with R_inf: frequency [rad/s] above which modes are quasi-static, the same
         for all points (:class:`fenics_crack.Problem`).
@@ -232,9 +241,10 @@ class ResponseCurve(ObservedMotion, Tabular):
         multiplied. nan if the multiplier does not decide the stability (:func:`judge_curve`). None:
         not assessed.
     irregular : (n,) bool or None
-        True if no orbit was found and the exact motion is irregular; None: no such point.
+        True if no orbit was found and the exact motion is irregular. None: not assessed, exact
+        orbits, or a smooth law.
     branch : bool
-        True if :func:`follow_branch` has followed it.
+        True if the curve leaves another curve at a bifurcation (:func:`follow_branch`).
     """
 
     structure: Structure
@@ -263,12 +273,16 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @property
     def exact(self) -> bool:
-        """True if the points are exact orbits."""
+        """True if the points are exact orbits, False if they are harmonic-balance solutions."""
         return self.tolerance is not None
 
     @property
     def harmonics(self) -> int:
-        """Highest harmonic H; for exact orbits, the lowest H that :meth:`solution` takes."""
+        """Highest harmonic H of the response's frequency.
+
+        For exact orbits it is the minimum for :meth:`solution`: 5 harmonics of the load frequency,
+        or as many as the load has.
+        """
         if not self.exact:
             return self.points.shape[1] // 2
         min_harmonics = least_harmonics(self.structure, self.subharmonic)
@@ -276,12 +290,15 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @property
     def method(self) -> str:
-        """Method of the points, in words: "H = 5", "exact orbits"."""
+        """Method in words: "H = 5" for harmonic balance, or "exact orbits"."""
         return "exact orbits" if self.exact else f"H = {self.harmonics}"
 
     @cached_property
     def problem(self) -> Problem:
-        """Problem solved at the first point."""
+        """Problem solved at the first point, with the structure as given.
+
+        Over the speed, the structure is at the first point's speed.
+        """
         structure = self.structure
         if self.parameter == "speed" and isinstance(structure, RunUpStructure):
             structure = structure.at_speed(float(self.values[0]))
@@ -292,7 +309,7 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @cached_property
     def system(self) -> BalanceEquations | OrbitEquations:
-        """Equations from the first parameter value to the farthest one."""
+        """Equations of the curve, from the first parameter value to the farthest."""
         farthest_index = int(np.argmax(np.abs(self.values - self.values[0])))
         first_and_farthest_values = float(self.values[0]), float(self.values[farthest_index])
         return system_along(self.exact, self.problem, self.parameter, *first_and_farthest_values)
@@ -300,20 +317,20 @@ class ResponseCurve(ObservedMotion, Tabular):
     # --- its points -------------------------------------------------------------------------------
 
     def problem_at(self, value: float) -> Problem:
-        """Return the problem at a parameter value."""
+        """Return the problem at a parameter value, with the varied structure or law."""
         return EQUATIONS_CLASS_BY_PARAMETER[self.parameter].vary(self.problem, value)
 
     def problem_of(self, index: int) -> Problem:
-        """Return the problem solved at a point, with the varied structure."""
+        """Return the problem solved at a point, with the varied structure and load frequency."""
         problem, omega = self.problem_at(float(self.values[index])), float(self.omega[index])
         return problem if problem.omega == omega else replace(problem, omega=omega)
 
     def solution(self, index: int, *, search: bool = True) -> PeriodicSolution:
         """Return the solution at a point, with displacement and error report.
 
-        Without ``search`` for the exact orbit, one Newton step predicts the error. If the points
-        are exact orbits, the solution is the orbit's Fourier series to the tolerance, without a
-        search.
+        Harmonic balance: with ``search``, the error is the distance to the exact orbit, otherwise a
+        Newton step's prediction. Exact orbits: the solution is the orbit's Fourier series to the
+        curve's ``tolerance``, and ``search`` is ignored.
         """
         if self.tolerance is not None:
             if index not in self._solution_by_index:
@@ -328,11 +345,11 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @cached_property
     def _solution_by_index(self) -> dict[int, PeriodicSolution]:
-        """Solutions of exact orbits that were asked for, by the index of their point."""
+        """Solutions of exact orbits computed so far, by the index of the point."""
         return {}
 
     def _problem_and_contact_point(self, index: int) -> tuple[Problem, ContactPoint]:
-        """Return a point's problem and linearised harmonic-balance equations."""
+        """Return a point's problem, and the harmonic-balance equations linearised there."""
         problem, equations = self.problem_of(index), self.system
         if isinstance(equations, BalanceAtResonance) or not isinstance(equations, BalanceEquations):
             contact_system = problem.system(problem.compliance_model())
@@ -342,12 +359,18 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @cached_property
     def _common_flow(self) -> ContactFlow | None:
-        """Exact flow that all points share; None except over the frequency, or without a flow."""
+        """Exact flow shared by all points of a curve over the frequency.
+
+        None for other parameters, or if structure and law have no exact flow.
+        """
         is_over_frequency = self.parameter == "omega"
         return exact_flow_or_none(self.structure, self.contact) if is_over_frequency else None
 
     def orbit(self, index: int) -> PeriodicOrbit:
-        """Return the exact orbit at a point; InputError for a harmonic-balance curve."""
+        """Return the exact orbit at a point of the curve.
+
+        Raises InputError for a harmonic-balance curve.
+        """
         if not isinstance(self.system, OrbitEquations):
             raise InputError("curve", self.method, "one of exact orbits")
         flow, omega = self.system.flow(float(self.values[index])), float(self.omega[index])
@@ -355,16 +378,17 @@ class ResponseCurve(ObservedMotion, Tabular):
         return orbit_through_state(flow, omega, self.points[index], self.subharmonic, iterations)
 
     def assessment(self, index: int) -> Assessment:
-        """Assess a harmonic-balance point by the exact flow.
+        """Return a harmonic-balance point's comparison with exact motions.
 
-        No error is estimated.
+        Prediction and nearest orbit are computed on request.
         """
         return next(self.assessments([index]))
 
     def assessments(self, places: Sequence[int]) -> Iterator[Assessment]:
-        """Yield the assessments of points.
+        """Yield the assessments of harmonic-balance points by the exact flow.
 
-        Over the frequency, the motions of many points are computed together.
+        ``places`` are the points' indices. Over the frequency, the motions of many points are
+        computed together.
         """
         if self._common_flow is None or not isinstance(self.system, BalanceEquations):
             for point_problem, contact_point in map(self._problem_and_contact_point, places):
@@ -401,7 +425,7 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @cached_property
     def gap_coefficients(self) -> np.ndarray:
-        """Fourier coefficients of the gaps: (n, 2H+1, n_pairs) [m].
+        """Fourier coefficients of the normal gaps at every point: (n, 2H+1, n_pairs) [m].
 
         For exact orbits, H is 40 and the integrals are exact.
         """
@@ -435,7 +459,7 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @property
     def stable(self) -> np.ndarray:
-        """True if the largest multiplier is inside the unit circle beyond rounding: (n,) bool.
+        """True if the largest multiplier's modulus is below 1 - 1e-6: (n,) bool.
 
         Raises
         ------
@@ -451,16 +475,19 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @property
     def undecided(self) -> np.ndarray | None:
-        """True at points of undecided stability (:meth:`reason`): (n,) bool; None: not assessed."""
+        """True at points of undecided stability: (n,) bool, or None if not assessed.
+
+        The largest multiplier's modulus is 1 to 1e-6, or nan. :meth:`reason` explains.
+        """
         if self.multipliers is None:
             return None
         return np.asarray(~(np.abs(np.abs(self.multipliers) - 1.0) > MULTIPLIER_TOLERANCE))
 
     @property
     def verdicts(self) -> np.ndarray:
-        """Verdict at each point, "stable", "unstable", "irregular" or "undecided": (n,) str.
+        """Stability of each point: "stable", "unstable", "irregular" or "undecided", (n,) str.
 
-        Raises AttributeError like :attr:`stable`.
+        Raises AttributeError if the curve was not assessed.
         """
         verdicts = np.where(self.stable, "stable", "unstable")
         if self.irregular is not None:
@@ -468,10 +495,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         return np.where(self.undecided, "undecided", verdicts)
 
     def reason(self, index: int) -> str:
-        """Return the reason for undecided stability at a point; "" for a decided one.
-
-        The reason is that of :func:`fenics_crack.floquet` for the point's solution.
-        """
+        """Return why the stability at a point is undecided; "" if decided or not assessed."""
         if self.undecided is None or not self.undecided[index]:
             return ""
         if self.exact:
@@ -485,14 +509,14 @@ class ResponseCurve(ObservedMotion, Tabular):
         """Largest window, in the unit of ``values``, that a curve of exact orbits may miss.
 
         In such a window orbits are unstable or have a doubled period. The width is a tenth of the
-        longest step.
+        longest step in ``values``.
         """
         return MISSED_WINDOW_TO_STEP_RATIO * float(np.abs(np.diff(self.values)).max(initial=0.0))
 
     # --- parts of it ------------------------------------------------------------------------------
 
     def part(self, places: Sequence[int] | slice) -> Self:
-        """Return a curve with some points alone, without bifurcations."""
+        """Return a curve with the points at given indices alone, without bifurcations."""
         selected_array_by_name = {
             name: point_array[places] for name, point_array in _array_by_field_name(self).items()
         }
@@ -504,8 +528,18 @@ class ResponseCurve(ObservedMotion, Tabular):
     ) -> Bifurcation:  # fmt: skip
         """Make a special point of this curve.
 
-        ``value`` is the parameter, ``omega`` the load frequency [rad/s]. ``point`` is a row of
-        :attr:`points`.
+        Parameters
+        ----------
+        kind : str
+            As :attr:`Bifurcation.kind`.
+        value : float
+            Value of the curve's parameter.
+        omega : float
+            Load frequency [rad/s].
+        point : array
+            As a row of :attr:`points`.
+        multipliers : (m,) complex, optional
+            Leading Floquet multipliers of an exact orbit.
         """
         entry_by_name = {"values": value, "omega": omega, "iterations": 0, "points": point}
         array_by_name = {name: np.array([entry]) for name, entry in entry_by_name.items()}
@@ -521,9 +555,10 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @cached_property
     def at_bifurcations(self) -> Self:
-        """Curve from the first point, the bifurcations and the last point, for evaluation.
+        """Curve with the first point, the bifurcations and the last point alone.
 
-        It has multipliers if the points are exact orbits.
+        Amplitudes and other numbers can so be evaluated at bifurcations. Only exact orbits keep
+        their multipliers.
         """
         source_curve = self if self.exact else replace(self, multipliers=None, irregular=None)
         bifurcation_curves = [bifurcation.point for bifurcation in self.bifurcations]
@@ -542,7 +577,10 @@ class ResponseCurve(ObservedMotion, Tabular):
         return replace(source_curve, **joined_columns_by_name, bifurcations=())
 
     def nearest(self, bifurcation: Bifurcation) -> int:
-        """Return the index of the point nearest to a bifurcation."""
+        """Return the index of the point nearest to a bifurcation.
+
+        Distances are measured in parameter, over its range, and in solution, over its size.
+        """
         bifurcation_point = bifurcation.point.points
         distances = np.linalg.norm((self.points - bifurcation_point).reshape(len(self), -1), axis=1)
         distances /= float(np.linalg.norm(bifurcation_point)) or 1.0
@@ -552,7 +590,7 @@ class ResponseCurve(ObservedMotion, Tabular):
     def coefficients_at(self, dof: int | None = None) -> np.ndarray:
         """Return a dof's displacement coefficients at every point: (n, 2H+1) [m].
 
-        None stands for the watched dof.
+        ``dof`` None stands for the watched dof.
         """
         return self.observe_dofs([dof])[0][0].real_fourier_coefficients
 
@@ -560,9 +598,9 @@ class ResponseCurve(ObservedMotion, Tabular):
         return np.array(values)
 
     def top(self, dof: int | None = None) -> LargestResponse:
-        """Find the place and height of the largest response at a dof.
+        """Return the largest response at a dof, without its error and stability.
 
-        None stands for the watched dof. :meth:`peak` examines the response, too.
+        ``dof`` None stands for the watched dof. :meth:`peak` adds error, stability and damping.
         """
         amplitudes = self.amplitude(dof)
         index = int(np.argmax(amplitudes))
@@ -570,9 +608,9 @@ class ResponseCurve(ObservedMotion, Tabular):
         return LargestResponse(index, peak_value, peak_amplitude, index in (0, len(self) - 1))
 
     def peak(self, dof: int | None = None) -> Peak:
-        """Return the largest response at a dof, with error, verdict and damping.
+        """Return the largest response at a dof, with error, stability and damping.
 
-        None stands for the watched dof.
+        ``dof`` None stands for the watched dof.
         """
         top = self.top(dof)
         omega, solution, damping = float(self.omega[top.index]), self.solution(top.index), math.nan
@@ -599,12 +637,13 @@ class ResponseCurve(ObservedMotion, Tabular):
     def displacement_errors(self) -> np.ndarray:
         """Estimated error of the displacement at the load at every point: (n,).
 
-        The error is relative to the root mean square, like ``displacement`` of
-        :class:`fenics_crack.ErrorReport`. It is estimated at points spread evenly along the curve,
-        and next to places where a warning becomes due; elsewhere it is interpolated.
+        The error is relative to the displacement's root mean square, like ``displacement`` of
+        :class:`fenics_crack.ErrorReport`. It is estimated at 40 points spread evenly along the
+        curve, and next to places where it crosses 0.05, the limit for a warning; elsewhere it is
+        interpolated.
 
         If there is an exact flow, one Newton step predicts the effect of the truncated harmonics
-        and modes, and for exact orbits that of the modes alone.
+        and modes, and for exact orbits the effect of the modes alone.
         """
         error_by_index: dict[int, float] = {}
         # As many points as a picture shows.
@@ -627,7 +666,10 @@ class ResponseCurve(ObservedMotion, Tabular):
         )
 
     def _estimate_displacement_error(self, index: int) -> float:
-        """Return the estimated error of the displacement at a point."""
+        """Return the estimated relative error of the displacement at the load at a point.
+
+        1 stands for an unknown error.
+        """
         if self.exact:
             orbit, problem = self.orbit(index), self.problem_of(index)
             orbit_solution = truncated_orbit_solution(
@@ -645,9 +687,10 @@ class ResponseCurve(ObservedMotion, Tabular):
     # --- shown ------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns with one row per point (collective).
+        """Return columns by name, with a row for each point (collective).
 
-        They include the indicators of the watched dof, and multipliers if the curve was assessed.
+        Columns: parameter, frequencies, Newton iterations, indicators of the watched dof;
+        multiplier and verdict if the curve was assessed.
         """
         columns_by_name = {self.parameter: self.values.tolist(), "omega": self.omega.tolist()}
         columns_by_name["iterations"] = self.iterations.tolist()
@@ -669,7 +712,7 @@ class ResponseCurve(ObservedMotion, Tabular):
 
 
 def _array_by_field_name(curve: ResponseCurve) -> dict[str, np.ndarray]:
-    """Return the array fields of a curve by name."""
+    """Return the fields of a curve that are arrays, by name."""
     value_by_field = {
         curve_field.name: getattr(curve, curve_field.name) for curve_field in fields(curve)
     }

@@ -21,7 +21,9 @@ from fenics_crack.numerics.path import BranchPoint, Event, Fold, StepControl
 
 
 class CurveSystem(ABC):
-    """Equations along a parameter v, from ``start`` at p = 0 to ``end`` at p = 1.
+    """Interface of equations F(x, p) = 0 along a curve's parameter v.
+
+    The path parameter p runs from 0, with v = ``start``, to 1, with v = ``end``.
 
     Attributes
     ----------
@@ -33,7 +35,7 @@ class CurveSystem(ABC):
     start, end : float
         v at p = 0 and p = 1.
     shape : tuple of int
-        Shape of the unknowns.
+        Shape of the unknowns x.
     is_logarithmic : bool
         True if p is proportional to ln v.
     event_classes : sequence of type of Event
@@ -49,53 +51,75 @@ class CurveSystem(ABC):
     event_classes: ClassVar[Sequence[type[Event]]] = (Fold, BranchPoint)
 
     def value(self, parameter: float) -> float:
-        """Return the curve's parameter v at the path parameter p, 0 to 1."""
+        """Return the curve's parameter, such as a load frequency, at a path parameter.
+
+        The path parameter runs from 0 at the curve's start to 1 at its end.
+        """
         if self.is_logarithmic:
             return float(self.start * (self.end / self.start) ** parameter)
         return self.start + parameter * (self.end - self.start)
 
     def parameter(self, value: float) -> float:
-        """Return the path parameter p, 0 to 1, at the curve's parameter v."""
+        """Return the path parameter, 0 to 1, at a value of the curve's parameter."""
         if self.is_logarithmic:
             return math.log(value / self.start) / math.log(self.end / self.start)
         return (value - self.start) / (self.end - self.start)
 
     def value_rate(self, value: float) -> float:
-        """Return the derivative dv/dp of the curve's parameter at v."""
+        """Return the derivative of the curve's parameter by the path parameter.
+
+        ``value`` is the curve's parameter; the path parameter runs from 0 to 1.
+        """
         if self.is_logarithmic:
             return value * math.log(self.end / self.start)
         return self.end - self.start
 
     @abstractmethod
     def omega(self, value: float, unknown: np.ndarray) -> float:
-        """Return a solution's load frequency [rad/s]; ``value`` is v."""
+        """Return a solution's load frequency [rad/s] at a value of the curve's parameter."""
 
     def curve_points_row(self, unknown: np.ndarray, value: float) -> np.ndarray:
-        """Convert unknowns to the array that a curve stores; by default the unknowns."""
+        """Convert a solution to its row in :attr:`ResponseCurve.points`; by default unchanged.
+
+        ``value`` is the curve's parameter.
+        """
         return unknown
 
     @abstractmethod
     def linearise(self, unknown: np.ndarray, parameter: float) -> Linearisation:
-        """Evaluate the equations F(x, p) and their derivatives at a point."""
+        """Evaluate the residual F(x, p) and its derivatives at unknowns x.
+
+        ``parameter`` is the path parameter p, 0 to 1.
+        """
 
     @abstractmethod
     def rounding(self, parameter: float) -> float:
-        """Return the rounding error |F| / |x| of the residual F, for unknowns x."""
+        """Return the rounding error |F| / |x| of the residual F, for unknowns x.
+
+        ``parameter`` is the path parameter, 0 to 1.
+        """
 
     def relative_half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
-        """Return a motion's change over half its period, relative to its size."""
+        """Return a motion's change over half its period, relative to its size.
+
+        It is near 0 if the motion has half the period. ``unknown`` is a solution, ``parameter`` the
+        path parameter, 0 to 1.
+        """
         raise NotImplementedError
 
     @property
     def n_unknowns(self) -> int:
-        """Number of unknowns."""
+        """Number of scalar unknowns."""
         return math.prod(self.shape)
 
     @property
     def points_per_call(self) -> int:
-        """Maximum number of points per kernel call."""
+        """Maximum number of path points computed in a kernel call; Ctrl-C waits for the call."""
         return MAX_CURVE_UNKNOWNS_PER_CALL // self.n_unknowns
 
     def make_step_control(self, longest_step: float) -> StepControl | None:
-        """Make the object that rejects too long steps; None if none is needed."""
+        """Make the object that rejects steps over which a solution changes too much.
+
+        ``longest_step`` is relative to the parameter range. None: no step is rejected.
+        """
         return None

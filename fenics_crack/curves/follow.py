@@ -33,10 +33,15 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
 
 MAX_CURVE_SEARCHES = 4
-"""Maximum number of searches for another curve that leads to the start. The first search begins at
-the end of the range, the others between the end and the start."""
+"""Maximum number of searches for another curve that leads to the start.
+
+The first search begins at the end of the range, the others between the end and the start.
+"""
 PROGRESS_BAR_FORMAT = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
-"""Format of a curve's progress bar, without a remaining time: the progress does not predict it."""
+"""Format of a curve's progress bar for tqdm.
+
+The remaining time is left out: the progress does not predict it.
+"""
 
 
 class CurveOptions(StepOptions, total=False):
@@ -46,9 +51,9 @@ class CurveOptions(StepOptions, total=False):
         As in :func:`.solve_harmonic_balance`; ``initial`` is a solution near the start.
     tolerance
         Replaces ``harmonics`` and ``samples``: follow exact orbits, and keep their solutions to
-        this error. Harmonic balance replaces them if there is no exact flow, as for smooth laws, or
-        if orbits would take too long, with more than 120 modes or a very slow load. The truncation
-        error at the first point then sets the harmonics.
+        this relative error. Harmonic balance replaces them if there is no exact flow, as for smooth
+        laws, or if orbits would take too long, with more than 120 modes or a very slow load. The
+        truncation error at the first point then sets the harmonics.
     stability, longest_step, most_points, turning_back
         As in :class:`.Continuation`; exact orbits always have their stability.
     """
@@ -74,8 +79,8 @@ def continue_frequency(
     """Follow the response from one load frequency to another, through resonances and folds.
 
     The first solution may lie on a closed loop, or on a curve that turns back past its start.
-    Another curve is then sought from the end of the range, or from between; the status says so. The
-    first curve is returned if that fails or would take long, or if ``initial`` is given.
+    Another curve is then searched from the end of the range, or from between; the status says so.
+    The first curve is returned if this search fails or would take long, or if ``initial`` is given.
 
     Parameters
     ----------
@@ -85,8 +90,8 @@ def continue_frequency(
     omega_start, omega_end : float
         Load frequencies [rad/s]; the end may be below the start.
     contact : ContactLaw
-        Law of all pairs. :class:`UnilateralConstraint` requires crack faces without mass, or modes
-        above the harmonics that move every pair by itself.
+        Law for all pairs. :class:`UnilateralConstraint` requires crack faces without mass, or modes
+        above the harmonics by which every pair can move on its own.
     progress : bool
         Show a progress bar.
     throw : bool
@@ -132,7 +137,9 @@ def continue_parameter(
     throw: bool = True,
     **options: Unpack[CurveOptions],
 ) -> ResponseCurve:
-    """Follow the response at one load frequency over another parameter; or in a run-up.
+    """Follow the response over a parameter other than the load frequency.
+
+    The load frequency is constant; with "speed" it follows the rotor, as in a run-up.
 
     Parameters
     ----------
@@ -215,14 +222,22 @@ def _find_other_curve(
     end: float,
     first_curve: GrowingCurve | None,
 ) -> GrowingCurve | None:
-    """Follow another curve from the start; None if the searches fail.
+    """Follow another curve from the start to the end; None if the searches fail.
 
     A search follows a curve from the end of the range, or from between, to the start. The solution
     at the start then begins the other curve. This helps if the first curve returned to its start,
     as a closed loop of the truncated equations does, or if there is no first solution.
 
-    ``first_curve`` is the curve that returned. All searches together may take as many points as it
-    has, or a limit by the number of unknowns if that is more.
+    Parameters
+    ----------
+    make_curve : callable
+        Makes a curve from a start value, an end value and a first guess.
+    start, end : float
+        Parameter values.
+    first_curve : GrowingCurve or None
+        Curve that returned to its start. All searches together may take as many points as it has,
+        or 120,000 over the number of unknowns if more. None: no first solution was found; a single
+        search is made.
     """
     n_spent_points, n_first_points = 0, 0 if first_curve is None else len(first_curve.points)
     # If there is no orbit at the start, each search takes long.
@@ -263,11 +278,12 @@ def follow_branch(
     throw: bool = True,
     **options: Unpack[CurveOptions],
 ) -> ResponseCurve:
-    """Follow the branch that begins at a period doubling, or crosses at a branch point.
+    """Follow the branch that begins or crosses at a bifurcation of a curve.
 
-    A doubled branch has twice the period, and with harmonic balance twice the harmonics. The branch
-    is followed in one direction until the parameter leaves the range, or to a junction with its
-    parent. The other direction of a doubled branch has the same orbits half a period later.
+    At a period doubling, the branch has twice the period, and with harmonic balance twice the
+    harmonics. At a branch point, it has the same period. The branch is followed in one direction
+    until the parameter leaves the range, or to a junction with its parent. The other direction of a
+    doubled branch has the same orbits half a period later.
 
     Parameters
     ----------
@@ -329,7 +345,7 @@ def run_to_end(
     throw: bool,
     find_other_curve: Callable[[GrowingCurve], GrowingCurve | None] | None = None,
 ) -> ResponseCurve:
-    """Follow a curve to its end, or another curve if the first one returns to the start.
+    """Follow a curve to its end, or another curve if the first returns to the start.
 
     Parameters
     ----------
@@ -337,14 +353,15 @@ def run_to_end(
     progress : bool
         Show a progress bar.
     throw : bool
-        Raise ConvergenceError if the end is not reached.
+        Raise ConvergenceError if the end is not reached; the points so far are in its ``found``.
     find_other_curve : callable, optional
-        Returns another curve from the start, or None.
+        Takes the curve that returned; returns another curve, followed from the start to its end, or
+        None.
 
     Returns
     -------
     ResponseCurve
-        Curve, assessed if requested; not assessed after Ctrl-C.
+        Curve with its stability if requested. After Ctrl-C: the points so far, without stability.
     """
     try:
         try:
@@ -370,7 +387,10 @@ def run_to_end(
 
 
 def _run_with_progress(growing_curve: GrowingCurve, progress: bool) -> None:
-    """Follow a curve to its end with a progress bar, or with progress messages."""
+    """Follow a curve to its end with a progress bar, or with progress messages.
+
+    The bar appears on rank 0 if ``progress`` is True.
+    """
     if not progress or growing_curve.system.problem.structure.whole.comm.rank != 0:
         begin_stage("curve")
         with add_progress_text(growing_curve.describe_progress):

@@ -68,20 +68,22 @@ from fenics_crack.numerics.path import (
 )
 
 ACCEPTED_LOG_CHANGE = 0.01
-"""Change of ln |mu| over a step that is always accepted."""
+"""Change in ln |mu| that every step may make, for a Floquet multiplier mu."""
 
 MIN_STEP_RATIO = 0.01
-"""Shortest step that resolves a change of multipliers, relative to the longest step."""
+"""Shortest step that is shortened for a multiplier's change, relative to the longest step."""
 
 MIN_COLLISION_STEP_RATIO = 0.02
-"""Shortest step that resolves a collision of multipliers, relative to the longest step. With the
-default longest step this is 0.1 % of the range."""
+"""Shortest step that is shortened for a multiplier collision, relative to the longest step.
+
+With the default longest step this is 0.1 % of the range.
+"""
 
 
 def leading_multipliers_and_counts(multipliers: np.ndarray) -> np.ndarray:
-    """Select the largest Floquet multipliers of each point, and count those outside.
+    """Select the largest Floquet multipliers at each point, and count those outside.
 
-    A multiplier within 1e-6 of the unit circle does not count as outside.
+    Outside means |mu| > 1 + 1e-6. Only the selected multipliers are counted.
 
     Parameters
     ----------
@@ -90,8 +92,8 @@ def leading_multipliers_and_counts(multipliers: np.ndarray) -> np.ndarray:
     Returns
     -------
     (n_points, k + 3) complex
-        The k = min(n, 8) multipliers of largest modulus, in descending order, then three counts:
-        real ones above 1 (r), real ones below -1 (d), complex pairs outside the circle (c).
+        The k = min(n, 8) multipliers with the largest modulus, in descending order, then three
+        counts: real ones above 1 (r), real ones below -1 (d), complex pairs outside the circle (c).
     """
     modulus = np.abs(multipliers)
     leading_indices = np.argsort(-modulus, axis=1, kind="stable")[:, :8]
@@ -112,7 +114,7 @@ def leading_multipliers_and_counts(multipliers: np.ndarray) -> np.ndarray:
 
 
 def changes_of_counts(multipliers_and_counts: np.ndarray) -> np.ndarray:
-    """Return the changes in the three counts from each point to the next.
+    """Return changes in the counts of multipliers outside the unit circle, point by point.
 
     Two real multipliers that become a complex pair, or the reverse, change no count.
 
@@ -124,7 +126,8 @@ def changes_of_counts(multipliers_and_counts: np.ndarray) -> np.ndarray:
     Returns
     -------
     (n_points - 1, 3)
-        Changes in r, d and c.
+        Change from each point to the next in the number of real multipliers above 1, real ones
+        below -1, and complex pairs outside.
     """
     count_change = np.diff(multipliers_and_counts[:, -3:].real, axis=0)
     step_indices = np.flatnonzero(count_change[:, 2])
@@ -142,12 +145,13 @@ def step_collision_severities(monodromy_matrices: np.ndarray) -> np.ndarray:
     """Return how close collisions bring Floquet multipliers to leaving the unit circle.
 
     If two multipliers mu_j and mu_k collide between two points, their ln |mu| separate. One leaves
-    the circle if they separate by more than 2 sqrt(ln |mu_j| ln |mu_k|), by the module's equations.
+    the circle if they separate by more than 2 sqrt(ln |mu_j| ln |mu_k|). The separation is
+    predicted from the monodromy matrices at both points.
 
     Parameters
     ----------
     monodromy_matrices : (n_points, n, n)
-        Of the points, in order along the path.
+        Matrices at the points, in order along the path.
 
     Returns
     -------
@@ -165,16 +169,16 @@ def step_collision_severities(monodromy_matrices: np.ndarray) -> np.ndarray:
 
 
 class MultiplierStepControl(StepControl):
-    """Reject steps over which the Floquet multipliers change too much.
+    """Reject steps over which the Floquet multipliers mu change too much.
 
     A step is rejected if
 
-    - a leading multiplier moves by more than half its distance to the unit circle,
-    - linear extrapolation of the sorted ln |mu| misses by more than half that distance,
+    - a leading ln |mu| changes by more than half its distance to 0, and more than 0.01,
+    - linear extrapolation of the sorted ln |mu| has an error above the same limit,
     - a collision has a severity above 0.5 (:func:`step_collision_severities`),
-    - two counts change, or a count changes by more than 1.
+    - two counts of multipliers outside the unit circle change, or a count changes by more than 1.
 
-    The first three hold down to a shortest step.
+    The first two hold for steps above 0.01 ``longest_step``, the third above 0.02 ``longest_step``.
     """
 
     def __init__(self, longest_step: float) -> None:
@@ -208,7 +212,10 @@ class MultiplierStepControl(StepControl):
 
 
 class PeriodDoubling(Event):
-    """A real multiplier crosses -1: the product of all 1 + mu changes its sign."""
+    """Event at which a real Floquet multiplier crosses -1.
+
+    The product of all 1 + mu, with the multipliers mu, changes its sign.
+    """
 
     kind = "period_doubling"
 
@@ -226,7 +233,10 @@ class PeriodDoubling(Event):
 
 
 class NeimarkSacker(Event):
-    """A complex pair crosses the unit circle: |mu_k| - 1 of the k-th pair changes its sign."""
+    """Event at which a complex pair of Floquet multipliers crosses the unit circle.
+
+    |mu_k| - 1 changes its sign for the k-th pair mu_k, in descending order of |mu|.
+    """
 
     kind = "neimark_sacker"
 
@@ -256,16 +266,16 @@ class NeimarkSacker(Event):
 
 
 def multipliers_of(point: PathPoint) -> np.ndarray:
-    """Return the leading multipliers at a point of a path: (k,) complex."""
+    """Return the leading Floquet multipliers at a path point: (k,) complex, k at most 8."""
     assert point.step_control_values is not None
     return point.step_control_values[:-3]
 
 
 def period_doubling_test_value(multipliers: np.ndarray) -> float:
-    """Return a number with the sign and the zeros of the product of all 1 + mu.
+    """Return a number that changes its sign at a period doubling.
 
-    Every factor is scaled to a modulus of at most 1. The result is 0 if a factor is smaller than
-    ``ROOT_TOLERANCE``.
+    It is the product of 1 + mu over all Floquet multipliers mu (n,); for complex mu, of |1 + mu|.
+    Factors above 1 in modulus are scaled to 1. The result is 0 if a factor is at most 1.5e-8.
     """
     factors = np.where(multipliers.imag == 0.0, 1.0 + multipliers.real, np.abs(1.0 + multipliers))
     scaled_product = float(np.prod(factors / np.maximum(1.0, np.abs(factors))))
@@ -273,9 +283,10 @@ def period_doubling_test_value(multipliers: np.ndarray) -> float:
 
 
 def multiplier_pair_excess(multipliers: np.ndarray, multiplier_pair_index: int) -> float:
-    """Return |mu| - 1 for a complex pair of multipliers.
+    """Return |mu| - 1 for one complex pair of Floquet multipliers mu.
 
-    Pairs are numbered from 0 in descending order of |mu|. If there are fewer pairs, return -1.
+    Pairs are numbered by ``multiplier_pair_index`` from 0 on in descending order of |mu|. If there
+    are fewer pairs, return -1.
     """
     pair_moduli = np.sort(np.abs(multipliers[multipliers.imag > 0.0]))[::-1]
     return (

@@ -50,14 +50,21 @@ from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 from fenics_crack.numerics.path import BranchPoint, Fold
 
 FORWARD_PARAMETER_STEP = math.sqrt(MACHINE_EPSILON)
-"""Step in p for forward differences. Truncation and rounding error are then about equal."""
+"""Step in the path parameter, 0 to 1, for forward differences: 1.5e-8.
+
+Truncation and rounding error are then about equal.
+"""
 
 
 class OrbitEquations(CurveSystem):
-    """Equations F(x, p) = 0 of periodic orbits along a parameter v (see the module).
+    """Equations of exact periodic orbits along a curve's parameter.
 
-    An orbit's period is ``subharmonic`` load periods. ``balance_class`` varies the problem: it has
-    the equations of harmonic balance along the same parameter.
+        F(x, p) = scale (z(T) - z(0)) = 0
+
+    z is the state of modal displacements and velocities, T the orbit's period of ``subharmonic``
+    load periods, and p the path parameter, 0 to 1. The unknowns x are the scaled state z(0) less
+    the rest state. ``balance_class`` varies the problem: it has the equations of harmonic balance
+    along the same parameter.
 
     Raises
     ------
@@ -77,19 +84,22 @@ class OrbitEquations(CurveSystem):
         self.shape = (self._start_flow.state_size,)
 
     def problem_at(self, value: float) -> Problem:
-        """Return the problem at a parameter value."""
+        """Return the problem at a value of the curve's parameter."""
         return self.balance_class.vary(self.problem, value)
 
     def omega(self, value: float, unknown: np.ndarray | None = None) -> float:
         return self.balance_class.load_frequency(self.problem, value)
 
     def _make_flow(self, value: float) -> ContactFlow:
-        """Make the exact flow at a parameter value."""
+        """Make the exact flow of the problem at a parameter value."""
         problem = self.problem_at(value)
         return exact_flow_or_error(problem.structure, problem.contact)
 
     def flow(self, value: float) -> ContactFlow:
-        """Return the exact flow at a parameter value; the last flow is kept."""
+        """Return the exact flow at a parameter value.
+
+        The flows at the start and at the last value are kept.
+        """
         if self.parameter_name == "omega" or value == self.start:
             return self._start_flow
         if self._last_value_and_flow[0] != value:
@@ -98,7 +108,7 @@ class OrbitEquations(CurveSystem):
 
     @cached_property
     def state_factors(self) -> np.ndarray:
-        """Factors dx/dz from states to unknowns: (n_unknowns,).
+        """Scale factors from states z to unknowns x: (n_unknowns,).
 
         They are 1 for modal displacements and 1 / w for modal velocities. w is the mode's
         frequency, but at least the response's frequency.
@@ -107,7 +117,7 @@ class OrbitEquations(CurveSystem):
 
     @property
     def n_record_entries(self) -> int:
-        """Number of entries in a monodromy matrix M, the record of a point."""
+        """Number of entries in the record at a point, a monodromy matrix."""
         return self.n_unknowns**2
 
     @property
@@ -121,7 +131,10 @@ class OrbitEquations(CurveSystem):
 
     @cached_property
     def _scaled_rest_and_change(self) -> np.ndarray:
-        """Scaled rest state x_0 at the start, and its change x_1: (2, n_unknowns)."""
+        """Scaled rest state under the mean load, and its change: (2, n_unknowns).
+
+        The first row is the rest state at the curve's start, the second the change to the end.
+        """
         start_rest, end_rest = (
             self._scale_state(self.flow(value).rest_state, value)
             for value in (self.start, self.end)
@@ -129,35 +142,44 @@ class OrbitEquations(CurveSystem):
         return np.array([start_rest, end_rest - start_rest])
 
     def curve_points_row(self, unknown: np.ndarray, value: float) -> np.ndarray:
-        """Return the state z at phase zero for unknowns x at a parameter value."""
+        """Return the state at phase zero for unknowns x at a parameter value.
+
+        The state has modal displacements, then velocities; with friction also the sliders'
+        positions.
+        """
         state = (unknown + self._scaled_rest_state(value)) / self.state_factors
         if self.parameter_name == "speed":
             state = state @ self._state_transformation(value).T
         return np.asarray(state)
 
     def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
-        """Return the unknowns x for a state z at a parameter value."""
+        """Return the unknowns x, scaled and less the rest state, for a state.
+
+        ``value`` is the curve's parameter.
+        """
         return self._scale_state(state, value) - self._scaled_rest_state(value)
 
     def _scale_state(self, state: np.ndarray, value: float) -> np.ndarray:
-        """Return a state z in the unknowns' units, with the rest state.
+        """Return a state times the scale factors, with the rest state.
 
-        Over the speed, z is converted to the modes at the curve's start.
+        Over the speed, the state is first converted to the modes at the curve's start.
         """
         if self.parameter_name == "speed":
             state = np.linalg.solve(self._state_transformation(value), state)
         return np.asarray(state * self.state_factors)
 
     def _scaled_rest_state(self, value: float) -> np.ndarray:
-        """Return the scaled rest state x_0 + p x_1 under the mean load."""
+        """Return the scaled rest state under the mean load at a parameter value: (n_unknowns,).
+
+        It is interpolated linearly in the path parameter between start and end of the curve.
+        """
         rest_start, rest_change = self._scaled_rest_and_change
         return np.asarray(rest_start + self.parameter(value) * rest_change)
 
     def _state_transformation(self, value: float) -> np.ndarray:
-        """Return the matrix that converts states to the modes at a speed.
+        """Return the matrix that converts states from the start's modes to a speed's modes.
 
-        The given states are in the modes at the curve's start. Shape: (n_unknowns,
-        n_unknowns).
+        Speed ``value`` is in rad/s. Shape: (n_unknowns, n_unknowns).
         """
         modal_basis_change = (
             self.flow(value).modal_model.shapes_inverse @ self._start_flow.modal_model.shapes
@@ -168,7 +190,10 @@ class OrbitEquations(CurveSystem):
     def _advance_motion(
         self, unknown: np.ndarray, parameter: float, period_fraction: float = 1.0
     ) -> IntegratedMotion:
-        """Return the motion over a fraction of the period."""
+        """Integrate the motion from unknowns at phase zero, over a fraction of the period.
+
+        ``parameter`` is the path parameter, 0 to 1.
+        """
         value = self.value(parameter)
         omega, start_state = self.omega(value), self.curve_points_row(unknown, value)
         orbit_period = 2.0 * np.pi * self.subharmonic / omega
@@ -177,12 +202,19 @@ class OrbitEquations(CurveSystem):
     def advance_unknown(
         self, unknown: np.ndarray, parameter: float, period_fraction: float = 1.0
     ) -> np.ndarray:
-        """Return the motion's unknowns x after a fraction of the period."""
+        """Return the unknowns x (n_unknowns,) after a fraction of the period.
+
+        ``unknown`` is the start at phase zero, ``parameter`` the path parameter, 0 to 1.
+        """
         end_state = self._advance_motion(unknown, parameter, period_fraction).state
         return self.unknown(end_state, self.value(parameter))
 
     def relative_half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
-        """Return an orbit's change over half its period, relative to its size."""
+        """Return an orbit's change over half its period, relative to its size.
+
+        It is near 0 if the motion has half the period. ``unknown`` is the scaled state,
+        ``parameter`` the path parameter, 0 to 1.
+        """
         unknown_change = self.advance_unknown(unknown, parameter, 0.5) - unknown
         return float(np.linalg.norm(unknown_change) / (np.linalg.norm(unknown) or 1.0))
 
@@ -190,7 +222,10 @@ class OrbitEquations(CurveSystem):
 
     @cached_property
     def compiled_equations(self) -> ShootingEquations | None:
-        """Same equations in the kernel; None if the kernel lacks them."""
+        """Same equations in the C kernel; None over contact stiffness, speed and friction.
+
+        Over the damping they are None with friction.
+        """
         is_over_damping = self.parameter_name == "damping"
         # With friction, the places where pairs stick depend on the damping, too.
         if self.parameter_name in ("stiffness", "speed", "friction") or (
@@ -225,11 +260,13 @@ class OrbitEquations(CurveSystem):
         )
 
     def rounding(self, parameter: float) -> float:
-        """Return the rounding error of the residual, as |F| / |x|."""
+        """Return the rounding error |F| / |x| of the residual, the same for all points."""
         return ROUNDING
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
-        """Evaluate the residual F and its derivatives at a point.
+        """Evaluate the orbit equations and their derivatives at a point.
+
+        ``unknown`` is the scaled state x, ``parameter`` the path parameter, 0 to 1.
 
         Raises
         ------
@@ -268,9 +305,10 @@ class OrbitEquations(CurveSystem):
         return OrbitPoint(unknown, residual, monodromy, by_parameter, n_events, n_pieces)
 
     def step_control_values(self, records: np.ndarray) -> np.ndarray:
-        """Return Floquet multipliers and their counts (:func:`leading_multipliers_and_counts`).
+        """Return Floquet multipliers and their counts: (n_points, k + 3) complex.
 
-        ``records`` (n_points, n_unknowns^2) are monodromy matrices.
+        ``records`` (n_points, n_unknowns^2) are monodromy matrices. For the columns see
+        :func:`leading_multipliers_and_counts`.
         """
         return leading_multipliers_and_counts(
             np.linalg.eigvals(records.reshape(-1, self.n_unknowns, self.n_unknowns))
@@ -280,7 +318,10 @@ class OrbitEquations(CurveSystem):
 def system_along(
     is_exact: bool, problem: Problem, parameter: str, start: float, end: float
 ) -> BalanceEquations | OrbitEquations:
-    """Return the equations of exact orbits, or of harmonic balance, along a parameter."""
+    """Return the equations along a parameter, from ``start`` to ``end``.
+
+    ``is_exact`` chooses exact orbits, else harmonic balance.
+    """
     if is_exact:
         return OrbitEquations(problem, parameter, start, end)
     return EQUATIONS_CLASS_BY_PARAMETER[parameter](problem, start, end)

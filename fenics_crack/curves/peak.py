@@ -34,14 +34,14 @@ from fenics_crack.basics.tables import (
 )
 
 RISING_AT_END_TEXT = "still rising at the end of the range"
-"""Description of a largest response that is no peak."""
+"""Words printed with a largest response at an end of the curve."""
 
 
 @dataclass(frozen=True)
 class LargestResponse:
     """Largest response of a curve at one dof, interpolated between its points.
 
-    The attributes are described in :class:`Peak`.
+    The fields are those of :class:`Peak` with the same names.
     """
 
     index: int
@@ -52,31 +52,31 @@ class LargestResponse:
 
 @dataclass(frozen=True, repr=False)
 class Peak(Described, LargestResponse):
-    """Largest response of a curve at one dof.
+    """Largest response of a curve at one dof, with error, stability and damping.
 
     Attributes
     ----------
     index : int
         Index of the nearest point of the curve, for ``curve.solution(index)``.
     value : float
-        Value of the curve's parameter.
+        Curve parameter at the peak, for example the load frequency [rad/s].
     amplitude : float
         Half the peak-to-peak displacement [m].
     at_end : bool
-        True at an end of the curve: the response is still rising, and there is no peak.
+        True if the largest response is the first or last point: the curve then has no peak.
     omega : float
         Load frequency [rad/s].
     error : float
-        Estimated error of the amplitude, relative to it.
+        Estimated relative error of the amplitude; 1: unknown.
     verdict : str
-        Stability of the vibration.
+        Stability of the vibration: "stable", "unstable", "irregular" or "undecided".
     damping : float
         Damping ratio by the half-power width of the load's own harmonic. nan if this harmonic does
         not fall to 1/sqrt(2) on both sides, as if a higher one resonates, or if the curve is over
         neither the frequency nor the speed.
     omega_error : float
-        Estimated error of the frequency, relative to it; nan if unknown, or if the response is
-        still rising.
+        Estimated relative error of the frequency; nan if unknown, or if the response is still
+        rising.
     without : str
         Causes missing in the errors: "error due to the mesh not included" for a curve alone
         (:class:`ErrorReport`); empty for :func:`fenics_crack.curve`, whose scene has a mesh.
@@ -92,7 +92,7 @@ class Peak(Described, LargestResponse):
     frequency = hertz_property()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the attributes and the frequency [Hz]."""
+        """Return the attributes by name, with the frequency in Hz."""
         return add_frequency_entries(dict(vars(self)))
 
     def _repr_text(self) -> str:
@@ -114,7 +114,9 @@ class Peak(Described, LargestResponse):
 def interpolate_peak_and_damping(
     values: np.ndarray, amplitudes: np.ndarray, peak_index: int
 ) -> tuple[float, float, float]:
-    """Return the maximum of a curve between its points, and the damping ratio.
+    """Return the peak of a curve between its points, and the damping ratio.
+
+    A cubic spline through 1/A^2 gives both, where A is the amplitude.
 
     Parameters
     ----------
@@ -126,9 +128,11 @@ def interpolate_peak_and_damping(
     Returns
     -------
     value, amplitude : float
-        Maximum of the interpolated amplitude.
+        Parameter and amplitude at the peak; those of the point ``peak_index`` if it has no
+        neighbour on a side, or if the curve turns back there.
     damping : float
-        Damping ratio by the half-power width; nan if a side of the peak is missing.
+        Width at 1/sqrt(2) of the peak's amplitude, over twice the peak's parameter; nan if the
+        amplitude does not fall so far on both sides.
     """
     from scipy.interpolate import CubicSpline  # loading takes longer than drawing a curve
 
@@ -169,8 +173,24 @@ def damping_by_half_power_width(
 ) -> float:
     """Return the damping ratio by the half-power width of the load's own harmonic.
 
-    ``coefficients`` are (n, 2H+1), and ``peak_index`` is the point of the largest response. The
-    result is nan if a side of the peak is missing.
+    The width is measured at 1/sqrt(2) of the harmonic's amplitude at the peak.
+
+    Parameters
+    ----------
+    values : (n,)
+        Parameter at each point, in order along the curve.
+    coefficients : (n, 2H+1)
+        Displacement coefficients of a dof at each point: mean, then cosine and sine of harmonics 1
+        to H.
+    subharmonic : int
+        Number of load periods in a response period; the load's own harmonic is this one.
+    peak_index : int
+        Index of the point with the largest response.
+
+    Returns
+    -------
+    float
+        nan if the harmonic does not fall to 1/sqrt(2) on both sides.
     """
     cosine, sine = coefficients[:, 2 * subharmonic - 1], coefficients[:, 2 * subharmonic]
     return interpolate_peak_and_damping(values, np.hypot(cosine, sine), peak_index)[2]
@@ -179,10 +199,11 @@ def damping_by_half_power_width(
 def _half_power_index(
     values: np.ndarray, amplitudes: np.ndarray, peak_index: int, index_step: int
 ) -> int:
-    """Return the first index below half the peak's power, on one side.
+    """Return the first index on one side below half the peak's power.
 
-    If the curve ends or turns back before, return the last point before. ``index_step`` is
-    -1 or 1.
+    The amplitude there is below 1/sqrt(2) of the amplitude at ``peak_index``. If the curve ends or
+    turns back before, return the last index before. ``index_step`` is -1 to go down, 1 to go up;
+    ``values`` and ``amplitudes`` are (n,).
     """
     index, last_value_change = peak_index, 0.0
     half_power_amplitude = amplitudes[peak_index] / math.sqrt(2.0)

@@ -42,12 +42,12 @@ from fenics_crack.numerics.equations import Linearisation
 
 @dataclass(frozen=True)
 class ExcitingHarmonic:
-    """Exciting harmonic in a load.
+    """Harmonic of a load that excites a phase resonance.
 
     Attributes
     ----------
     harmonic : int
-        k.
+        Multiple k of the load frequency.
     cosine_and_sine_load : (2, n_dofs) [N]
         Cosine and sine parts of the load; on a wheel, only on the watched blade.
     """
@@ -57,19 +57,27 @@ class ExcitingHarmonic:
 
     @classmethod
     def of_structure(cls, structure: Structure, harmonic: int) -> ExcitingHarmonic:
-        """Return a harmonic in a structure's load."""
+        """Return the harmonic with a given order in a structure's load."""
         row_slice = slice(2 * harmonic - 1, 2 * harmonic + 1)
         return cls(harmonic, structure.whole.watched_sector_load_rows(structure, row_slice))
 
     def complex_work(self, point: ContactPoint, force: np.ndarray | None = None) -> complex:
-        """Return P at a point, or there with given contact forces [N m]."""
+        """Return the load's complex work P = f_k^H u_k at a point [N m].
+
+        f_k and u_k are complex coefficients of load and displacement. Re P = 0 at a phase
+        resonance. ``force`` (2H+1, n_pairs) [N] replaces the contact forces at the point; default:
+        the point's own.
+        """
         work_coefficients = modal_compliance_of(point).selected_displacement(
             self.cosine_and_sine_load, point.force if force is None else force
         )
         return self._complex_work_of(work_coefficients)
 
     def complex_work_omega_derivative(self, point: ContactPoint) -> complex:
-        """Return dP/dw for fixed contact forces."""
+        """Return the complex work's derivative by the frequency [N m s].
+
+        Contact forces are fixed.
+        """
         return self._complex_work_of(
             modal_compliance_of(point).selected_displacement_omega_derivative(
                 self.cosine_and_sine_load, point.force
@@ -77,34 +85,37 @@ class ExcitingHarmonic:
         )
 
     def _complex_work_of(self, coefficients: np.ndarray) -> complex:
-        """Return the complex work P from products of load and displacement.
+        """Return the complex work from products of load and displacement [N m].
 
-        ``coefficients`` (2H+1, 2) [N m] are those of the displacement times the cosine and the sine
-        part of the load.
+        ``coefficients`` (2H+1, 2) [N m] are the displacement's Fourier coefficients times the
+        cosine part (first column) and the sine part of the load.
         """
         cosine, sine = coefficients[2 * self.harmonic - 1], coefficients[2 * self.harmonic]
         return complex(cosine[0] + sine[1], cosine[1] - sine[0])
 
 
 def modal_compliance_of(point: ContactPoint) -> ModalCompliance:
-    """Return the model of a small structure's dynamic compliance at a point."""
+    """Return the compliance model, by all modes, of the equations at a point."""
     assert isinstance(point.system.compliance_model, ModalCompliance)
     return point.system.compliance_model
 
 
 class PhasePoint(Linearisation):
-    """Equations at a point, with the unknowns s and w.
+    """Equations of a phase resonance at a point, with derivatives.
 
-    s is divided by the system's ``vibration_size`` times v, and w by the problem's frequency.
+    Harmonic balance F(s, v, w) = 0, and Re P / Im P = 0 for the load's complex work P. s is the
+    slow gap (gap plus residual flexibility times contact force), v the factor for the vibrating
+    load, w the load frequency. The unknowns are s divided by the system's ``vibration_size`` times
+    v, and w divided by the problem's frequency.
 
     Attributes
     ----------
     problem : Problem
         Problem at v = 1, with a frequency near w.
     contact_point : ContactPoint
-        F at s / v, for v = 1.
+        Harmonic balance at s / v, for v = 1.
     omega : float [rad/s]
-        w.
+        Load frequency w.
     complex_work : complex [N m]
         P / v.
     slow_gap_frequency_derivative, complex_work_frequency_derivative : (2H+1, n_pairs), complex
@@ -145,14 +156,21 @@ class PhasePoint(Linearisation):
         return residual_derivative
 
     def _phase_cotangent_change(self, work_change: complex) -> float:
-        """Return the change in Re P / Im P by a change in the complex work P."""
+        """Return the change in the phase cotangent Re P / Im P by a change in P.
+
+        P is the load's complex work [N m]; ``work_change`` is its change.
+        """
         complex_work = self.complex_work
         return (
             work_change.real - complex_work.real / complex_work.imag * work_change.imag
         ) / complex_work.imag
 
     def _complex_work_change(self, slow_gap_change: np.ndarray) -> complex:
-        """Return the change in P by a change in the slow gap (2H+1, n_pairs) [m]."""
+        """Return the change in the load's complex work by a slow gap's change [N m].
+
+        ``slow_gap_change`` is (2H+1, n_pairs) [m]; slow gap: gap plus residual flexibility times
+        contact force. The contact forces change with the gap; the frequency is fixed.
+        """
         return (
             self.exciting_harmonic.complex_work(
                 self.contact_point,
@@ -199,14 +217,17 @@ class PhasePoint(Linearisation):
 
     @property
     def half_power_width(self) -> float:
-        """Return D, the half-power width for a mode with this response [rad/s]."""
+        """Return the half-power width D of a single mode with this response [rad/s].
+
+        D = -2 / Im(d ln P / dw), with the load's complex work P and the frequency w.
+        """
         return -2.0 / (self.complex_work_frequency_derivative / self.complex_work).imag
 
     @property
     def distance_to_peak_in_widths(self) -> float:
-        """Return the distance to the top of the response curve, over the width.
+        """Return the distance to the largest response, over the half-power width D.
 
-        It follows from the derivative of P by the frequency.
+        It is D/4 Re(d ln P / dw), with the load's complex work P and the frequency w.
         """
         return (
             0.25
@@ -216,22 +237,23 @@ class PhasePoint(Linearisation):
 
     @cached_property
     def solution(self) -> PeriodicSolution:
-        """Return the motion, without a search for an exact orbit."""
+        """Return the motion at this point, without a search for an exact orbit."""
         problem = replace(self.problem, omega=self.omega)
         return solution_of(problem, self.contact_point, status="phase resonance", search=False)
 
 
 class ResonanceSystem(CurveSystem):
-    """Phase resonance over the factor v of a load.
+    """Equations of a phase resonance along a factor v for the vibrating load.
 
-    The unknowns are s / (``vibration_size`` v), and w relative to the problem's frequency.
+    The unknowns are the slow gap's coefficients over (``vibration_size`` v), and the load frequency
+    over the problem's frequency. Slow gap: gap plus residual flexibility times contact force.
 
     Attributes
     ----------
     start_unknown : (n_unknowns,)
         Guess for the resonance at ``start``, from a nearby point.
     vibration_size : float [m]
-        Size of the slow gap's vibration at this point, over v.
+        Norm of the slow gap's vibrating coefficients at this point, over v.
     """
 
     parameter_name, is_logarithmic = "resonance", True

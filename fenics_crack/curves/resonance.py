@@ -57,26 +57,25 @@ from fenics_crack.numerics.path import (
 PATH_TO_RESONANCE_OPTIONS = PathOptions(
     0.05, 0.3, max_steps=300, points_per_call=8, parameter_range=(-4.0, 1.8)
 )
-"""Options for the response curve to the first resonance.
+"""Step options for the response curve to the first resonance.
 
 The curve's parameter is in halves of the start frequency, so that steps are relative to the motion.
 The curve reaches from a tenth of the frequency to three times the frequency.
 """
 MAX_DISTANCE_TO_PEAK = 0.1
-"""Distance to the top of the response curve, over the half-power width, at which several modes
-count.
+"""Maximum distance, in half-power widths, from phase resonance to largest response of one mode.
 
-The amplitude is then 2 % below the top.
+Beyond, several modes answer together. At this distance the amplitude is 2 % below the top.
 """
 SMALL_LOAD_FACTOR = 1e-3
 """Factor for a small load. Smaller factors would lose more to rounding beside a mean load."""
 MAX_SPEED_CORRECTIONS = 20
-"""Maximum number of secant steps to the speed at which an engine order meets a resonance."""
+"""Maximum number of secant steps to the speed at an engine order's resonance."""
 
 
 @dataclass(frozen=True, repr=False)
 class Resonance(Described):
-    """Phase resonance under the load of a structure.
+    """Result of :func:`resonance_at`: phase resonance of a structure under its load.
 
     Attributes
     ----------
@@ -85,15 +84,16 @@ class Resonance(Described):
     omega : float
         Load frequency [rad/s].
     harmonic : int
-        Exciting harmonic in the load.
+        Multiple of the load frequency that excites the resonance.
     width : float
-        Half-power width in the unit of ``value``.
+        Half-power width of the resonance, in the unit of ``value``.
     apart : float
-        Distance to the top of the response curve over the width, estimated at the resonance.
+        Estimated distance to the largest response, over the width; positive if the largest response
+        is at a higher frequency.
     solution : PeriodicSolution
         Motion at the resonance.
     error : float
-        Estimated truncation error of the amplitude, relative to it; inf if unknown, nan without a
+        Estimated relative truncation error of the amplitude; inf if unknown, nan without a
         tolerance.
     """
 
@@ -107,32 +107,39 @@ class Resonance(Described):
 
     @property
     def several(self) -> bool:
-        """True if several modes shift the phase by more than a tenth of the width.
+        """True if the largest response is over 0.1 half-power widths away from the phase resonance.
 
-        The response curve then shows the largest response.
+        Several modes then answer together, and a response curve shows the largest response.
         """
         return not abs(self.apart) <= MAX_DISTANCE_TO_PEAK
 
     def to_dict(self) -> dict[str, Any]:
-        """Return frequencies, the width, the distance to the top, the error and the amplitude."""
+        """Return frequencies, width, distance to the largest response, error and amplitude."""
         names = "value", "omega", "harmonic", "width", "apart", "several", "error"
         columns_by_name = {name: getattr(self, name) for name in names}
         return add_frequency_entries(columns_by_name | {"amplitude": self.solution.amplitude()})
 
 
 class _PhaseResonanceEvent(ZeroCrossing):
-    """Zero for the displacement in phase with the load; paths end there."""
+    """Event at which the displacement at the load has no part in phase with the load.
+
+    A path ends there.
+    """
 
     is_terminal, must_be_located, description = True, True, EndReason.REACHED.value
 
 
 def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
-    """Return the first phase resonance on the response curve from a load frequency on.
+    """Return the first phase resonance on the response curve.
+
+    The curve is followed upwards in frequency if displacement and load are in phase at
+    ``from_omega`` [rad/s], else downwards. ``problem`` has a small structure.
 
     Raises
     ------
     InputError
-        No damped mode answers to the load.
+        No damped mode answers to the load; or the problem has friction, a smooth law, or a
+        subharmonic.
     ConvergenceError
         No first solution, or no resonance on the curve.
     """
@@ -186,9 +193,10 @@ def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
 
 
 def _find_nearby_resonance(resonance_point: PhasePoint, **changes: Any) -> PhasePoint:
-    """Return the resonance for a changed problem next to a given resonance.
+    """Return the resonance of a changed problem, sought from a known resonance.
 
-    ``changes`` are fields of the problem. If Newton's method fails, the response curve is followed.
+    ``changes`` are fields of the problem. If Newton's method fails, the response curve of the
+    changed problem is followed from the known frequency.
     """
     problem_fields = {"omega": resonance_point.omega, "static_above": None} | changes
     problem = replace(resonance_point.problem, **problem_fields)
@@ -205,13 +213,13 @@ def _find_nearby_resonance(resonance_point: PhasePoint, **changes: Any) -> Phase
 
 
 def _refined_point_and_error(point: PhasePoint, tolerance: float) -> tuple[PhasePoint, float]:
-    """Double the harmonics until the error is below a tolerance.
+    """Double the harmonics of a resonance until the error meets a tolerance.
 
-    The search also ends if several modes answer together, at the maximum number of harmonics, or if
-    no resonance is found. The error is the larger of two numbers:
+    The doubling also ends if several modes answer together, at 100 harmonics, or if no resonance is
+    found. The error is the larger of two numbers:
 
     - The change from half as many harmonics: relative change of the amplitude, plus the amplitude
-      loss that the frequency shift would cause.
+      loss due to the frequency shift, 2 (shift / half-power width)^2.
     - The exact flow's prediction for the displacement. Many harmonics may change nothing until a
       harmonic meets a mode.
 
@@ -220,7 +228,7 @@ def _refined_point_and_error(point: PhasePoint, tolerance: float) -> tuple[Phase
     point : PhasePoint
         Resonance with the harmonics reached.
     error : float
-        Relative error; inf if unknown.
+        Relative error of the amplitude; inf if unknown.
     """
     error, n_harmonics = math.inf, 2 * point.problem.harmonics
     while (
@@ -243,24 +251,29 @@ def _refined_point_and_error(point: PhasePoint, tolerance: float) -> tuple[Phase
 def _find_order_crossing_and_resonance_rate(
     point: PhasePoint, order: float | None
 ) -> tuple[PhasePoint, float]:
-    """Find the resonance that an engine order meets, over the rotor speed.
+    """Find the rotor speed at which an engine order meets the resonance.
 
-    The secant method varies the speed.
+    The secant method varies the speed, at most 20 times.
 
     Parameters
     ----------
     point : PhasePoint
-        Resonance at the rotor's speed.
+        Resonance at the structure's own speed.
     order : float or None
-        Load frequency over rotor speed.
+        Load frequency over rotor speed; None: the speed does not change.
 
     Returns
     -------
     point : PhasePoint
-        Resonance at that speed; the given point without an order.
+        Resonance at the speed of the crossing; the given point without an order.
     resonance_rate : float
-        Derivative, by the rotor's speed, of the resonance frequency divided by the order; 0
-        without an order.
+        Derivative, by the rotor's speed, of the resonance frequency divided by the order; 0 without
+        an order.
+
+    Raises
+    ------
+    ConvergenceError
+        No such speed was found.
     """
     if order is None:
         return point, 0.0
@@ -281,9 +294,11 @@ def _find_order_crossing_and_resonance_rate(
 def _small_problem_and_start_omega(
     problem: Problem, near_omega: float | None, tolerance: float | None
 ) -> tuple[Problem, float]:
-    """Return the problem with a small structure, and the start frequency for the search.
+    """Return the problem with a small structure, and the start frequency [rad/s].
 
-    A structure with many dofs is reduced to crack faces without mass.
+    A structure with many dofs is reduced to crack faces without mass. ``near_omega`` None: start at
+    the problem's frequency. Raises InputError unless ``near_omega`` and ``tolerance`` are positive
+    or None.
     """
     for key, value in ("near", near_omega), ("tolerance", tolerance):
         if value is not None:
@@ -320,9 +335,9 @@ def resonance_at(
     """Find the phase resonance next to a load frequency, under the load as it is.
 
     At the resonance the displacement at the load has no part in phase with the load, as in a modal
-    test. The largest response is next to it, unless several modes answer together; the result says
-    so. The response is followed upwards from a frequency with displacement and load in phase,
-    otherwise downwards.
+    test. The largest response is next to it, unless several modes answer together
+    (:attr:`Resonance.several`). The response curve is followed upwards in frequency if displacement
+    and load are in phase at the start, otherwise downwards.
 
     ``resonance_at(structure, law, omega)`` is short for a problem with 5 harmonics, or as many as
     the load has.
@@ -335,11 +350,12 @@ def resonance_at(
     near : float, optional
         Load frequency [rad/s] at which the search begins; default: the problem's.
     parameter : "omega" or "speed"
-        Quantity that follows the resonance: the load frequency, or the speed of a rotor from
-        :func:`fenics_crack.run_up_structure`, with the modes at each speed.
+        Quantity in which the resonance is given: the load frequency; or the speed of a rotor from
+        :func:`fenics_crack.run_up_structure`, whose modes change with the speed. The load frequency
+        then keeps its ratio to the speed.
     tolerance : float, optional
-        Double the harmonics until the estimated error of the amplitude is below this, or until
-        several modes answer together: the curve shows more then.
+        Double the harmonics until the estimated relative error of the amplitude is below this, or
+        until several modes answer together: the response curve shows more then.
 
     Returns
     -------
@@ -386,9 +402,9 @@ def resonance_at(
 
 
 def problem_at_small_load(problem: Problem) -> Problem:
-    """Return a problem with a small load and the same mean load.
+    """Return a problem with a thousandth of the vibrating load.
 
-    Under a small load a crack stays open or closed if the mean load holds it.
+    The mean load stays. A crack then stays open or closed if the mean load holds it so.
     """
     return EQUATIONS_CLASS_BY_PARAMETER["resonance"].vary(problem, SMALL_LOAD_FACTOR)
 
@@ -404,16 +420,16 @@ def follow_resonance(
     throw: bool = True,
     **steps: Unpack[StepOptions],
 ) -> ResponseCurve:
-    """Follow a phase resonance over the load.
+    """Follow a phase resonance over a factor for the vibrating load.
 
     Parameters
     ----------
     problem, near
         As in :func:`resonance_at`.
     start, end : float
-        Factors for the load without its mean, above 0.
+        First and last factor for the load without its mean, above 0.
     tolerance : float, optional
-        Take as many harmonics as this error requires at the end.
+        Relative error of the amplitude at the last factor, for which the harmonics are chosen.
     progress, throw, **steps
         As in :func:`continue_frequency`: longest_step, most_points, turning_back.
 

@@ -75,26 +75,30 @@ def monodromy_of_linear_flow(
     base_omega: float,
     static_cutoff: float | None = None,
 ) -> np.ndarray:
-    """Return the monodromy matrix M of the linear flow: (2 n_modes, 2 n_modes).
+    """Return the monodromy matrix for small disturbances of a solution.
 
-    M maps a disturbance (q, q') of modal displacements and velocities at phase zero to the
-    disturbance a period later.
+    The matrix (2 n_modes, 2 n_modes) maps a disturbance (q, q') of modal displacements and
+    velocities at phase zero to the disturbance a period later. The equation of motion is linearised
+    along the solution, with the contact stiffness at its gaps.
 
     Parameters
     ----------
     structure : Structure
         Small structure.
     contact : ContactLaw
+        Law for all pairs.
     gap_coefficients : (2H+1, n_pairs) [m]
-        Gap coefficients; with ``static_cutoff``, coefficients of the slow gap.
+        Fourier coefficients of the gaps; with ``static_cutoff``, of the slow gaps: gap plus
+        residual flexibility times contact force.
     base_omega : float [rad/s]
+        Frequency of the response.
     static_cutoff : float, optional [rad/s]
         Frequency above which modes are quasi-static.
 
     Raises
     ------
     ConvergenceError
-        The steps cannot resolve M.
+        The steps, at most 8192 per period, cannot resolve the matrix.
     InputError
         The law's tangent is not the slope of its force along the solution.
     """
@@ -134,14 +138,11 @@ def _monodromy_by_steps(
     modes: AllModes, contact: ContactLaw, gap_coefficients: np.ndarray, base_omega: float,
     n_steps: int,
 ) -> np.ndarray:  # fmt: skip
-    """Return the monodromy matrix by N equal steps, with N a power of two.
+    """Return the monodromy matrix of the linear flow by equal steps.
 
-    Parts of the period are computed side by side, and their matrices then multiplied in sequence.
-
-    Returns
-    -------
-    (2 n_modes, 2 n_modes)
-        M_N, with an error of second order in the step length.
+    ``n_steps`` is the number of steps per period, a power of two. The error is of second order in
+    the step length. Parts of the period are computed side by side, and their matrices then
+    multiplied in sequence. The result (2 n_modes, 2 n_modes) is not finite with too few steps.
     """
     step_size = 2.0 * np.pi / base_omega / n_steps
     n_modes = len(modes.squares)
@@ -183,10 +184,19 @@ def _monodromy_by_steps(
 def _velocity_change(
     modes: AllModes, step_times_stiffness: np.ndarray, displacement: np.ndarray
 ) -> np.ndarray:
-    """Return the modal velocity change h P kappa P^T q by contact.
+    """Return the modal velocity change by contact over a step, h P kappa P^T q.
 
-    ``step_times_stiffness`` is the step length h times the contact stiffness kappa of each pair, or
-    the matrix of coupled pairs. P are the modes at the pairs, and q the modal displacements.
+    Parameters
+    ----------
+    step_times_stiffness : (..., n_pairs, 1), or (..., n_pairs, n_pairs) if pairs are coupled
+        Step length h times contact stiffness kappa.
+    displacement : (..., n_modes, k)
+        Modal displacements q; P^T takes them to the gaps.
+
+    Returns
+    -------
+    (..., n_modes, k)
+        Change to subtract from the velocities.
     """
     pair_displacement = modes.gaps_by_mode.T @ displacement
     has_uncoupled_pairs = modes.residual_compliance is None
@@ -201,10 +211,10 @@ def _velocity_change(
 def _step_without_contact_forces(
     modes: AllModes, transition: np.ndarray, states: np.ndarray
 ) -> np.ndarray:
-    """Return the states after a step without contact forces.
+    """Return modal states after one exact step without contact forces.
 
-    ``transition`` is the first result of :meth:`AllModes.transition_and_force_response`. States
-    are the columns (m, 2 n_modes, k) of modal displacements, then velocities.
+    ``transition`` is the first result of :meth:`AllModes.transition_and_force_response`. ``states``
+    (m, 2 n_modes, k) have modal displacements, then velocities, in the second index.
     """
     if modes.damping.ndim == 2:
         return np.asarray(transition @ states)
@@ -218,7 +228,11 @@ def _step_without_contact_forces(
 def _assessment_of(
     structure: Structure, solution: PeriodicSolution, contact: ContactLaw | None
 ) -> Assessment:
-    """Return the assessment of a solution, with another law if given."""
+    """Return the assessment of a solution by the exact flow.
+
+    ``contact`` replaces the solution's law; None: keep the law. Raises InputError if the number of
+    dofs is not the structure's.
+    """
     law = solution.contact if contact is None else contact
     check_law(structure, law, allows_rigid=True)
     if solution.structure.n_dofs != structure.n_dofs:
@@ -234,17 +248,20 @@ def shoot(
     settle: int = 0,
     tolerance: float = 1e-10,
 ) -> PeriodicOrbit:
-    """Refine a harmonic-balance solution to a periodic orbit in time: z(T) = z(0).
+    """Refine a harmonic-balance solution to a periodic orbit in time.
 
-    Newton's method on the exact flow at the solution's frequency; steps are damped if the residual
-    would grow.
+    The orbit's state z, displacements and velocities, returns after a period T: z(T) = z(0).
+    Newton's method on the exact flow finds the orbit at the solution's frequency. Steps are damped
+    if the residual would grow.
 
     Parameters
     ----------
-    structure, contact
-        Default for the law: the solution's.
+    structure : Structure
+        The solution's structure.
     solution : PeriodicSolution
         First guess for the orbit.
+    contact : ContactLaw, optional
+        Law; default: the solution's own.
     settle : int
         Follow the flow for so many response periods first, towards an attractor.
     tolerance : float
@@ -298,7 +315,7 @@ def shoot(
 def floquet(
     structure: Structure, solution: PeriodicSolution, contact: ContactLaw | None = None
 ) -> Stability:
-    """Return the Floquet multipliers of a solution, and the verdict on its stability.
+    """Return the Floquet multipliers of a solution, and its stability.
 
     The multipliers mu are the eigenvalues of the monodromy matrix dz(T)/dz(0). z is displacement
     and velocity, T the response's period. In each period a small disturbance is multiplied by mu.
@@ -316,8 +333,9 @@ def floquet(
     Returns
     -------
     Stability
-        Multipliers in descending order of modulus, and the verdict. If no orbit decides, the
-        reason, with distance and stability of the nearest orbit if one was found.
+        Multipliers in descending order of modulus, and the verdict: "stable", "unstable",
+        "irregular" or "undecided". If no exact orbit decides, the reason, with distance and
+        stability of the nearest orbit if one was found.
 
     Raises
     ------
@@ -345,12 +363,12 @@ def floquet(
 
 
 def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attractor, ...]:
-    """Find the motions that replace an unstable solution in the long run.
+    """Find the motions that a disturbed unstable solution reaches in the long run.
 
-    Each motion begins next to the orbit, at a distance of 1 % of the motion, and the exact flow
-    follows it. Small disturbances grow in the direction v, an eigenvector M v = mu v of the
-    monodromy matrix M. If mu > 1, the motions along v and -v part. They may go to two orbits: above
-    and below the unstable orbit of a leaning resonance, for example. For an irregular solution the
+    A motion begins next to the unstable orbit, at a distance of 1 % of the motion, and the exact
+    flow follows it. Small disturbances grow in the direction v, an eigenvector M v = mu v of the
+    monodromy matrix M. If mu > 1, disturbances along v and -v may lead to two orbits: above and
+    below the unstable orbit of a leaning resonance, for example. For an irregular solution the
     result is the exact motion that begins with the solution.
 
     Parameters
@@ -428,10 +446,11 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
 
 
 def attractor_from_rest(solution: PeriodicSolution) -> Attractor | None:
-    """Follow the exact motion from rest, to compare with a solution (collective).
+    """Follow the exact motion from rest under the solution's load (collective).
 
-    The motion is followed for as long as a search for an orbit follows one. The result is None
-    without an exact flow, or for more than 120 modes.
+    The motion may settle to the solution or to another attractor. It is followed for as long as a
+    search for an orbit allows, at least 60 periods. The result is None without an exact flow, or
+    for more than 120 modes.
     """
     flow = solution.assessment.flow
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
@@ -445,7 +464,11 @@ def attractor_from_rest(solution: PeriodicSolution) -> Attractor | None:
 
 
 def stability_of(assessment: Assessment) -> Stability:
-    """Return the stability of an assessed solution by its nearest exact orbit."""
+    """Return the stability of an assessed solution by its nearest exact orbit.
+
+    The verdict is "undecided", with a reason, if no orbit is accepted or the largest multiplier is
+    1 to 1e-6. Without an orbit, it is "irregular" if a small disturbance of the exact motion grows.
+    """
     orbit, irregular_attractor = assessment.nearest_orbit, assessment.irregular_attractor
     if orbit is None:
         assert assessment.flow is not None
@@ -482,9 +505,11 @@ def stability_of(assessment: Assessment) -> Stability:
 def _stability_by_linear_flow(
     structure: Structure, solution: PeriodicSolution, contact: ContactLaw
 ) -> Stability:
-    """Assess a solution by the multipliers of its linear flow.
+    """Return the stability of a solution by the multipliers of its linear flow.
 
-    The uncertainty is their difference from the multipliers with twice the harmonics.
+    The uncertainty is the change of the largest modulus with twice the harmonics. The verdict is
+    "undecided" if the modulus is 1 within this uncertainty, or if the solution's truncation error
+    is unknown or above 0.05.
     """
     gap_coefficients = solution.slow_gap_coefficients
     static_cutoff = solution.static_above

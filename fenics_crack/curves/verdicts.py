@@ -45,11 +45,14 @@ from fenics_crack.numerics.newton import PathPoint, point_on_path
 from fenics_crack.numerics.path import ZeroCrossing
 
 MAX_FOLLOWED_POINTS = 8
-"""Maximum number of points whose exact motion is followed, at 0.05 to 0.5 s each."""
+"""Maximum number of points whose exact motion is integrated.
+
+Each takes 0.05 to 0.5 s.
+"""
 
 
 def judge_curve(curve: ResponseCurve) -> ResponseCurve:
-    """Assess the points of a curve over any parameter by their nearest exact orbits.
+    """Assess the stability along a curve by nearest exact orbits.
 
     Laws that are not linear in contact have no exact orbits. Each point is then assessed like a
     solution in :func:`floquet`. Period doublings and Neimark-Sacker points are found from the
@@ -58,7 +61,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     Parameters
     ----------
     curve : ResponseCurve
-        Harmonic-balance curve, followed with or without ``stability=True``.
+        Harmonic-balance curve over any parameter, followed with or without ``stability=True``.
 
     Returns
     -------
@@ -97,15 +100,16 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
 def _growth_factors_of_irregular_motions(
     curve: ResponseCurve, is_undecided: np.ndarray
 ) -> np.ndarray:
-    """Measure the growth of disturbances at some points without a verdict.
+    """Measure the growth of small disturbances at points of undecided stability.
 
-    ``is_undecided`` (n,) is True at points without a verdict.
+    At most 8 points, evenly spread, are integrated in time. ``is_undecided`` (n,) is True at points
+    of undecided stability.
 
     Returns
     -------
     (n,)
-        Factor by which a disturbance grows per period. Between two irregular points, geometric
-        interpolation; elsewhere nan.
+        Factor by which a disturbance grows per period, at integrated points with irregular motion.
+        Between two of them, if all points between are undecided: geometric interpolation. Else nan.
     """
     growth_factors, undecided_indices = np.full(len(curve), np.nan), np.flatnonzero(is_undecided)
     spread_positions = np.linspace(
@@ -126,16 +130,17 @@ def _growth_factors_of_irregular_motions(
 
 
 def _leading_multiplier_if_decided(stability: Stability) -> complex:
-    """Return the leading multiplier; nan if the stability is undecided."""
+    """Return the Floquet multiplier of largest modulus; nan if the stability is undecided."""
     if stability.verdict == "undecided":
         return math.nan
     return leading_multiplier_in_upper_half(stability.multipliers)
 
 
 def judge_by_linear_flow(curve: ResponseCurve) -> ResponseCurve:
-    """Return the curve with verdicts and bifurcations by the linear flow.
+    """Return a curve with stability and bifurcations by the linear flow.
 
-    Bifurcations are where multipliers leave the unit circle.
+    The flow is linearised along each solution, for laws without exact orbits. A period doubling or
+    Neimark-Sacker point is located wherever multipliers leave the unit circle between two points.
     """
     begin_stage("stability of each point")
     solutions = (curve.solution(index, search=False) for index in range(len(curve)))
@@ -169,7 +174,7 @@ def judge_by_linear_flow(curve: ResponseCurve) -> ResponseCurve:
 def _locate_bifurcation(
     curve: ResponseCurve, index: int, test_function: Callable[[np.ndarray], float]
 ) -> tuple[float, float, np.ndarray]:
-    """Locate a bifurcation between a point and the next one.
+    """Locate a bifurcation between two neighbouring points of a harmonic-balance curve.
 
     Parameters
     ----------
@@ -177,13 +182,14 @@ def _locate_bifurcation(
     index : int
         Index of the point before the bifurcation.
     test_function : callable
-        Function of multipliers that is zero at the bifurcation.
+        Function of the Floquet multipliers (2 n_modes,) that is zero at the bifurcation.
 
     Returns
     -------
     value, omega : float
         Parameter value, and load frequency [rad/s].
     unknown : (2H+1, n_pairs) [m]
+        Fourier coefficients of the gaps, or of the slow gaps with a residual flexibility.
     """
     system = curve.system
     assert isinstance(system, BalanceEquations)

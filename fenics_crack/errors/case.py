@@ -50,27 +50,31 @@ from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, scene_contact_law
 
 MODE_COUNTS_FOR_FRICTION = 20, 10
-"""Numbers of modes with which the effect of friction is computed, the first for the part itself.
+"""Numbers of modes to compute the effect of friction.
 
-With 40 modes an orbit takes three times as long, and ten times if the search is hard.
+The second number gives a second result, to estimate the error of the effect. With 40 modes an orbit
+takes three times as long, and ten times if the search is hard.
 """
 TURNING_SAFETY_FACTOR = 2.0
-"""Safety factor, 2, on the error r |change by friction| due to sliding across friction lines.
+"""Safety factor on the error r |f_0 - f| due to sliding across friction lines.
 
-Measured in seven cases, against time steps with Coulomb's cone: true errors were 0.03 to 1.2 times
-the stated error.
+A friction line is the direction along which a pair's friction acts. f is a quantity of the answer,
+f_0 of the motion without friction; r is the ratio of sliding across the lines to sliding along
+them. Measured in seven cases, against time steps with Coulomb's cone: true errors were 0.03 to 1.2
+times the stated error.
 """
 SLIDING_STRESS_INTENSITY_NAMES = ("K_II_max", "K_III_max")
-"""Stress intensities that friction at the tip itself changes."""
+"""Quantities without an estimated friction error: friction at the tip itself changes K_II, K_III.
+"""
 N_START_HARMONICS = 10
-"""Harmonics per load period of the solutions that start the search for both orbits."""
+"""Harmonics per load period of the solutions from which friction's exact orbits are sought."""
 SINGLE_HARMONIC_REASON_TEXT = "without contact the motion has the harmonics of the load alone"
-"""Reason why harmonics are not varied."""
+"""Printed reason why harmonics are not varied without contact."""
 
 
 @dataclass(frozen=True)
 class JudgedAnswer:
-    """Hold an answer whose causes of error are varied.
+    """Hold a solution, and the data to estimate the errors of all quantities.
 
     Attributes
     ----------
@@ -79,13 +83,13 @@ class JudgedAnswer:
     answer : PeriodicSolution
         Solution whose errors are sought.
     answer_values_by_name : dict of str to float
-        Numbers of the answer.
+        Values of the answer's quantities by name.
     balance_solution : PeriodicSolution
         Solution by harmonic balance with the answer's number of harmonics, the base of comparisons.
-        :mod:`verify` uses the answer itself; :mod:`stated`, too, if harmonic balance fails and the
-        answer is an exact orbit.
+        :mod:`verify` uses the answer itself; :mod:`stated`, too, if the answer has the Fourier
+        coefficients of an exact orbit.
     balance_numbers : Numbers
-        Numbers of the balance solution.
+        Quantities of the balance solution.
     """
 
     study: Study
@@ -97,7 +101,11 @@ class JudgedAnswer:
     def compute_values_by_name(
         self, motion: PeriodicSolution | PeriodicOrbit, study: Study | None = None
     ) -> dict[str, float]:
-        """Return a motion's numbers, by default in the answer's study (collective)."""
+        """Return the values of a motion's quantities by name (collective).
+
+        ``study`` must have the motion's structure; the default is the answer's study. A quantity
+        that vanishes to rounding has no value.
+        """
         study, mode_number = study or self.study, self.balance_numbers.mode_number
         if isinstance(motion, PeriodicOrbit):
             return compute_orbit_values_by_name(study, self.answer, motion, mode_number)
@@ -105,14 +113,22 @@ class JudgedAnswer:
 
     @cached_property
     def orbit_values_by_name(self) -> dict[str, float] | None:
-        """Numbers of the answer's accepted exact orbit, or None (collective)."""
+        """Values of the answer's accepted exact orbit by quantity name (collective).
+
+        None if the answer has no accepted orbit (:func:`find_accepted_orbit_or_none`).
+        """
         orbit = find_accepted_orbit_or_none(self.answer)
         return None if orbit is None else self.compute_values_by_name(orbit)
 
     def estimate_harmonics_error_by_orbit(
         self, orbit_values_by_name: Mapping[str, float]
     ) -> PartOrReason:
-        """Estimate the error by harmonics from the exact orbit's numbers."""
+        """Take the distance to the exact orbit as the error due to truncated harmonics.
+
+        The error of a quantity f is |f - f_orbit|, with safety factor 1; a quantity missing in
+        ``orbit_values_by_name`` counts as 0. The counts are the harmonics of the answer and of the
+        evaluated orbit.
+        """
         harmonic_counts = self.answer.harmonics, choose_n_orbit_harmonics(self.answer)
         reciprocal_counts = 1.0 / harmonic_counts[1], 1.0 / harmonic_counts[0]
         convergence_by_name = {}
@@ -128,10 +144,17 @@ class JudgedAnswer:
         return harmonic_counts, convergence_by_name
 
     def estimate_error_by_friction(self) -> PartOrReason:
-        """Estimate the error by friction from orbits with and without friction (collective).
+        """Estimate the error due to neglected friction (collective).
 
-        With friction along lines, the sliding across the lines gives the error instead. There is
-        no part with any further friction law, with a coefficient in the scene, or without contact.
+        Compare exact orbits without friction, and with the coefficient ``contact.friction_error``.
+        If a solid has friction along lines already, sliding across the lines gives the error.
+
+        Returns
+        -------
+        PartOrReason
+            Part, or the reason for no part. The reason is empty if no pair touches, or if the scene
+            sets
+            ``contact.friction`` without friction lines.
         """
         study, scene, answer = self.study, self.study.scene, self.answer
         contact_law, structure = study.contact, study.structure
@@ -198,15 +221,21 @@ class JudgedAnswer:
     ) -> tuple[list[PeriodicOrbit], list[dict[str, float]]]:
         """Find exact orbits without and with friction (collective).
 
-        The structure is reduced to ``n_modes`` modes, or half its dofs. The friction is
-        described by ``friction_values_by_key``, which replace keys of the scene.
+        Parameters
+        ----------
+        n_modes : int
+            Number of kept modes, at most half the structure's dofs.
+        whole_structure : Structure
+            Unreduced structure with tangential gaps.
+        friction_values_by_key : dict of str to object
+            Values of scene keys for the orbit with friction.
 
         Returns
         -------
         list of PeriodicOrbit
             Orbits without and with friction; the list ends before the first failed search.
         list of dict of str to float
-            Numbers of each orbit.
+            Values by quantity name of each orbit.
         """
         study, answer, n_periods = self.study, self.answer, self.answer.subharmonic
         n_modes = min(n_modes, whole_structure.n_dofs // 2)
@@ -236,7 +265,11 @@ class JudgedAnswer:
         return orbits, values_of_orbits
 
     def _estimate_sliding_across_lines(self, friction_law: CoulombFriction) -> PartOrReason:
-        """Estimate the error by sliding across a solid's friction lines (collective)."""
+        """Estimate the error due to sliding across a solid's friction lines (collective).
+
+        The error of a quantity f is 2 r |f_0 - f|, with f_0 from the motion without friction. r is
+        the ratio of sliding across the lines to sliding along them, without friction.
+        """
         study, answer = self.study, self.answer
         structure, n_periods = study.structure, answer.subharmonic
         frictionless_motion = motion_without_friction(
@@ -265,7 +298,10 @@ def _relative_change(
     values_by_name: Mapping[str, float],
     other_values_by_name: Mapping[str, float],
 ) -> float:
-    """Return a number's relative change between motions, or 0 from 0."""
+    """Return the relative change of a quantity from one motion to another.
+
+    The change is f_2 / f_1 - 1, and 0 if f_1 is 0; a missing value counts as 0.
+    """
     value = values_by_name.get(quantity_name, 0.0)
     return other_values_by_name.get(quantity_name, 0.0) / value - 1.0 if value else 0.0
 
@@ -273,7 +309,11 @@ def _relative_change(
 def add_error_parts(
     verification: Verification, part_function_by_cause: Mapping[str, Callable[[], PartOrReason]]
 ) -> Verification:
-    """Add each cause's part to a verification, or the reason for failure (collective)."""
+    """Add each cause's part to a verification, or the reason for failure (collective).
+
+    Each function returns the part of a cause, or a reason. If a function's run is refused or does
+    not converge, the cause is unknown; a failed "mesh" makes every error unknown.
+    """
     for cause, find_part_or_reason in part_function_by_cause.items():
         try:
             verification = verification.with_part(cause, find_part_or_reason())
@@ -286,7 +326,10 @@ def add_error_parts(
 
 
 def describe_failed_run(run_text: str, error: Exception) -> str:
-    """Describe why a run gives no error (key refused or no solution)."""
+    """Describe a failed run: refused because of a scene key, or not converged.
+
+    ``run_text`` names the run, such as "a run with more modes".
+    """
     if isinstance(error, InputError):
         return f"{run_text} is refused because of {error.key}"
     return f"{run_text} did not converge"
@@ -295,7 +338,12 @@ def describe_failed_run(run_text: str, error: Exception) -> str:
 def solve_without_stability(
     study: Study, omega: float, n_harmonics: int, start_solution: PeriodicSolution | None = None
 ) -> PeriodicSolution:
-    """Solve a reduced study without stability (ConvergenceError without a solution)."""
+    """Solve a study by harmonic balance, without a verdict on stability (collective).
+
+    The study is reduced; ``omega`` [rad/s] replaces the load frequency. The search starts from
+    ``start_solution``, by default from the linear response. Raise ConvergenceError if nothing
+    converges.
+    """
     if study.contact is None:
         return solve_linear(study.structure, omega, harmonics=n_harmonics)
     return _make_solver(study, omega, n_harmonics).solve(start_solution)
@@ -309,11 +357,12 @@ def solve_by_orbit_or_harmonics(
     *,
     by_orbit: bool,
 ) -> PeriodicSolution:
-    """Solve a reduced study, by an exact orbit if ``by_orbit`` and if the search finds one.
+    """Solve a reduced study by an exact orbit, or by harmonic balance (collective).
 
-    Otherwise solve with half the harmonics, and start all harmonics from this solution. Half the
-    harmonics find a motion from rest in less time. If all harmonics do not converge, the first
-    solution is returned.
+    With ``by_orbit``, return the Fourier coefficients of the exact orbit, if the search finds an
+    orbit. Otherwise solve with half the harmonics, and start all harmonics from this solution: so a
+    motion from rest is found in less time. If all harmonics do not converge, return the solution
+    with half the harmonics.
     """
     if by_orbit:
         problem = _make_solver(study, omega, n_harmonics).problem
@@ -333,7 +382,10 @@ def solve_by_orbit_or_harmonics(
 
 
 def _make_solver(study: Study, omega: float, n_harmonics: int) -> Solver:
-    """Return a study's solver, with friction along the sliding directions."""
+    """Make the harmonic-balance solver for a study at ``omega`` [rad/s].
+
+    In a solid, friction acts along each pair's main sliding direction (:func:`slide_along_lines`).
+    """
     assert study.contact is not None
     contact_law = slide_along_lines(study.structure, omega, study.contact)
     return Solver(Problem(study.structure, omega, contact_law, n_harmonics))

@@ -38,24 +38,31 @@ from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.scene.scene import Scene
 
 ASYMPTOTIC_SAFETY_FACTOR, CAUTIOUS_SAFETY_FACTOR = 1.25, 3.0
-"""Factors of safety with three sizes and a credible order, and otherwise."""
+"""Safety factors F of the grid-convergence index.
+
+The first holds for three sizes with an observed order from 0.5 to the scheme's order, the second
+otherwise.
+"""
 ROUNDING_SPREAD = 1e-9
-"""Largest relative spread of values that differ by rounding only."""
+"""Largest spread due to rounding alone, relative to the largest absolute value."""
 TIP_CONVERGENCE_ORDER, CLAMP_CONVERGENCE_ORDER = 1.0, 1.5
-"""Orders of convergence at a crack tip and at a clamp's ends."""
+"""Theoretical orders p of the error C h^p with element length h: at a crack tip, at a clamp's ends.
+"""
 MIN_OBSERVED_ORDER = 0.5
-"""Minimum observed order in the asymptotic range."""
+"""Minimum observed order with the smaller safety factor, and minimum order for extrapolation."""
 
 
 @with_old_names(is_asymptotic="has_error_from_limit")
 @dataclass(frozen=True, repr=False)
 class GridConvergence(Described):
-    """Hold values at several step sizes, and their error.
+    """Hold a number's values at two or three step sizes, and the estimated error.
+
+    The error model is f_i = f + C h_i^p, with the limit f for h = 0.
 
     Attributes
     ----------
     sizes, values : tuple of float
-        h_i, smallest first, and f_i.
+        Step sizes h_i, smallest first, and the value f_i computed with each size.
     behaviour : str
         "asymptotic": the observed order is at least 0.5, and not above the scheme's order;
         "outside": the values converge with an order outside this range;
@@ -67,11 +74,11 @@ class GridConvergence(Described):
     order : float
         Observed order p; nan if none is observed.
     exponent : float
-        Order used to extrapolate from the two smallest sizes; nan without an extrapolation.
+        Order p used to extrapolate from the two smallest sizes; nan without an extrapolation.
     factor : float
-        Factor of safety F.
+        Safety factor F on the distance between a value and the limit.
     extrapolated : float
-        f; nan if nothing is extrapolated.
+        Limit f; nan if nothing is extrapolated.
     """
 
     sizes: tuple[float, ...]
@@ -84,14 +91,19 @@ class GridConvergence(Described):
 
     @property
     def has_error_from_limit(self) -> bool:
-        """True if the error is the distance to the extrapolated value."""
+        """True if the error is the distance to the extrapolated value.
+
+        For the behaviours "irregular", "carried" and "two coefficients", the error is the spread of
+        all values.
+        """
         return self.behaviour not in ("irregular", "carried", "two coefficients")
 
     def uncertainty(self, value_index: int = 0) -> float:
-        """Return a value's uncertainty F abs(f_i - f), by default f_1.
+        """Return a value's uncertainty F abs(f_i - f), in the value's unit.
 
-        Without :attr:`has_error_from_limit`, return F times the spread; 0 if the values differ by
-        rounding.
+        The safety factor F is ``factor``, the limit f is ``extrapolated``. The index 0, the
+        default, selects the value f_1 at the smallest size. Without :attr:`has_error_from_limit`,
+        return F times the spread of all values; 0 if the values differ by rounding.
         """
         if self.behaviour == "unchanged":
             return 0.0
@@ -101,7 +113,10 @@ class GridConvergence(Described):
 
     @property
     def gci(self) -> float:
-        """Relative uncertainty at the smallest size, nan for a value 0."""
+        """Grid-convergence index: uncertainty over absolute value, at the smallest size.
+
+        nan if this value is 0.
+        """
         return self.uncertainty() / abs(self.values[0]) if self.values[0] else math.nan
 
     def to_dict(self) -> dict[str, Any]:
@@ -128,14 +143,15 @@ def grid_convergence(
     values : (2,) or (3,)
         Value computed with each size.
     formal : float
-        Order expected by theory.
+        Order expected by theory, also the largest order for the extrapolation.
     highest : float
-        Order of the undisturbed scheme. Values that converge faster are irregular.
+        Order of the scheme without singularities. Values with a larger observed order are
+        irregular.
 
     Returns
     -------
     GridConvergence
-        Sizes and values, smallest size first.
+        Sizes and values, smallest size first, with order, safety factor and limit.
 
     Raises
     ------
@@ -181,6 +197,15 @@ def _find_behaviour_and_orders(
 ) -> tuple[str, float, float]:
     """Classify the convergence of values with ascending sizes.
 
+    Parameters
+    ----------
+    h, f : (2,) or (3,)
+        Sizes in ascending order, and the value computed with each size.
+    formal_order : float
+        Order expected by theory, the maximum for the extrapolation.
+    scheme_order : float
+        Largest possible order, inf if unknown; a larger observed order makes the values irregular.
+
     Returns
     -------
     str
@@ -206,14 +231,20 @@ def _find_behaviour_and_orders(
 
 
 def _find_observed_order(h: np.ndarray, f: np.ndarray) -> float:
-    """Return the order p of three monotonic values, negative for divergence."""
+    """Solve for the order p of three monotonic values with ascending sizes.
+
+        (f_3 - f_2) / (f_2 - f_1) = (h_3^p - h_2^p) / (h_2^p - h_1^p)
+
+    The order is negative if the values diverge with refinement. It is inf if f_1 = f_2, and -inf if
+    f_2 = f_3; a root beyond the range of floats is infinite, too.
+    """
     fine_log_ratio, coarse_log_ratio = np.log(h[1] / h[0]), np.log(h[2] / h[1])
     if f[1] == f[0] or f[2] == f[1]:
         return math.inf if f[1] == f[0] else -math.inf
     log_ratio = math.log((f[2] - f[1]) / (f[1] - f[0]))
 
     def excess(p: float) -> float:
-        """Return the log ratio at order p minus the values' log ratio."""
+        """Return ln((h_3^p - h_2^p) / (h_2^p - h_1^p)) - ln((f_3 - f_2) / (f_2 - f_1))."""
         if p == 0.0:
             return math.log(coarse_log_ratio / fine_log_ratio) - log_ratio
         return (
@@ -236,11 +267,14 @@ def _find_observed_order(h: np.ndarray, f: np.ndarray) -> float:
 
 
 ErrorPart = tuple[tuple[int, ...], dict[str, GridConvergence]]
-"""Counts of a cause, the answer's count first, and the cause's part in each number."""
+"""Pair for a single cause: counts in all runs, and convergence by quantity name.
+
+Counts are elements, modes, harmonics or samples, the answer's count first; for friction, modes.
+"""
 PartOrReason = ErrorPart | str
-"""A part; or the reason for no part, "" if the cause does not apply."""
+"""An :data:`ErrorPart`, or the reason for no part; "" if the cause does not apply."""
 CountAndValues = tuple[int, Mapping[str, float]]
-"""Count of elements, modes, harmonics or samples of a run, and its numbers."""
+"""Pair for a run: count of elements, modes, harmonics or samples, and values by quantity name."""
 
 
 def find_error_part_or_reason(
@@ -252,11 +286,21 @@ def find_error_part_or_reason(
     formal_order: float = TIP_CONVERGENCE_ORDER,
     scheme_order: float = math.inf,
 ) -> ErrorPart:
-    """Return a cause's part in the error of each number.
+    """Estimate a cause's part in the error of each quantity from several runs.
 
-    The answer comes first. A number missing in a further run counts as 0. Two or three runs are
-    judged by :func:`grid_convergence`, with ``formal_order`` and ``scheme_order``. With a
-    ``size_ratio`` h_2 / h_1, two runs give an expected error, with a safety factor of 1.
+    Parameters
+    ----------
+    cause : str
+        Varied cause: "mesh", "modes", "harmonics" or "samples".
+    counts_and_values : sequence of CountAndValues
+        Two or three runs, the answer first. A quantity missing in a further run counts as 0.
+    scene : Scene
+        Scene with the side lengths, for a mesh.
+    size_ratio : float, optional
+        Ratio h_2 / h_1 of the step sizes of two runs, in place of the ratio from counts. The safety
+        factor is then 1: the error is expected, not a bound.
+    formal_order, scheme_order : float
+        Order expected by theory, and largest order (:func:`grid_convergence`).
     """
     counts, values_of_runs = zip(*counts_and_values, strict=True)
     step_sizes = [_find_mean_step_size(cause, count, scene) for count in counts]
@@ -275,9 +319,10 @@ def find_error_part_or_reason(
 
 
 def _find_mean_step_size(cause: str, count: int, scene: Scene) -> float:
-    """Return the mean element size of a mesh, or a count's reciprocal.
+    """Return a run's step size h from the count of elements, modes, harmonics or samples.
 
-    The mean element is a square or cube; the size is the side [m] (Celik et al., equation 1).
+    For the cause "mesh", h [m] is the side of the mean element, a square or cube (Celik et al.,
+    equation 1). For any further cause, h is 1 / count.
     """
     if cause != "mesh":
         return 1.0 / count

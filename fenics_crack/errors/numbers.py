@@ -53,7 +53,11 @@ from fenics_crack.study.prepare import Study
 
 
 def natural_frequency_name(scene: Scene, kind: str, mode_number: int) -> str:
-    """Return a natural frequency's name, such as "frequency_open_1" or "omega_open_1"."""
+    """Return a natural frequency's name, such as "frequency_open_1" or "omega_open_1".
+
+    ``kind`` is "open", "tied" (bonded) or "bilinear"; modes count from 1. Scenes in Hz have
+    "frequency", in rad/s "omega".
+    """
     return f"{'frequency' if scene.is_frequency_in_hertz else 'omega'}_{kind}_{mode_number}"
 
 
@@ -64,12 +68,12 @@ def find_bilinear_omega(structure: Structure, mode_number: int) -> float:
 
 @dataclass(frozen=True)
 class Numbers:
-    """Hold the numbers of an answer.
+    """Hold a motion's quantities for comparison with further motions.
 
     Attributes
     ----------
     values_by_name, unit_by_name : dict of str to float, and to str
-        Value and unit by name, as in :class:`Verification`.
+        Value and unit by quantity name, as in :class:`Verification`.
     resonance_name : str
         Name of the mode's bilinear frequency; without contact pairs, the open frequency.
     mode_number : int
@@ -85,11 +89,12 @@ class Numbers:
 def compute_numbers(
     study: Study, motion: PeriodicSolution | TruncatedOrbit, mode_number: int | None = None
 ) -> Numbers:
-    """Return the requested numbers and natural frequencies of a motion (collective).
+    """Compute the requested quantities and natural frequencies of a motion (collective).
 
-    The frequencies are open modes 1 to 3, and open, bonded and bilinear frequencies at
-    ``mode_number``, by default the mode with the resonance nearest to the load.
-    Numbers that vanish to rounding are left out.
+    Without ``output.quantities`` in the scene, all quantities with a stated error are computed. The
+    frequencies are open modes 1 to 3, and open, bonded and bilinear frequencies at ``mode_number``,
+    by default the mode with the resonance nearest to the load. Quantities with an absolute value up
+    to rounding are left out.
     """
     quantity_names = study.scene.quantities or observable_names(required_flags=STATED_WITH_ERROR)
     values_by_name: dict[str, float] = {}
@@ -128,14 +133,22 @@ def _add_natural_frequencies(
     values_by_name: dict[str, float],
     unit_by_name: dict[str, str],
 ) -> tuple[str, int]:
-    """Add natural frequencies to numbers and units, in place (collective).
+    """Add natural frequencies to ``values_by_name`` and ``unit_by_name``, in place (collective).
+
+    Parameters
+    ----------
+    omega : float [rad/s]
+        Load frequency.
+    mode_number : int or None
+        Mode of the resonance, counted from 1; None: the mode with the resonance nearest to the
+        load.
 
     Returns
     -------
     str
-        Name of the resonance.
+        Name of the resonance: bilinear frequency, or open frequency without contact pairs.
     int
-        Mode of the resonance, counted from 1; ``mode_number`` if given.
+        Mode of the resonance, counted from 1.
     """
     scene, has_pairs = study.scene, study.structure.n_pairs > 0
     natural_frequencies = bilinear_frequencies(study.structure)
@@ -162,9 +175,10 @@ def _add_natural_frequencies(
 
 
 def find_accepted_orbit_or_none(solution: PeriodicSolution) -> PeriodicOrbit | None:
-    """Return a solution's accepted exact orbit, or None (collective).
+    """Return the exact orbit accepted as a solution's exact form (collective).
 
-    None also if the search would take too long.
+    The orbit's gaps may differ from the solution's by at most 10 % of the motion, or by 50 % if
+    crack faces have no mass. None if no such orbit is found, or if the search would take too long.
     """
     assessment = solution.assessment
     return (
@@ -173,15 +187,15 @@ def find_accepted_orbit_or_none(solution: PeriodicSolution) -> PeriodicOrbit | N
 
 
 def find_largest_omitted_harmonic(solution: PeriodicSolution, dof: int) -> tuple[int, float] | None:
-    """Find a dof's largest harmonic if missing in the solution (collective).
+    """Find a dof's largest harmonic, if the solution omits this harmonic (collective).
 
-    Harmonics k above the load's are compared in the solution's accepted exact orbit. Return None
-    if the solution has the largest harmonic, or no accepted orbit.
+    Harmonics above the load's frequency are compared in the solution's accepted exact orbit.
 
     Returns
     -------
     int, float
-        Order k in multiples of the load's frequency, and U_k / U_1 of the amplitudes.
+        Order k in multiples of the load's frequency, and U_k / U_1 of the amplitudes. None if the
+        solution has the largest harmonic, or no accepted orbit.
     """
     orbit = find_accepted_orbit_or_none(solution)
     if orbit is None:
@@ -199,7 +213,11 @@ def add_changes(
     start_by_name: Mapping[str, float],
     end_by_name: Mapping[str, float],
 ) -> dict[str, float]:
-    """Add the change from a start to an end (absent numbers: 0)."""
+    """Add the change from a start motion to an end motion to each value.
+
+    Returns value + end - start by quantity name; quantities absent in ``start_by_name`` or
+    ``end_by_name`` count as 0.
+    """
     return {
         name: value + end_by_name.get(name, 0.0) - start_by_name.get(name, 0.0)
         for name, value in values_by_name.items()
@@ -207,7 +225,7 @@ def add_changes(
 
 
 def choose_n_orbit_harmonics(solution: PeriodicSolution) -> int:
-    """Return the number of harmonics for an orbit's motion at points.
+    """Return the number of harmonics to evaluate an exact orbit at points.
 
     This is the larger of 100 and four times the solution's number.
     """
@@ -216,14 +234,14 @@ def choose_n_orbit_harmonics(solution: PeriodicSolution) -> int:
 
 @dataclass(frozen=True)
 class TruncatedOrbit(ObservedMotion):
-    """Observe an orbit through a limited number of Fourier coefficients."""
+    """Observe an exact orbit through its first ``harmonics`` Fourier coefficients."""
 
     orbit: PeriodicOrbit
     harmonics: int
 
     @property
     def structure(self) -> Structure:  # type: ignore[override]
-        """The orbit's structure."""
+        """Structure of the orbit."""
         return self.orbit.structure
 
     @property
@@ -232,7 +250,10 @@ class TruncatedOrbit(ObservedMotion):
         return self.orbit.omega
 
     def records(self, rows: np.ndarray) -> Iterator[Record]:
-        """Yield the orbit's records, with ``harmonics`` coefficients."""
+        """Yield the records of m signals, with ``harmonics`` Fourier coefficients.
+
+        ``rows`` (m, n_dofs) times the displacement are the signals, such as watched dofs.
+        """
         coefficient_rows = self.orbit.product_coefficients(rows, self.harmonics)
         return (
             replace(record, coefficients=coefficient_rows) for record in self.orbit.records(rows)
@@ -242,10 +263,10 @@ class TruncatedOrbit(ObservedMotion):
 def compute_orbit_values_by_name(
     study: Study, solution: PeriodicSolution, orbit: PeriodicOrbit, mode_number: int
 ) -> dict[str, float]:
-    """Return the numbers of an orbit near a solution (collective).
+    """Compute the quantities of an exact orbit near a solution (collective).
 
-    The study must have the orbit's structure. Numbers at points have
-    :func:`choose_n_orbit_harmonics`.
+    The study must have the orbit's structure. Values at points come from
+    :func:`choose_n_orbit_harmonics` harmonics; ``mode_number`` is the resonance's mode, from 1.
     """
     return compute_numbers(
         study, TruncatedOrbit(orbit, choose_n_orbit_harmonics(solution)), mode_number
@@ -258,7 +279,10 @@ def compute_orbit_values_by_name(
 def measure_changes_by_name(
     study: Study, *motions: PeriodicOrbit | PeriodicSolution
 ) -> dict[str, float]:
-    """Return the size of each number's change between two motions (collective).
+    """Measure how much each quantity's motion changes between two motions (collective).
+
+    The size counts changes in phase, too, even if the quantity itself stays equal. Amplitudes,
+    opening and crack force have the standard deviation of the change over the period.
 
     Parameters
     ----------
@@ -270,7 +294,7 @@ def measure_changes_by_name(
     Returns
     -------
     dict of str to float
-        Size by the number's column, in the number's unit.
+        Size by the quantity's column name, in the quantity's unit.
     """
     watched_dofs = [point.dof for point in study.watched]
     record, other_record = (
@@ -300,7 +324,11 @@ def measure_changes_by_name(
 
 
 def _complex_harmonic_ratios(record: Record) -> np.ndarray:
-    """Return complex c_k (n_harmonics, m) for m signals, k from 0."""
+    """Return complex harmonic ratios c_k (n_harmonics, m) of m signals, from k = 0.
+
+    c_k = U_k exp(i (phase_k - k phase_1)) / U_1 for harmonic k of the load's frequency, with
+    amplitudes U_k.
+    """
     spectrum = np.fft.rfft(record.row_products, axis=0)[:: record.subharmonic]
     first_amplitudes = np.maximum(np.abs(spectrum[1]), np.finfo(float).tiny)
     harmonic_orders = np.arange(len(spectrum))[:, None]
@@ -310,7 +338,11 @@ def _complex_harmonic_ratios(record: Record) -> np.ndarray:
 
 
 def _measure_face_changes_by_name(record: Record, other_record: Record) -> dict[str, float]:
-    """Return sizes of change at crack faces, none without pairs."""
+    """Measure changes of quantities at crack faces from one record to another.
+
+    Opening and crack force have the standard deviation over the period, sums over pairs the sum of
+    absolute changes. Without contact pairs, the dict is empty.
+    """
     if not record.n_pairs:
         return {}
     crack_faces, other_crack_faces = CrackFaces(record), CrackFaces(other_record)
@@ -328,7 +360,11 @@ def _measure_face_changes_by_name(record: Record, other_record: Record) -> dict[
 
 
 def _pair_contributions_by_name(record: Record, crack_faces: CrackFaces) -> dict[str, np.ndarray]:
-    """Return each pair's part (n_pairs,) in every sum over pairs, by name."""
+    """Return each pair's contribution (n_pairs,) to sums over contact pairs.
+
+    "closed_share" and "slip_share" are fractions of the period over the number of pairs,
+    "friction_loss" is the pair's lost energy. Without friction, "closed_share" alone is returned.
+    """
     contributions_by_name = {
         "closed_share": (crack_faces.force > 0.0).mean(axis=0) / record.n_pairs
     }

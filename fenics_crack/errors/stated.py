@@ -116,26 +116,32 @@ from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, prepare, reduc
 from fenics_crack.study.resonance import UNSOUGHT_RESONANCE, LoadResonance, find_study_resonance
 
 STATED_CAUSES = (*REDUCED_STRUCTURE_ERROR_CAUSES, "friction")
-"""Causes with a stated error."""
+"""Causes of error that a command estimates for each solution."""
 HARMONIC_COUNT_FACTORS = 2, 4
-"""Factors on the answer's harmonics; the second is for a large truncation error in the report."""
+"""Factors on the answer's number of harmonics in the runs for comparison.
+
+The second run is made if the report's truncation error exceeds :data:`LARGE_ERROR`, 5 %.
+"""
 MIN_EXTRAPOLATED_RESONANCES, MAX_EXTRAPOLATED_RESONANCES = 3, 8
-"""Minimum and maximum number of extrapolated resonances for a mesh's shift error."""
+"""Minimum and maximum number of resonance frequencies tried for a mesh's shift error."""
 MAX_MODES_FOR_MESH_ERROR = 50
-"""Maximum number of modes to compute a mesh error. With 120 modes the breathing plate's orbits take
-14 times as long; the mesh error changes by less than the modal error."""
+"""Maximum number of modes in the runs for a mesh error.
+
+With 120 modes the breathing plate's orbits take 14 times as long; the mesh error changes by less
+than the modal error.
+"""
 CANCELLING_UNCERTAINTY_FRACTION = 0.1
-"""Uncertain fraction of the smaller mesh part, as both parts may cancel."""
+"""Fraction of the smaller mesh part, shape or shift, added as uncertainty: both may cancel."""
 Motion = PeriodicOrbit | PeriodicSolution
-"""Motion with numbers to compare."""
+"""Motion with quantities to compare: an exact orbit or a harmonic-balance solution."""
 
 
 def estimate_result_errors(study: Study, result: object) -> Verification | None:
-    """Return the stated errors of a result, or None (collective).
+    """Estimate the stated errors of a result (collective).
 
-    The result may be natural modes, a converged solution with estimated errors, or a curve over
-    frequency or speed; otherwise return None. A curve has the errors of the largest response.
-    Inside the curve this peak moves with the resonance, at an end not.
+    The result may be natural modes, a converged solution with an error report, or a curve over
+    frequency or speed; for any further result, return None. A curve has the errors of the largest
+    response. Inside the curve this peak moves with the resonance, at an end not.
     """
     if isinstance(result, Modes):
         return estimate_frequency_mesh_errors(study, {"open": result.omega})
@@ -155,10 +161,11 @@ def estimate_result_errors(study: Study, result: object) -> Verification | None:
 def _estimate_run_up_errors(
     study: Study, solution: PeriodicSolution, structure: RunUpStructure, *, is_peak: bool
 ) -> Verification:
-    """Return the errors of a solution in a run-up (collective).
+    """Estimate the errors of a solution in a run-up (collective).
 
-    Solve the scene at the solution's speed W [rad/s], with as many modes. Let s = d ln w / d ln W
-    for a resonance w. A relative error e of the resonance gives the error e / (1 - s) of the speed
+    Solve the scene at the solution's constant speed W [rad/s], with as many modes. ``is_peak``
+    marks a peak, which moves with the resonance. Let s = d ln w / d ln W for a resonance w. A
+    relative error e of the resonance gives the error e / (1 - s) of the quantity "speed", the speed
     at resonance.
     """
     speed, detuning_per_speed = structure.speed, 1.0 - structure.stiffening(solution.omega)
@@ -205,18 +212,22 @@ def estimate_frequency_mesh_errors(
     load_resonance: LoadResonance = UNSOUGHT_RESONANCE,
     squared_omega_slopes: np.ndarray | None = None,
 ) -> Verification:
-    """Return mesh errors of natural frequencies and the load's resonance (collective).
+    """Estimate mesh errors of natural frequencies and the load's resonance (collective).
+
+    All quantities are computed again on a coarser mesh. Without a coarser mesh, the cause "mesh" is
+    unknown, with the reason.
 
     Parameters
     ----------
     study : Study
-        Study of the whole structure.
+        Study with the unreduced structure.
     omega_by_kind : dict of str to (m,) [rad/s]
         Natural frequencies with "open" and "tied" (bonded) crack faces.
     load_resonance : LoadResonance
         Resonance at the load on the same structure; the result includes the ``numbers``.
     squared_omega_slopes : (m,), optional
-        Slope S of each mode (:func:`find_study_resonance`).
+        S = d(w^2) / d(W^2) of each mode's frequency w over the speed W, from
+        :func:`find_key_figures`; None: the load's resonance is not computed on the coarser mesh.
     """
     scene = study.scene
     unit_factor, _, unit = choose_frequency_factor_name_unit(scene.is_frequency_in_hertz)
@@ -263,7 +274,7 @@ def estimate_solution_errors(
     is_peak: bool = False,
     causes: Sequence[str] = STATED_CAUSES,
 ) -> Verification:
-    """Return the expected errors of a solution's numbers by cause (collective).
+    """Estimate the expected errors of a solution's quantities by cause (collective).
 
     Parameters
     ----------
@@ -274,13 +285,14 @@ def estimate_solution_errors(
     is_peak : bool
         True if the answer is a curve's peak over frequency, which moves with the resonance.
     causes : sequence of str
-        Causes to vary.
+        Causes to vary: "modes", "harmonics", "mesh", "friction".
 
     Returns
     -------
     Verification
         ``absent`` or ``unknown`` has the reason for each cause without a part. A cause that does
-        not apply is left out.
+        not apply is left out. If the structure is large and not reduced, or the error report is
+        unknown, the result has no parts.
     """
     numbers = compute_numbers(study, answer)
     verification = Verification(study.scene, numbers.values_by_name, numbers.unit_by_name)
@@ -312,10 +324,10 @@ def estimate_solution_errors(
 
 
 def find_largest_modal_error(study: Study, solution: PeriodicSolution) -> float:
-    """Return the largest expected modal truncation error (collective).
+    """Return the largest expected error due to truncated modes (collective).
 
-    The error is relative, the maximum over watched amplitudes and the crack opening; inf if
-    unknown.
+    The error is relative: the maximum over the crack opening and the amplitudes at watched points.
+    The result is inf if the error is unknown, and 0 if no quantity has an error.
     """
     verification = estimate_solution_errors(study, solution, causes=["modes"])
     compared_names = [*(point.column_name("amplitude") for point in study.watched), "opening"]
@@ -328,7 +340,7 @@ def find_largest_modal_error(study: Study, solution: PeriodicSolution) -> float:
 
 
 def describe_unknown_error_part(report: ErrorReport) -> str:
-    """Describe the part of an unknown error that could not be estimated."""
+    """Name in words the largest part of an error report with an unknown error."""
     part_name = report.largest_part
     text_by_part = {"truncation": "truncated harmonics", "reduction": "truncated modes"}
     return f"the error due to the {text_by_part.get(part_name, part_name)} could not be estimated"
@@ -336,21 +348,24 @@ def describe_unknown_error_part(report: ErrorReport) -> str:
 
 @dataclass(frozen=True)
 class AnswerJudgedByExtraRuns(JudgedAnswer):
-    """Judge each cause of an answer's error by an additional run.
+    """Estimate each cause's part in an answer's error by an additional run.
 
     Attributes
     ----------
     is_peak : bool
-        True if the answer is a peak, which moves with the resonance.
+        True if the answer is a curve's peak, which moves with the resonance.
     """
 
     is_peak: bool
 
     def estimate_error_by_modes(self) -> PartOrReason:
-        """Estimate the error by modes from a motion with more modes (collective).
+        """Estimate the error due to truncated modes from a motion with more modes (collective).
 
-        If the motions are truncated to harmonics, the error is at least the part of harmonics: with
-        few harmonics, modes above all harmonics are static in both motions.
+        Let s be the share of the truncation error removed by these modes. The error is the
+        quantity's change over s, and at least the size of the motion's change
+        (:func:`measure_changes_by_name`) over s. If both motions are truncated to few harmonics,
+        modes above all harmonics seem static: the error is then at least the part of harmonics. If
+        all modes are kept, return the reason.
         """
         structure = self.study.structure
         structure_with_more_modes = more_modes_structure_of(self.balance_solution)
@@ -405,12 +420,13 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         return mode_counts, convergence_by_name
 
     def _find_motions_with_kept_and_more_modes(self, larger_study: Study) -> tuple[Motion, Motion]:
-        """Return the motions with the answer's modes and a larger study's modes (collective).
+        """Find motions with kept modes, and with the modes of ``larger_study`` (collective).
 
-        Both are the nearest exact orbits, if known; with few harmonics the second may be a
-        corrected motion. Otherwise both are solutions, with as many harmonics. If orbits are
-        affordable and crack faces have no mass, there are at least
-        :data:`MIN_HARMONICS_FOR_MODAL_CHANGE` harmonics per load period.
+        Prefer exact orbits next to the answer. If the answer has few harmonics and no orbit with
+        more modes is found, the second motion is corrected by a step of Newton's method. Without
+        orbits, return two solutions with as many harmonics. Few means below
+        :data:`MIN_HARMONICS_FOR_MODAL_CHANGE`, 40, per load period. Solutions have at least this
+        number if orbits are affordable and crack faces have no mass.
         """
         balance_solution, assessment = self.balance_solution, self.answer.assessment
         min_harmonics = MIN_HARMONICS_FOR_MODAL_CHANGE * balance_solution.subharmonic
@@ -437,16 +453,24 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
 
     @property
     def _can_search_massless_orbits(self) -> bool:
-        """True if exact orbits are affordable and crack faces have no mass."""
+        """True if crack faces have no mass, and a search for exact orbits does not take long."""
         return self.answer.assessment.can_search_orbit and self.study.structure.light_lips
 
     def estimate_error_by_harmonics(self) -> PartOrReason:
-        """Estimate the error by harmonics from an orbit or more harmonics (collective)."""
+        """Estimate the error due to truncated harmonics (collective).
+
+        The accepted exact orbit gives the error; without an orbit, a run with twice the harmonics.
+        If the estimated truncation error is above 5 %, a run with four times the harmonics may give
+        a larger error. Without contact, return the reason.
+        """
         return self.harmonics_error_part_or_reason
 
     @cached_property
     def harmonics_error_part_or_reason(self) -> PartOrReason:
-        """Part of the cause harmonics (collective)."""
+        """Part of the cause "harmonics" in each quantity's error, computed once (collective).
+
+        Without contact, the reason for no part.
+        """
         if self.study.contact is None:
             return SINGLE_HARMONIC_REASON_TEXT
         if self.orbit_values_by_name is not None:
@@ -487,9 +511,11 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         return (n_harmonics, 2 * n_harmonics), convergence_by_name
 
     def estimate_error_by_mesh(self) -> PartOrReason:
-        """Estimate the error by the mesh from a coarser mesh, with few modes (collective).
+        """Estimate the error due to the mesh from a coarser mesh, with few modes (collective).
 
-        A reduced plate or solid has at most :data:`MAX_MODES_FOR_MESH_ERROR` modes in both runs.
+        A reduced plate or solid has at most :data:`MAX_MODES_FOR_MESH_ERROR` modes in both runs;
+        the error found is then added to the answer's values. Without a coarser mesh, return the
+        reason.
         """
         few_modes_answer = self._answer_with_few_modes()
         part_or_reason = few_modes_answer._estimate_error_by_coarser_mesh()
@@ -508,10 +534,9 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         return element_counts, convergence_by_name
 
     def _answer_with_few_modes(self) -> AnswerJudgedByExtraRuns:
-        """Return the answer's case with few modes (collective).
+        """Solve the answer's case with at most :data:`MAX_MODES_FOR_MESH_ERROR` modes (collective).
 
-        The maximum is :data:`MAX_MODES_FOR_MESH_ERROR`. Disks and structures without
-        reduction stay unchanged.
+        Return this object itself for disks, for structures without reduction, and for fewer modes.
         """
         study, scene = self.study, self.study.scene
         structure = study.structure
@@ -533,11 +558,14 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         )
 
     def _estimate_error_by_coarser_mesh(self) -> PartOrReason:
-        """Estimate the error by the mesh from a coarser mesh, modes unchanged (collective).
+        """Estimate the error due to the mesh from a coarser mesh, modes unchanged (collective).
 
-        The part is the maximum over the mesh's orders. Besides the shape error, the part includes
-        the shift of the resonance unless the answer is a peak. Further parts are the shifted
-        clearance, closed crack fronts and the increase under a point force (see the module).
+        Two errors are added with signs: the shape error, at equal distance from the resonance, and
+        the error by the resonance shift, 0 for a peak. The maximum counts over orders p from 1 to
+        the elements' best order. As a root of the sum of squares follow: a tenth of the smaller
+        error, the shifted clearance, closed crack fronts, and the increase under a point force. For
+        stress intensities, the largest change along a front is a lower limit. Without a coarser
+        mesh, return the reason.
         """
         study, balance_solution = self.study, self.balance_solution
         coarse_study_or_reason = prepare_coarser_study_or_reason(study)
@@ -602,7 +630,11 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def _solve_run(
         self, study: Study, omega: float, start_solution: PeriodicSolution | None = None
     ) -> PeriodicSolution:
-        """Solve another run as the answer was solved: by an exact orbit, or by harmonics."""
+        """Solve a further study as the answer was solved (collective).
+
+        The run at ``omega`` [rad/s] has the answer's harmonics. The search is for an exact orbit if
+        the answer has an orbit, otherwise by harmonic balance.
+        """
         n_harmonics, by_orbit = self.balance_solution.harmonics, self.answer.orbit is not None
         return solve_by_orbit_or_harmonics(
             study, omega, n_harmonics, start_solution, by_orbit=by_orbit
@@ -611,10 +643,19 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def _compute_values_at_resonance_shifts(
         self, relative_shifts: np.ndarray
     ) -> list[dict[str, float]]:
-        """Return the numbers at relative shifts of the resonance (collective).
+        """Compute the quantities at relative shifts of the resonance (collective).
 
-        Peaks have unchanged numbers. Each solution starts from rest, as on a finer mesh, and may
-        reach a different motion.
+        The load frequency is divided by 1 + shift. Each solution starts from rest, as on a finer
+        mesh, and may reach a different motion. A peak has unchanged quantities.
+
+        Parameters
+        ----------
+        relative_shifts : (n,)
+
+        Returns
+        -------
+        list of dict of str to float
+            Values by quantity name for each shift.
         """
         if self.is_peak:
             return [self.balance_numbers.values_by_name] * len(relative_shifts)
@@ -623,10 +664,11 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         return [self.compute_values_by_name(solution) for solution in solutions]
 
     def _count_extrapolated_resonances(self, relative_shift_range: float, mode_number: int) -> int:
-        """Return the number of extrapolated resonances in a range of relative shifts.
+        """Choose how many resonance frequencies to try in a range of relative shifts.
 
-        A peak's half-power width has four, within the limits
-        :data:`MIN_EXTRAPOLATED_RESONANCES` and :data:`MAX_EXTRAPOLATED_RESONANCES`.
+        A peak's half-power width gets four frequencies. The count stays from
+        :data:`MIN_EXTRAPOLATED_RESONANCES` to :data:`MAX_EXTRAPOLATED_RESONANCES`. ``mode_number``
+        is the resonance's mode, from 1.
         """
         modal_properties = all_modes(self.study.structure)
         damping_rates = (
@@ -646,11 +688,11 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         return min(max(1 + n_steps, MIN_EXTRAPOLATED_RESONANCES), MAX_EXTRAPOLATED_RESONANCES)
 
     def _find_mode_with_strongest_shift(self) -> int:
-        """Return the mode with the strongest shift effect on watched points (collective).
+        """Find the mode with the resonance shift most important at watched points (collective).
 
-        Let w be the load frequency, w_j the bilinear frequency of mode j and U_k the amplitude of
-        harmonic k. The harmonic changes by about 2 U_k / |1 - (k w / w_j)^2| times the relative
-        shift of w_j.
+        Modes count from 1. Let w be the load frequency, w_j the bilinear frequency of mode j and
+        U_k the amplitude of harmonic k. The harmonic changes by about 2 U_k / |1 - (k w / w_j)^2|
+        times the relative shift of w_j.
         """
         balance_solution = self.balance_solution
         coefficient_rows = balance_solution.coefficients_at(
@@ -675,17 +717,22 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
 
     @property
     def _relative_amplitude_added_by_halving(self) -> float:
-        """Relative amplitude added by half as long elements under a point force."""
+        """Increase of the amplitude at the load by half as long elements, over the amplitude.
+
+        Under a point force the displacement has no limit. 0 with ``output.points`` in the scene,
+        and without a point force or motion.
+        """
         amplitude = self.balance_solution.amplitude(self.study.watched[0].dof)
         if self.study.scene.output_points or amplitude == 0.0:
             return 0.0
         return displacement_added_by_halved_elements(self.study.scene) / amplitude
 
     def _compute_values_with_shifted_clearance(self) -> dict[str, float]:
-        """Return the numbers with each crack's clearance shifted (collective).
+        """Compute the quantities with each crack's clearance shifted (collective).
 
-        The shift [m] is half the step of the extreme gap between neighbouring pairs, times the
-        range of the pairs' closed shares of the period. Without cracks, return no numbers.
+        The shift [m] of a crack is 0.5 D P. D is the mean step between neighbouring pairs of each
+        pair's extreme gap; P is the range over pairs of the closed share of the period. Without
+        cracks, the dict is empty.
         """
         study = self.study
         balance_solution = self.balance_solution
@@ -715,7 +762,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
 
 
 def _without_refused_stress_intensities(study: Study) -> Study:
-    """Drop stress intensities from a study with elements that are too long."""
+    """Drop stress intensities from a study with elements too long to compute them."""
     try:
         make_requested_rows_and_readers(study)
     except InputError:

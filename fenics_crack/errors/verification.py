@@ -41,14 +41,15 @@ DOUBT_TEXT_BY_BEHAVIOUR = {
     "two sizes": "two runs show no order, so theory's order and a factor of safety of 3 are used",
     "irregular": "the values show no order, so the uncertainty is 3 times their spread",
 }
-"""Sentence for each doubtful behaviour in :class:`GridConvergence`."""
+"""Clause for each doubtful behaviour in :class:`GridConvergence`, printed in warnings."""
 ORDER_TEXT_BY_BEHAVIOUR = {
     "two sizes": "by the order of theory",
     "two coefficients": "by runs with and without friction",
     "carried": "by runs at shifted frequencies",
     "exact orbit": "by the exact orbit",
 }
-"""Source of an error without an observed order, by behaviour in :class:`GridConvergence`."""
+"""Printed source of an error without an observed order, by behaviour in :class:`GridConvergence`.
+"""
 
 
 # --- the result -----------------------------------------------------------------------------------
@@ -64,7 +65,7 @@ ORDER_TEXT_BY_BEHAVIOUR = {
 )
 @dataclass(frozen=True, repr=False)
 class Verification(SavedResult):
-    """Hold the contributions to the error of a scene's result.
+    """Hold the contributions by cause to the errors of a scene's result.
 
     Attributes
     ----------
@@ -86,11 +87,11 @@ class Verification(SavedResult):
     absent : dict of str to str
         Reason by cause without a contribution.
     unknown : dict of str to str
-        Reason by cause with an unknown contribution, which all totals lack.
+        Reason by cause with an unknown contribution, not included in any total.
     failed_causes : tuple of str
-        Unknown causes with a failed run, which leave every error unknown.
+        Unknown causes with a failed run. Each makes the errors of all quantities unknown.
     failures : tuple of str
-        Runs that were refused or did not converge.
+        Name and error of each run refused or not converged.
     verdicts : dict of str to str
         Verdict on stability by run, if the orbit is not known to be stable.
     """
@@ -109,10 +110,10 @@ class Verification(SavedResult):
     KIND: ClassVar[str] = "verification"
 
     def with_part(self, cause: str, part_or_reason: PartOrReason) -> Verification:
-        """Add the part of a cause, or the reason for no part.
+        """Return a copy with the part of a cause, or with the reason for no part.
 
-        Without a part, an optional cause is unknown; any further cause contributes nothing. An
-        empty reason adds nothing.
+        A reason makes the causes "mesh" and "friction" unknown; any further cause then contributes
+        nothing and is listed in ``absent``. An empty reason adds nothing.
         """
         if not isinstance(part_or_reason, str):
             counts, convergence_by_name = part_or_reason
@@ -128,7 +129,7 @@ class Verification(SavedResult):
         return replace(self, absent=self.absent | {cause: part_or_reason})
 
     def with_unknown(self, cause: str, reason: str) -> Verification:
-        """Add a cause whose contribution is unknown, and the reason."""
+        """Return a copy with a cause of unknown contribution, and the reason."""
         return replace(self, unknown=self.unknown | {cause: reason})
 
     # --- files ------------------------------------------------------------------------------------
@@ -148,7 +149,7 @@ class Verification(SavedResult):
 
     @property
     def causes(self) -> tuple[str, ...]:
-        """The varied causes."""
+        """Names of the causes with parts, such as "mesh" and "modes"."""
         return tuple(self.parts)
 
     def contributions(self, quantity: str) -> dict[str, float]:
@@ -173,7 +174,7 @@ class Verification(SavedResult):
         }
 
     def find_reasons_by_missing_cause(self, quantity: str) -> dict[str, str]:
-        """Return reasons by varied cause without a part for a quantity."""
+        """Return the reason by cause, for varied causes without a part for a quantity."""
         return {
             cause: MISSING_PART_REASON_BY_CAUSE.get(
                 cause, "the run for comparison does not have this number"
@@ -183,16 +184,16 @@ class Verification(SavedResult):
         }
 
     def total(self, quantity: str, *, independent: bool = True) -> float:
-        """Return a quantity's error by all causes, in the quantity's unit.
+        """Return a quantity's error due to all causes, in the quantity's unit.
 
-        Contributions by the mesh and the mesh's shift are added first. The total is the root of
-        the sum of squares; if the causes are not ``independent``, the total is the sum.
+        Contributions by the mesh and the mesh's resonance shift are added first. The total is the
+        root of the sum of squares; if the causes are not ``independent``, the total is the sum.
         """
         contributions_of_causes = self._contributions_with_whole_mesh(quantity).values()
         return math.hypot(*contributions_of_causes) if independent else sum(contributions_of_causes)
 
     def _contributions_with_whole_mesh(self, quantity: str) -> dict[str, float]:
-        """Return contributions by cause, with mesh and shift added up as "mesh"."""
+        """Return a quantity's uncertainty by cause, with "mesh" and "shift" added up as "mesh"."""
         contribution_by_cause = self.contributions(quantity)
         mesh_contributions = [
             contribution_by_cause.pop(cause)
@@ -204,7 +205,10 @@ class Verification(SavedResult):
         ) | contribution_by_cause
 
     def extrapolated(self, quantity: str) -> float:
-        """Return a quantity's value, corrected by all causes with a finite limit."""
+        """Return a quantity's value plus the corrections by all causes.
+
+        A cause corrects the value by limit minus value, if extrapolation found a finite limit.
+        """
         scene_value = self.values[quantity]
         convergences_with_quantity = (
             convergence_by_quantity
@@ -222,12 +226,15 @@ class Verification(SavedResult):
         )
 
     def relative(self, quantity: str, error: float) -> float:
-        """Divide an error by a quantity's size (nan for a quantity 0)."""
+        """Divide an error by the quantity's absolute value; nan if the value is 0.
+
+        The error has the quantity's unit.
+        """
         value = self.values[quantity]
         return error / abs(value) if value else math.nan
 
     def stated(self, quantity: str) -> tuple[float, str]:
-        """Return a quantity's relative error by all causes (:meth:`total`).
+        """Return a quantity's relative error due to all causes (:meth:`total`).
 
         Returns
         -------
@@ -254,9 +261,9 @@ class Verification(SavedResult):
         return math.inf if relative_total >= 1.0 else relative_total, cause
 
     def doubt(self, quantity: str) -> str:
-        """Return the reason for doubt about a quantity's error.
+        """Return why a quantity's error is unknown, or as large as the value.
 
-        The text is empty if the error is known, or was left out by choice.
+        The text is empty otherwise, also if the mesh or friction was left out by choice.
         """
         for cause in (*REQUIRED_ERROR_CAUSES, *self.failed_causes):
             if cause in self.unknown:
@@ -269,7 +276,7 @@ class Verification(SavedResult):
 
     @property
     def resonance(self) -> str:
-        """Name of the resonance next to the result; empty without crack faces.
+        """Name in ``values`` of the resonance next to the result; "" without crack faces.
 
         In a run-up the name is "speed", the speed at the resonance.
         """
@@ -278,21 +285,21 @@ class Verification(SavedResult):
 
     @property
     def omitted_causes_text(self) -> str:
-        """Unknown causes in words: "error due to the mesh not included"; or empty."""
+        """Unknown causes in words: "error due to the mesh not included"; "" without any."""
         return describe_omitted_causes(self.unknown)
 
     @property
     def omitted_causes_and_reasons_text(self) -> str:
-        """Unknown causes (:attr:`omitted_causes_text`) and the reasons; or empty."""
+        """Unknown causes (:attr:`omitted_causes_text`) with the reasons; "" without any."""
         reasons_text = "; ".join(dict.fromkeys(self.unknown.values()))
         return f"{self.omitted_causes_text}: {reasons_text}" if self.unknown else ""
 
     # --- tables -----------------------------------------------------------------------------------
 
     def totals(self) -> Table:
-        """Return a table with the errors of all quantities.
+        """Tabulate values and errors, a row per quantity.
 
-        A row has the value, relative contributions and totals [%] to three digits, the mesh's
+        A row has the value, contributions by cause, total and sum [%] to three digits, the mesh's
         observed order, and the extrapolated value.
         """
         table_rows = []
@@ -329,10 +336,10 @@ class Verification(SavedResult):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns with a row per quantity and cause or total.
+        """Return columns by heading, with a row per quantity and cause, total or sum.
 
-        A row has the varied counts, up to three values, the order and factor from these values,
-        and the uncertainty of the first value.
+        A row has the counts of all runs, up to three values, order and safety factor from these
+        values, and the uncertainty of the scene's value. Entries without a meaning are nan.
         """
         rows = [row for name in self.values for row in self._yield_cause_rows(name)]
         keys = dict.fromkeys(key for row in rows for key in row)
@@ -385,7 +392,11 @@ class Verification(SavedResult):
         return self.statement[0]
 
     def build_conclusion(self) -> Conclusion:
-        """Return the parts of the study's concluding sentence."""
+        """Return the parts of the sentence printed at the end of ``verify``.
+
+        The sentence has the scene's first quantity with error and main cause, or the reason for
+        doubt.
+        """
         quantity_name = next(iter(self.values))
         quantity_text = getattr(
             OBSERVABLES_BY_NAME.get(quantity_name.rpartition(".")[2]), "words", quantity_name
@@ -414,7 +425,10 @@ class Verification(SavedResult):
 
     @property
     def statement(self) -> tuple[str, ...]:
-        """Sentences on the errors, including unknown and doubtful errors."""
+        """Sentences on the errors of the first and the worst quantity, then :attr:`warnings`.
+
+        Causes without a contribution are listed with the reasons.
+        """
         main_quantity_name = next(iter(self.values))
         relative_total_by_name = {
             quantity_name: self.relative(quantity_name, self.total(quantity_name))
@@ -434,7 +448,11 @@ class Verification(SavedResult):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences with doubts about the numbers."""
+        """Sentences with doubts about the errors.
+
+        Subjects: unknown causes, missing parts, failed runs, unstable orbits, doubtful orders, a
+        force at a point, a contact stiffness per pair.
+        """
         sentences = [
             f"the totals do not include the error due to the {cause}: {reason_text}"
             for cause, reason_text in self.unknown.items()
@@ -471,7 +489,7 @@ class Verification(SavedResult):
 
     @property
     def incomplete_error_notes(self) -> tuple[str, ...]:
-        """Sentences on numbers with an error that lacks a varied cause."""
+        """Sentences on quantities with no part from a varied cause, with the reason."""
         return tuple(
             f"{', '.join(names_without_cause)}: error due to the {cause} not included: "
             f"{self.find_reasons_by_missing_cause(names_without_cause[0])[cause]}"
@@ -485,9 +503,9 @@ class Verification(SavedResult):
 
     @property
     def point_force_warnings(self) -> tuple[str, ...]:
-        """Warning about the unlimited displacement under a point force.
+        """Warning about the unlimited displacement under a point force; empty without.
 
-        Given if elements half as long add much to the amplitude.
+        Given if elements half as long add more than 1 % to the amplitude at the load.
         """
         scene, amplitude = self.scene, abs(self.values.get("amplitude", 0.0))
         amplitude_increase = displacement_added_by_halved_elements(scene)
@@ -507,10 +525,9 @@ class Verification(SavedResult):
         )
 
     def _is_contribution_relevant(self, quantity_name: str, cause: str) -> bool:
-        """Return True if doubts about a contribution are reported.
+        """Return True if a cause's contribution to a quantity's error deserves a warning.
 
-        The contribution must reach a tenth of the total, and a tenth of the value times
-        ``DEFAULT_ERROR_TOLERANCE``.
+        The contribution must be at least a tenth of the total, and at least 0.1 % of the value.
         """
         compared_error = max(
             self.total(quantity_name), DEFAULT_ERROR_TOLERANCE * abs(self.values[quantity_name])
@@ -518,7 +535,7 @@ class Verification(SavedResult):
         return self.contributions(quantity_name)[cause] >= 0.1 * compared_error
 
     def _describe_error(self, quantity_name: str) -> str:
-        """Return a quantity, its uncertainty and the largest cause in words."""
+        """Describe a quantity's value, uncertainty and largest cause in a sentence."""
         contribution_by_cause = self.contributions(quantity_name)
         error_text = (
             f"{quantity_name} = {self.values[quantity_name]:.5g} {self.units[quantity_name]}"
@@ -546,12 +563,12 @@ class Verification(SavedResult):
 
 
 def read_verification_or_none(result_file: StoredFile) -> Verification | None:
-    """Return the verification in a result's file, or None without any.
+    """Return the verification stored in a result's file; None if the file has none.
 
     Raises
     ------
     InputError
-        The stored verification does not fit.
+        The stored verification does not fit the scene or the format.
     """
     with result_file.yield_checked_datasets() as datasets_by_name:
         if "verification" not in datasets_by_name:
@@ -564,7 +581,7 @@ def read_verification_or_none(result_file: StoredFile) -> Verification | None:
 
 
 def displacement_added_by_halved_elements(scene: Scene) -> float:
-    """Estimate the displacement [m] added by halved elements at a force.
+    """Estimate the displacement [m] added by halved elements under a point force.
 
     F [N] is the force at a point, E Young's modulus [Pa], t the thickness [m], h the element size
     [m]. The force acts at a corner with angle a [rad]; a = pi on an edge and about 2 pi inside. In
@@ -601,5 +618,5 @@ def displacement_added_by_halved_elements(scene: Scene) -> float:
 def _make_uncertainty_entries(
     verification: Verification, quantity_name: str, error: float
 ) -> dict[str, float]:
-    """Return the columns for a quantity's error, absolute and relative."""
+    """Return a quantity's error as table entries: "uncertainty", absolute, and "relative"."""
     return {"uncertainty": error, "relative": verification.relative(quantity_name, error)}

@@ -65,9 +65,9 @@ from fenics_crack.study.prepare import (
 from fenics_crack.study.solve import SolvedStudy, solve_study
 
 REFINED_COUNT_FACTORS = (1, 2, 4)
-"""Factors on the count in the answer and both finer runs."""
+"""Factors on a count of modes, harmonics or samples: the answer, and two finer runs."""
 SAMPLING_CONVERGENCE_ORDER = 2.0
-"""Order of convergence with samples of a force."""
+"""Theoretical order p of the error C / N^p with N samples of the contact force per period."""
 SCENE_RUN_NAME = "the scene's settings"
 
 
@@ -142,9 +142,11 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
 
 
 def _scene_with_chosen_counts(run: SolvedStudy) -> Scene:
-    """Return a solution's scene with the chosen harmonics and modes.
+    """Write the harmonics and modes chosen by the solver into the solved scene.
 
-    If all modes are kept, reduction is off, so a finer mesh keeps all modes, too.
+    A tolerance becomes a fixed number of harmonics. The reduction gets the number of modes in the
+    solution; if all modes are kept, the reduction is "off", so a finer mesh keeps all modes, too. A
+    disk's reduction stays unchanged.
     """
     scene, whole_structure = run.scene, run.structure.whole
     values_by_key: dict[str, Any] = {}
@@ -165,9 +167,13 @@ def _scene_with_chosen_counts(run: SolvedStudy) -> Scene:
 
 
 def _count_kept_and_possible_modes(study: Study) -> tuple[int, int] | str:
-    """Return kept and possible mode numbers, or the reason for no variation.
+    """Count the kept and the available modes, for a disk per nodal diameter.
 
-    The numbers for a disk count modes per nodal diameter.
+    Returns
+    -------
+    (int, int) or str
+        Kept and available modes; or the reason why modes are not varied: no reduction, or all modes
+        are kept.
     """
     disk_table, reduction = study.scene.disk, modal_reduction_or_none(study.scene, study.structure)
     if disk_table is not None:
@@ -184,16 +190,17 @@ def _count_kept_and_possible_modes(study: Study) -> tuple[int, int] | str:
 
 @dataclass(frozen=True)
 class _AnswerJudgedByFinerRuns(JudgedAnswer):
-    """Judge each cause of an answer's error by finer runs.
+    """Estimate each cause's part in an answer's error by finer runs.
 
     Attributes
     ----------
     unreduced_study : Study
-        Study of the settled scene (:func:`_scene_with_chosen_counts`), with the whole structure.
+        Study with the unreduced structure. The scene has fixed numbers of harmonics and modes
+        (:func:`_scene_with_chosen_counts`).
     failure_texts : list of str
-        Failed finer runs, with reasons.
+        Name and error of each failed finer run.
     verdict_by_run : dict of str to str
-        Verdict on stability by run, if the run is not known to be stable.
+        Verdict on stability by name of the run, "stable" runs excluded.
     """
 
     unreduced_study: Study
@@ -201,7 +208,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
     verdict_by_run: dict[str, str] = field(default_factory=dict)
 
     def note_verdict(self, run_name: str, run: SolvedStudy) -> None:
-        """Add a run's verdict unless the run is known to be stable."""
+        """Record a run's verdict on stability, except "stable" or none."""
         stability = run.result.stability
         if stability is not None and stability.verdict != "stable":
             self.verdict_by_run[run_name] = stability.verdict
@@ -216,7 +223,9 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         shared_study: Study | None = None,
         scheme_order: float = math.inf,
     ) -> PartOrReason:
-        """Return a cause's part from finer runs (collective).
+        """Estimate a cause's part in the error from finer runs (collective).
+
+        Failed runs are recorded in ``failure_texts``.
 
         Parameters
         ----------
@@ -227,9 +236,14 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         count : int
             Count in the answer.
         formal_order, scheme_order : float
-            Orders expected by theory, and of the undisturbed scheme.
+            Order expected by theory, and largest order (:func:`grid_convergence`).
         shared_study : Study, optional
             Study with the structure of all runs; None for meshes, to make a structure per run.
+
+        Returns
+        -------
+        PartOrReason
+            A text if two runs have equally many elements.
 
         Raises
         ------
@@ -265,8 +279,10 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
     def _solve_finer_scene(self, scene: Scene, shared_study: Study | None) -> SolvedStudy:
         """Solve a finer scene (collective).
 
-        With the answer's structure the search starts from the answer. On a new mesh the load
-        frequency keeps the ratio to the resonance. ConvergenceError without a solution.
+        With ``shared_study``, solve on this study's structure; a structure not reduced yet is
+        reduced as the finer scene says. If this is the answer's own study, the search starts from
+        the answer. Without ``shared_study``, make a new mesh; the load frequency keeps the ratio to
+        the mode's bilinear frequency. Raise ConvergenceError if the run does not converge.
         """
         study, mode_number = self.study, self.balance_numbers.mode_number
         start_solution = self.answer if shared_study is study else None
@@ -284,10 +300,11 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         return run
 
     def _compute_run_values_by_name(self, run: SolvedStudy, cause: str) -> dict[str, float]:
-        """Return a finer run's numbers (collective).
+        """Return a finer run's values by quantity name (collective).
 
-        With more modes, the numbers change as between exact orbits if both runs have an accepted
-        orbit: with few harmonics, modes above all harmonics seem static.
+        For the cause "modes", prefer exact orbits: if both runs have an accepted orbit, return the
+        answer's values plus the change from orbit to orbit. With few harmonics, modes above all
+        harmonics would seem static.
         """
         if cause == "modes" and self.orbit_values_by_name is not None:
             orbit = find_accepted_orbit_or_none(run.result)
@@ -310,9 +327,22 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         max_count: int,
         formal_order: float,
     ) -> PartOrReason:
-        """Estimate a cause's error from two and four times a key's count (collective).
+        """Estimate a cause's error from runs with 2 and 4 times the count (collective).
 
-        No count is above ``max_count``.
+        Parameters
+        ----------
+        cause : str
+            Cause to judge.
+        shared_study : Study
+            Study with the structure of all runs.
+        scene : Scene
+            Scene to refine.
+        count_key : str
+            Scene key with the count, such as "harmonic_balance.harmonics".
+        count, max_count : int
+            Count in the answer, and limit for finer runs.
+        formal_order : float
+            Order expected by theory.
         """
         counts = sorted({min(factor * count, max_count) for factor in REFINED_COUNT_FACTORS})
         count_name = count_key.rpartition(".")[2]
@@ -325,7 +355,11 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         )
 
     def estimate_error_by_mesh(self) -> PartOrReason:
-        """Estimate the error by the mesh from finer meshes (collective)."""
+        """Estimate the error due to the mesh from two finer meshes (collective).
+
+        Elements become 1.5 and 2 times shorter if :func:`has_similar_finer_mesh`, otherwise 2 and 3
+        times. Matrices and meshes from a file are not refined: return the reason.
+        """
         scene = self.unreduced_study.scene
         if scene.structure is not None:
             return "[structure] gives matrices, which have no finer mesh"
@@ -351,11 +385,12 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         )
 
     def estimate_error_by_shift(self, verification: Verification) -> PartOrReason:
-        """Estimate the error by the mesh's shift of the resonance (collective).
+        """Estimate the error due to the resonance shift by the mesh (collective).
 
-        The part is a number's largest change at up to three shifts: half the resonance's
-        uncertainty, all the uncertainty, and the shift to an extrapolated value. Peaks may lie
-        between.
+        Solve again with the load frequency changed against the shift. The part is each quantity's
+        largest change at up to three shifts: half the resonance's uncertainty, all the uncertainty,
+        and the shift to an extrapolated resonance. Peaks may lie between. Without the part "mesh"
+        in the verification, return "".
         """
         if "mesh" not in verification.parts:
             return ""
@@ -399,7 +434,10 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         return element_counts[:: len(element_counts) - 1], convergence_by_name
 
     def estimate_error_by_modes(self) -> PartOrReason:
-        """Estimate the error by modes from more modes (collective)."""
+        """Estimate the error due to truncated modes from 2 and 4 times the modes (collective).
+
+        Without truncated modes, return the reason.
+        """
         unreduced_study = self.unreduced_study
         mode_counts_or_reason = _count_kept_and_possible_modes(self.unreduced_study)
         if isinstance(mode_counts_or_reason, str):
@@ -414,9 +452,11 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         )
 
     def estimate_error_by_harmonics(self) -> PartOrReason:
-        """Estimate the error by harmonics from an orbit or more harmonics (collective).
+        """Estimate the error due to truncated harmonics (collective).
 
-        With a given number of samples, more harmonics are always used.
+        The error is the distance to the answer's accepted exact orbit. Without an orbit, or with
+        ``harmonic_balance.samples`` in the scene, runs with 2 and 4 times the harmonics give the
+        error. Without contact, return the reason.
         """
         scene = self.unreduced_study.scene
         balance_table = scene.harmonic_balance
@@ -440,7 +480,11 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         )
 
     def estimate_error_by_samples(self) -> PartOrReason:
-        """Estimate the error by samples from more samples of the contact force (collective)."""
+        """Estimate the error due to sampled contact forces from more samples (collective).
+
+        Use 2 and 4 times the samples per period. If forces are integrated exactly, or without
+        contact, return the reason.
+        """
         scene, contact_law = self.unreduced_study.scene, self.study.contact
         balance_table, samples_key = scene.harmonic_balance, "harmonic_balance.samples"
         if contact_law is None:

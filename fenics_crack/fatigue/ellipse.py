@@ -23,12 +23,13 @@ from fenics_crack.scene.tables import Growth as Law
 
 GrowthEnd = Literal["reached", "arrested", "broken", "side"]
 N_PATH_ROWS = 200
-"""Number of rows in the path of the crack shape."""
+"""Number of sizes in an :class:`EllipseSizePath`; a crack without growth has one."""
 THRESHOLD_RAMP_FRACTION = 0.01
-"""Range above the threshold at which the rate is full, relative to the threshold.
+"""Relative excess over the threshold at which growth has its full rate.
 
-The rate rises linearly from zero. The fraction is below the errors of K. With a jump instead, a
-shape that grows along the threshold, as deep cracks in bending do, needs endless steps.
+With the effective range delta K of K_I, the rate rises linearly from 0 at growth.threshold to the
+growth law at 1.01 times the threshold. The fraction is below the errors of K. With a jump instead,
+a shape that grows along the threshold, as deep cracks in bending do, needs endless steps.
 """
 DEEPEST_COLUMN_NAME_FORMAT, SURFACE_COLUMN_NAME_FORMAT = "delta_K_{}_deepest", "delta_K_{}_surface"
 EQUIVALENT_RANGE_COLUMN_NAMES = tuple(
@@ -41,16 +42,18 @@ EFFECTIVE_RANGE_COLUMN_NAMES = tuple(
 
 @dataclass(frozen=True)
 class EllipseTable:
-    """Columns on a grid of depths and lengths, and their splines.
+    """Solutions at a grid of crack depths and lengths, with splines between them.
 
     Attributes
     ----------
     depths : (k,) [m]
         Depths a in ascending order.
     lengths : (l,) [m]
-        Lengths of the crack along the face in ascending order: c, or 2 c.
+        Lengths of the crack along the face in ascending order: 2 c for a half-ellipse, c for a
+        quarter at an edge.
     column_by_name : dict of str to (k, l)
-        Values at all sizes. Names of stress intensities begin with "K" or "delta_K".
+        Frequencies, response and stress intensities of all shapes, by name of the sweep's column.
+        Names of stress intensities and their ranges begin with "K" or "delta_K".
     """
 
     depths: np.ndarray
@@ -59,7 +62,11 @@ class EllipseTable:
 
     @cached_property
     def _spline_by_column(self) -> dict[str, Any]:
-        """Fit a spline over ln a and ln c to each column, by name."""
+        """Fit a spline over ln(depth) and ln(length) to each column.
+
+        Keys are column names. Stress intensities are divided by sqrt(depth) before the fit. The
+        degree is 3, or k - 1 for an axis with k < 4 sizes.
+        """
         from scipy.interpolate import RectBivariateSpline  # takes a while, and is needed here alone
 
         log_depths_and_lengths = np.log(self.depths), np.log(self.lengths)
@@ -80,9 +87,9 @@ class EllipseTable:
     def interpolate_column(
         self, column_name: str, depths: np.ndarray, lengths: np.ndarray
     ) -> np.ndarray:
-        """Interpolate a column at depths and lengths (n,) within the grid.
+        """Interpolate a column at depths and lengths (n,) [m] inside the grid.
 
-        Ranges are at least zero.
+        Return (n,) in the unit of the column. Negative interpolated ranges ("delta_K...") become 0.
         """
         column_values = self._spline_by_column[column_name].ev(np.log(depths), np.log(lengths))
         column_values = (
@@ -95,7 +102,10 @@ class EllipseTable:
         )
 
     def with_every_second_size(self) -> EllipseTable:
-        """Return the table with every second depth and length."""
+        """Return a coarser table with every second depth and length.
+
+        The change of the life with this table shows the interpolation error.
+        """
         coarse_column_by_name = {
             column_name: column[::2, ::2] for column_name, column in self.column_by_name.items()
         }
@@ -103,23 +113,27 @@ class EllipseTable:
 
 
 def _is_stress_intensity_column(column_name: str) -> bool:
-    """Return True for a stress intensity, which scales with the root of the depth."""
+    """Return True if a column has stress intensities, or their ranges.
+
+    Stress intensities scale with sqrt(depth), and are interpolated after division by this root.
+    """
     return column_name.startswith(("K", "delta_K"))
 
 
 class EllipseSizePath(NamedTuple):
-    """Sizes of a growing crack over the cycles.
+    """Depth and length of a growing half-ellipse over the load cycles.
 
     Attributes
     ----------
     depth, length_along_face : (n,) [m]
         Depth, and length along the face.
     cycles : (n,)
-        Cycles until each size.
+        Load cycles from the beginning until each size.
     growth_per_cycle : (n, 2) [m]
-        Growth of depth and length in a cycle.
+        Growth of depth and length in a load cycle.
     end_reason : str
-        Why growth ends: "reached", "arrested", "broken" or "side".
+        Why growth ends: "reached" (depth growth.until), "arrested" (no growth in either direction),
+        "broken" (K_max reaches the toughness), or "side" (the largest length in the table).
     """
 
     depth: np.ndarray
@@ -136,9 +150,26 @@ def compute_growth_per_cycle(
     depths: np.ndarray,
     lengths: np.ndarray,
 ) -> np.ndarray:
-    """Return the growth of depths and lengths (n,) in a cycle: (n, 2) [m].
+    """Return the growth of depth and length in a load cycle: (n, 2) [m].
 
-    The crack has one or two ends on the face, ``n_surface_ends``.
+    Let delta K_a be the range of K_I at the deepest point, and delta K_c at the ends on the face
+    [MPa m^0.5]: from 0, with the same growth in a load period. Then
+
+        da/dN = C delta K_a^m,      dl/dN = n_surface_ends C delta K_c^m.
+
+    Below ``growth.threshold`` for the range while the tip is open, the growth is 0
+    (:data:`THRESHOLD_RAMP_FRACTION`).
+
+    Parameters
+    ----------
+    ellipse_table : EllipseTable
+        Ranges of K_I over the shapes.
+    law : Growth
+        Table ``[growth]`` with C, m and the threshold.
+    n_surface_ends : int
+        Number of crack ends on the face: 2, or 1 for a quarter-ellipse at an edge.
+    depths, lengths : (n,) [m]
+        Shapes inside the table.
     """
     growth_rates = []
     for equivalent_column_name, effective_column_name in zip(
@@ -165,10 +196,12 @@ def compute_growth_per_cycle(
 def integrate_ellipse_growth(
     ellipse_table: EllipseTable, law: Law, n_surface_ends: int
 ) -> EllipseSizePath:
-    """Integrate the growth from the first size of a table to its end.
+    """Integrate the growth of a half-ellipse from a table's first shape.
 
-    The variable s is the sum of the growth in depth a and length l. Then da/ds and dl/ds are
-    bounded, and dN/ds = 1 / (da/dN + dl/dN). A depth that stops growing causes no difficulty.
+    Growth ends as :attr:`EllipseSizePath.end_reason` describes. ``n_surface_ends`` is as in
+    :func:`compute_growth_per_cycle`. The integration variable s is the sum of the growth in depth a
+    and length l. Then da/ds and dl/ds are bounded, and dN/ds = 1 / (da/dN + dl/dN). A depth that
+    stops growing causes no difficulty.
     """
     from scipy.integrate import solve_ivp
 

@@ -72,43 +72,52 @@ END_TEXT_BY_REASON: dict[GrowthEnd, str] = {
     "broken": "the structure breaks, since K_max reaches growth.toughness",
     "side": "growth is followed no further, since an end of the crack comes near to a side",
 }
-"""Descriptions of the end of growth, by reason."""
+"""Descriptions of the end of growth, by the value of :attr:`Growth.end`.
+
+The effective range is that of K_I while the crack tip is open.
+"""
 
 
 @dataclass(frozen=True, repr=False)
 class Growth(SavedResult):
-    """A crack's length over the cycles, and the vibration at each length.
+    """Result of :func:`grow`: crack length and vibration over load cycles.
 
     Attributes
     ----------
     scene : Scene
-        With the length of the crack at the beginning.
+        Scene with the length of the crack at the beginning.
     length, cycles, time : (n,) [m], [-], [s]
-        Crack length, the cycles until then, and their duration; one row if the crack does not grow.
+        Crack length, the load cycles until then, and their duration; one row if the crack does not
+        grow.
     omega, omega_open, omega_bilinear : (n,) [rad/s]
-        Load frequency (the mean of a spectrum), and natural frequencies with the crack open and of
-        the breathing crack. Their mode is nearest to the load, or to the load of a spectrum that
-        drives the crack most.
+        Load frequency (cycles over duration for a spectrum), natural frequency with the crack open,
+        and bilinear frequency. Both belong to the mode with the bilinear frequency nearest to the
+        load at the first length; in a spectrum, to the load with most growth.
     response : (n,) [m]
         Half the peak-to-peak displacement of the load's point, in the load's direction.
-    largest, smallest, effective, sliding : (n,) [Pa m^1/2]
-        K_max, K_min, delta_K_effective and K_II_max. For a spectrum, K_max and delta_K_effective
-        are maxima over the loads; K_min and K_II_max belong to the load that drives most.
+    largest, smallest, effective, sliding : (n,) [Pa m^0.5]
+        Largest K_I, smallest K_I, range of K_I while the crack tip is open, and largest K_II of
+        either sign. In a solid they belong to the front station with the largest such range. For a
+        spectrum, ``largest`` and ``effective`` are maxima over the loads; ``smallest`` and
+        ``sliding`` belong to the load with most growth.
     rate : (n,) [m]
-        Growth in a cycle; the mean of a spectrum; 0 for an arrested crack.
+        Growth of the length in a load cycle, on average for a spectrum; 0 in the last row of an
+        arrested crack.
     end : "reached", "arrested", "broken" or "side"
-        Reason: ``growth.until`` is reached, the range falls below the threshold, K_max reaches the
-        toughness, or the ends of a half-ellipse come near to the sides of the solid.
+        Why growth ends, in this order: ``growth.until`` is reached; the effective range falls below
+        the threshold, or the crack does not open; K_max reaches the toughness; the ends of a
+        half-ellipse come near to the solid's sides.
     solved : (k,) [m]
-        Solved lengths, of a half-ellipse (k, 2) depths and lengths; between them are splines.
+        Solved lengths, or (k, 2) depths and lengths for a half-ellipse. Splines connect them.
     errors : dict of str to float
-        Relative standard deviations of the cycles by cause. They are "rate", "exponent",
-        "vibration" (mesh, modes and harmonics, after half of the cycles; also by the part of a
-        spectrum above the threshold), and "interpolation" between lengths.
+        Standard deviations of ln(cycles) by cause: "rate" and "exponent" of the growth law,
+        "interpolation" between solved lengths, and "vibration". The last is m times the relative
+        error of the range after half of the cycles, by mesh, modes and harmonics. For a spectrum
+        the loads that this error puts below the threshold are added.
     remarks : tuple of str
-        Doubts about the growth.
+        Doubts about the growth, as sentences.
     depth : (n,) [m] or None
-        Depth of a crack in a solid shaped as half or a quarter of an ellipse.
+        Depth of a half- or quarter-ellipse in a solid; None for other cracks.
     """
 
     scene: Scene
@@ -136,22 +145,23 @@ class Growth(SavedResult):
 
     @property
     def life(self) -> float:
-        """Return the cycles to the last length."""
+        """Return the load cycles from the first length to the last."""
         return float(self.cycles[-1])
 
     @property
     def factor(self) -> float:
-        """Return the factor, > 1, that bounds the life with 68 %.
+        """Return the factor (> 1) within which the life is known, with 68 % probability.
 
-        The logarithm of the life has a normal distribution.
+        The factor is exp(sqrt(sum e_i^2)), with the standard deviations e_i of ln(cycles) in
+        ``errors``. A normal distribution of ln(life) is assumed.
         """
         return math.exp(math.hypot(*self.errors.values()))
 
     @property
     def repeats(self) -> np.ndarray | None:
-        """Return the repeats of the spectrum until each row (n,).
+        """Return the number of passes through the spectrum until each row: (n,).
 
-        None without a spectrum.
+        Numbers may be fractions. None without ``growth.drive = "spectrum"``.
         """
         repeat_cycles_and_duration = self.scene.given("growth").repeat_cycles_and_duration
         return (
@@ -162,18 +172,18 @@ class Growth(SavedResult):
 
     @property
     def frequency_drop(self) -> np.ndarray:
-        """Return the relative decrease of the breathing crack's natural frequency: (n,) [-]."""
+        """Return the relative decrease of the bilinear frequency since row 0: (n,)."""
         return np.asarray(1.0 - self.omega_bilinear / self.omega_bilinear[0])
 
     def at(self, cycles: float) -> float:
-        """Return the crack length [m] after some cycles.
+        """Return the crack length [m] after a number of load cycles.
 
-        nan beyond the last cycle.
+        Rows are interpolated linearly. The length is nan for more cycles than :attr:`life`.
         """
         return float(np.interp(cycles, self.cycles, self.length, right=math.nan))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns with a row for every length."""
+        """Return the table's columns by name, with an entry for each length."""
         values_by_column = {
             "cycles": self.cycles,
             "time": self.time,
@@ -197,7 +207,7 @@ class Growth(SavedResult):
         )
 
     def build_conclusion(self) -> Conclusion:
-        """Return the sentences on the growth."""
+        """Return the parts of the sentence that closes the output of ``grow``."""
         start_size, end_size = (self._size_in_words(row_index) for row_index in (0, -1))
         if len(self.length) == 1:
             return Conclusion(f"the crack stays at {start_size}: {END_TEXT_BY_REASON[self.end]}")
@@ -228,7 +238,7 @@ class Growth(SavedResult):
         )
 
     def _size_in_words(self, row_index: int) -> str:
-        """Return the crack's length, and depth if any, at a row in words."""
+        """Return a row's crack size as text: "12 mm" or "12 mm x 3 mm deep"."""
         length_text = format_quantity(float(self.length[row_index]), "m")
         if self.depth is None:
             return length_text
@@ -243,7 +253,10 @@ class Growth(SavedResult):
 
 
 def report_of_growth(growth: Growth) -> Report:
-    """Return the report: table, life and its uncertainty."""
+    """Return the report of ``fenics-crack grow``: table, life and its uncertainty.
+
+    The printed table has at most :data:`N_SELECTED_ROWS` rows, equally spaced; files have all rows.
+    """
     growth_table, n_rows = growth.table(), len(growth.length)
     shown_row_indices = sorted(
         {*np.linspace(0, n_rows - 1, N_SELECTED_ROWS).round().astype(int).tolist()}
@@ -266,34 +279,41 @@ NOT_STABLE_TEXT = (
     "the vibration is unstable or irregular, or its stability is undecided: the growth there is "
     "doubtful; fenics-crack curve shows other vibrations"
 )
-"""End of a remark on vibrations without certain stability."""
+"""End of a remark on lengths or shapes without a vibration known to be stable."""
 UNKNOWN_VIBRATION_TEXT = (
     "the error of the vibration is unknown, and so is the uncertainty of the life"
 )
-"""Remark without an error estimate of the vibration."""
+"""Remark on a range of K_I without an error estimate."""
 N_ELLIPSE_SIZES_PER_AXIS = 5
-"""Number of depths, and number of lengths, for half-ellipses, in equal ratios.
+"""Number of solved depths, and of lengths, for a half-ellipse.
 
-With five the cycles are right to 0.8 % for the K of Newman and Raju, in equal steps to 6 %
-(tests/fatigue/test_ellipse.py).
+Neighbours have equal ratios. With five, the cycles are right to 0.8 % for the K of Newman and Raju;
+in equal steps, to 6 % (tests/fatigue/test_ellipse.py).
 """
 N_ELLIPSE_MODES = 20
-"""Number of modes with half-ellipses: neglected modes change every K by 1e-4."""
-MAX_ELLIPSE_LENGTH_FRACTION = 0.9
-"""Maximum length of a half-ellipse, relative to the length between the sides."""
-GAUSS_LEGENDRE_NODES, GAUSS_LEGENDRE_WEIGHTS = np.polynomial.legendre.leggauss(3)
-"""Gauss-Legendre quadrature of the integral over each step of the table."""
-MAX_ALLOWED_LOG_RANGE_ERROR = 0.05
-"""Allowed error of ln delta K in an interval, even if few cycles pass there.
+"""Number of modes for a half-ellipse, if the scene has no ``[reduction]``.
 
-An interval with a larger error is halved, so that the peak of a resonance inside is met.
+The neglected modes change every K by 1e-4, relative.
+"""
+MAX_ELLIPSE_LENGTH_FRACTION = 0.9
+"""Maximum length of a half-ellipse over the length between the solid's sides."""
+GAUSS_LEGENDRE_NODES, GAUSS_LEGENDRE_WEIGHTS = np.polynomial.legendre.leggauss(3)
+"""Quadrature for dN/da in each step between lengths: three points in (-1, 1), and weights."""
+MAX_ALLOWED_LOG_RANGE_ERROR = 0.05
+"""Maximum error of ln delta K in an interval between solved lengths.
+
+delta K is the range of K_I for the growth law. Intervals with larger errors are halved, even if few
+cycles pass there, to find resonances inside.
 """
 LOGARITHMIC_COLUMN_NAMES = ("driving", "K_max", "delta_K_effective", "response")
-"""Columns whose logarithm is smooth, since resonances pass through them."""
+"""Columns with a spline of the logarithm, which is smooth through resonances.
+
+"driving" is the constant range of K_I with the same growth as all loads.
+"""
 LINEAR_COLUMN_NAMES = ("omega", "omega_open", "omega_bilinear", "K_min", "K_II_max")
-"""Columns that are smooth themselves."""
+"""Columns with a spline of the values themselves."""
 EMPTY_COLUMN_BY_NAME = dict.fromkeys((*LOGARITHMIC_COLUMN_NAMES, *LINEAR_COLUMN_NAMES), np.zeros(0))
-"""Columns of a path without lengths, by name: (0,) each."""
+"""Columns of a :class:`LengthPath` without lengths, by name: (0,) each."""
 SWEEP_COLUMN_NAMES = (
     "K_max",
     "delta_K_effective",
@@ -301,13 +321,13 @@ SWEEP_COLUMN_NAMES = (
     "response",
     *LINEAR_COLUMN_NAMES,
 )
-"""Columns of the sweep that a path is made from."""
+"""Columns of a sweep over crack sizes from which growth is computed."""
 COLUMN_NAME_BY_GROWTH_FIELD = {
     "omega": "omega", "omega_open": "omega_open", "omega_bilinear": "omega_bilinear",
     "response": "response", "largest": "K_max", "smallest": "K_min",
     "effective": "delta_K_effective", "sliding": "K_II_max",
 }  # fmt: skip
-"""Path column name by :class:`Growth` field name."""
+"""Column of the solved lengths or shapes, by field of :class:`Growth`."""
 
 
 def grow(
@@ -317,14 +337,15 @@ def grow(
     *,
     progress: bool = False,
 ) -> Growth:
-    r"""Let the crack of a plate, or of a solid, grow under its vibration (collective).
+    r"""Let the crack of a plate or solid grow under vibration (collective).
 
-    By the table ``[growth]`` of the scene: from ``crack.length`` to ``growth.until``,
+    The length grows from ``crack.length`` to ``growth.until``, by the table ``[growth]``, in N load
+    cycles:
 
-    .. math:: N = \int \frac{da}{C \sum_i (\Delta K_i / (1 - R_i)^{1 - \gamma})^m},
+    .. math:: N = \int \frac{da}{C \sum_i (\Delta K_i / (1 - R_i)^{1 - \gamma})^m}.
 
-    :math:`\Delta K_i` the ranges of K_I while the tip is open, in the cycles that rain flow counts
-    in one period of the load.
+    The sum is over the rainflow cycles of K_I in one period of the load. :math:`\Delta K_i` are
+    the ranges while the crack tip is open, and :math:`R_i` the ratios of minimum to maximum.
 
     Few lengths are solved; between them ln delta K is a spline, refined until the cycles are known
     to ``growth.life_tolerance``. Ranks share the lengths. For a crack through a solid,
@@ -335,15 +356,15 @@ def grow(
     Parameters
     ----------
     scene : Scene
-        A plate with one crack from an edge, or a solid with one that is through or half of an
-        ellipse, and a table ``[growth]``.
+        Scene with a table ``[growth]``: a plate with one crack from an edge, or a solid with one
+        crack that goes through or is half or a quarter of an ellipse.
     folder : path, optional
-        Folder of the solved sweeps. Existing files of the same scene are used, so that a killed run
-        continues. Default: nothing is kept.
+        Folder for the solved sweeps, growth_1.h5 and so on. Existing files for the same scene are
+        used, so that a killed run continues. Default: nothing is kept.
     comm : MPI.Comm
-        The ranks.
+        Ranks that share the cases.
     progress : bool
-        Show bars.
+        Show progress bars.
 
     Returns
     -------
@@ -353,9 +374,11 @@ def grow(
     Raises
     ------
     InputError
-        The scene has no such crack or table, or its crack does not become longer.
+        The scene has no such crack or table, or ``growth.until`` is not above its crack's size.
     ConvergenceError
-        A length cannot be solved.
+        One of the five first lengths, or a shape next to the growth, cannot be solved.
+    StoppedError
+        Ctrl-C was pressed.
 
     Examples
     --------
@@ -427,7 +450,7 @@ def grow(
 def _get_values_by_growth_field(
     values_by_column: Mapping[str, np.ndarray],
 ) -> dict[str, np.ndarray]:
-    """Return path columns by :class:`Growth` field name."""
+    """Rename columns to the field names of :class:`Growth`."""
     return {
         field_name: values_by_column[column_name]
         for field_name, column_name in COLUMN_NAME_BY_GROWTH_FIELD.items()
@@ -435,7 +458,11 @@ def _get_values_by_growth_field(
 
 
 def _accumulate_integral_over_cycles(values: np.ndarray, cycles: np.ndarray) -> np.ndarray:
-    """Integrate values (n,) over the cycles until each of them (n,)."""
+    """Integrate values over load cycles, by the trapezoidal rule.
+
+    ``values`` and ``cycles`` have shape (n,). The integrals (n,) run from the first cycle to each;
+    the first is 0.
+    """
     return np.append(0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(cycles)))
 
 
@@ -446,14 +473,19 @@ def _collect_life_error_by_cause(
     vibration_error: float,
     interpolation_error: float,
 ) -> dict[str, float]:
-    """Return errors in ln N by cause: growth law, range and interpolation.
+    """Return standard deviations of ln(life) by cause.
+
+    Keys are "rate", "exponent", "vibration" and "interpolation", as in :attr:`Growth.errors`. Life
+    is the number of load cycles until growth ends.
 
     Parameters
     ----------
+    law : Growth
+        Table ``[growth]`` with C, m and their standard deviations.
     growth_rates, cycles : (n,) [m], [-]
-        Growth in a cycle, and the cycles until then.
+        Growth in a load cycle, and the cycles until then.
     vibration_error : float
-        Relative error of the effective range.
+        Relative error of the range of K_I.
     interpolation_error : float
         Relative error of the cycles.
     """
@@ -470,7 +502,13 @@ def _collect_life_error_by_cause(
 
 
 def _validate_growth_scene(scene: Scene) -> Scene:
-    """Return the scene if its crack can grow; raise InputError otherwise."""
+    """Return the scene itself if its crack can grow.
+
+    Raises
+    ------
+    InputError
+        A key does not allow growth, such as ``mesh.layout`` or ``growth.until``.
+    """
     refuse_for_reason(reason_without_stress_intensity(scene), "command", "grow")
     law, crack = scene.given("growth"), scene.given("crack")
     if scene.mesh.layout != "graded":
@@ -522,7 +560,11 @@ def _validate_growth_scene(scene: Scene) -> Scene:
 def _grow_ellipse(
     scene: Scene, folder: Path | None, comm: MPI.Comm, *, progress: bool = False
 ) -> Growth:
-    """Return the growth of a half-ellipse (collective)."""
+    """Return the growth of a half- or quarter-ellipse (collective).
+
+    ``scene`` has no curve and no sweep. ``folder`` keeps the sweep in growth_1.h5; None keeps
+    nothing.
+    """
     law, crack = scene.given("growth"), scene.given("crack")
     if scene.reduction is None:
         scene = scene.replace({"reduction.method": "massless", "reduction.modes": N_ELLIPSE_MODES})
@@ -599,7 +641,26 @@ def _collect_ellipse_remarks(
     values_by_column: Mapping[str, np.ndarray],
     law: Law,
 ) -> list[str]:
-    """Return the remarks that cast doubt on the growth of a half-ellipse."""
+    """Return the doubts about the growth of a half-ellipse, as sentences.
+
+    They are about failed shapes, uncertain stability, a turning crack, and a passed resonance.
+
+    Parameters
+    ----------
+    sweep_result : SweepResult
+        Cases over depth and length, failed ones included.
+    ellipse_table, ellipse_path : EllipseTable, EllipseSizePath
+        Shapes in the sweep, and along the growth.
+    values_by_column : dict of str to (n,)
+        Columns along the growth.
+    law : Growth
+        Table ``[growth]``.
+
+    Raises
+    ------
+    ConvergenceError
+        A failed shape is next to the growth.
+    """
     n_not_stable_shapes = int((sweep_result.not_stable & sweep_result.converged).sum())
     remark_texts = _list_failed_ellipse_remarks(sweep_result, ellipse_table, ellipse_path)
     remark_texts += (
@@ -623,10 +684,10 @@ def _collect_ellipse_remarks(
 
 
 def _find_allowed_ellipse_length(scene: Scene) -> float:
-    """Find the maximum length [m] for half-ellipses in the table.
+    """Find the largest length [m] to solve for a half- or quarter-ellipse.
 
-    Around a point it is at most the length of a crack with three times the relative growth along
-    the face.
+    The length is 0.9 times the available length between the sides. Around ``crack.point`` the
+    length is at most the first length times (until / first depth)^3.
     """
     crack = scene.given("crack")
     law = scene.given("growth")
@@ -641,9 +702,10 @@ def _find_allowed_ellipse_length(scene: Scene) -> float:
 def estimate_ellipse_life_error(
     ellipse_table: EllipseTable, ellipse_path: EllipseSizePath, law: Law, n_surface_ends: int
 ) -> float:
-    """Return the interpolation error of the cycles, relative to them.
+    """Estimate the relative error of the cycles by interpolation between shapes.
 
-    It is a quarter of the change with every second depth and length only.
+    The error is a quarter of abs(ln(N_coarse / N)), with every second depth and length in N_coarse.
+    It is 0 if either number of cycles is 0.
     """
     coarse_life = integrate_ellipse_growth(
         ellipse_table.with_every_second_size(), law, n_surface_ends
@@ -656,10 +718,14 @@ def estimate_ellipse_life_error(
 
 
 def _tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
-    """Return the table of a sweep over depths and lengths.
+    """Make the table of shapes from a sweep over depth and length.
 
-    Failed shapes are filled by thin plates. Raises ConvergenceError if the first shape or too many
-    shapes have failed.
+    Values of failed shapes are interpolated by thin-plate splines, and at least 0.
+
+    Raises
+    ------
+    ConvergenceError
+        The first shape has failed, or fewer than :data:`N_ELLIPSE_SIZES_PER_AXIS` are solved.
     """
     from scipy.interpolate import RBFInterpolator  # takes a while, and is needed here alone
 
@@ -698,7 +764,10 @@ def _tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
 
 
 def _ellipse_in_words(sweep_result: SweepResult, case_index: tuple[int, ...]) -> str:
-    """Describe a case by depth and length."""
+    """Describe a case of the sweep by its depth and length.
+
+    ``case_index`` has the positions on both axes.
+    """
     depth, length = (
         axis.values[size_index]
         for axis, size_index in zip(sweep_result.axes, case_index, strict=True)
@@ -709,9 +778,14 @@ def _ellipse_in_words(sweep_result: SweepResult, case_index: tuple[int, ...]) ->
 def _list_failed_ellipse_remarks(
     sweep_result: SweepResult, ellipse_table: EllipseTable, ellipse_path: EllipseSizePath
 ) -> list[str]:
-    """Return a remark on failed shapes away from the path.
+    """Return a remark on failed shapes, if all are far from the growth.
 
-    Raises ConvergenceError if the path is next to one.
+    The list is empty if no shape has failed.
+
+    Raises
+    ------
+    ConvergenceError
+        Growth passes between the next smaller and next larger sizes of a failed shape.
     """
     table_and_path_sizes = (
         (ellipse_table.depths, ellipse_path.depth),
@@ -742,14 +816,17 @@ def _list_failed_ellipse_remarks(
 def _estimate_ellipse_range_error_and_remarks(
     scene: Scene, ellipse_table: EllipseTable, ellipse_path: EllipseSizePath, path_row_index: int
 ) -> tuple[float, list[str]]:
-    """Return the relative error of the range that grows the crack most.
+    """Estimate the error of the range of K_I for a growing half-ellipse.
+
+    ``path_row_index`` is the size in ``ellipse_path``. The equivalent range at the deepest point or
+    at the ends counts, whichever grow faster.
 
     Returns
     -------
     float
-        Error at the row of the path.
+        Relative error by mesh, modes and harmonics; nan if unknown.
     list of str
-        At most one remark on causes that the error omits.
+        A remark on causes without an estimate; empty if all have one.
     """
     depth_and_length = (
         ellipse_path.depth[path_row_index : path_row_index + 1],
@@ -766,7 +843,11 @@ def _estimate_ellipse_range_error_and_remarks(
 
 
 def _compute_growth_rates(length_path: LengthPath, law: Law, lengths: np.ndarray) -> np.ndarray:
-    """Return da/dN [m] at some lengths."""
+    """Return da/dN [m] at lengths (n,) [m] of a straight crack.
+
+    The rate is C delta K^m. delta K [MPa m^0.5] is the column "driving" of the solved lengths: the
+    range of K_I with the growth of all loads (:func:`_reduce_load_levels_to_columns`).
+    """
     driving_ranges_mpa = (
         length_path.interpolate_column("driving", lengths) / 1e6
     )  # MPa m^0.5, of which the rate is
@@ -776,13 +857,17 @@ def _compute_growth_rates(length_path: LengthPath, law: Law, lengths: np.ndarray
 def _integrate_cycles_to_end(
     length_path: LengthPath, law: Law
 ) -> tuple[np.ndarray, np.ndarray, GrowthEnd]:
-    """Integrate the cycles over the length.
+    """Integrate dN = da / (da/dN) over the solved lengths, until growth ends.
+
+    Growth is arrested if the effective range (of K_I while the crack tip is open) is below the
+    threshold, or the rate is 0. The structure is broken if K_max reaches the toughness.
 
     Returns
     -------
     lengths : (n,) [m]
+        Up to 200 equally spaced lengths.
     cycles : (n,)
-        Cycles until each length.
+        Load cycles until each length.
     end_reason : str
         "reached", "arrested" or "broken".
     """
@@ -811,10 +896,19 @@ def _integrate_cycles_to_end(
 def _make_scene_with_crack_size(
     scene: Scene, omega: float, length: float, depth: float | None = None
 ) -> Scene:
-    """Return the scene with another crack size at a load frequency.
+    """Return the scene with another crack size, at a fixed load frequency.
 
-    The scene must have no curve and no sweep. The load frequency omega [rad/s] replaces an engine
-    order, and the quantities are the ranges that drive growth.
+    The requested quantities become the ranges of K_I from 0 with the same crack growth
+    ("delta_K_equivalent").
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene without curve and sweep.
+    omega : float [rad/s]
+        Load frequency, in place of an engine order.
+    length, depth : float [m]
+        Crack size; None as depth for a crack through the thickness.
     """
     value_by_key = {"crack.length": length, "excitation.omega": omega}
     quantity_names = observable_names(
@@ -828,14 +922,17 @@ def _make_scene_with_crack_size(
 def _estimate_range_error_and_remarks(
     scene: Scene, length_path: LengthPath, length: float
 ) -> tuple[float, list[str]]:
-    """Return the relative error of the equivalent range at a length.
+    """Estimate the error of the equivalent range of K_I at a length.
+
+    The equivalent range, from 0 once in a load period, gives the same crack growth. The length is
+    in m. For a spectrum, the load with most growth at the nearest solved length counts.
 
     Returns
     -------
     float
-        Error by mesh, modes and harmonics.
+        Relative error by mesh, modes and harmonics; nan if unknown.
     list of str
-        At most one remark on causes that the error omits.
+        A remark on causes without an estimate; empty if all have one.
     """
     omega = float(length_path.interpolate_column("omega", np.array([length]))[0])
     if scene.given("growth").drive == "spectrum":
@@ -848,7 +945,17 @@ def _estimate_range_error_and_remarks(
 def _estimate_quantity_error_and_remarks(
     scene: Scene, quantity_name: str
 ) -> tuple[float, list[str]]:
-    """Return the relative error of a quantity, and a remark on omitted causes."""
+    """Solve a scene, and estimate the relative error of a quantity.
+
+    The cause "friction" is left out.
+
+    Returns
+    -------
+    float
+        Relative error (:meth:`Verification.stated`); nan if unknown.
+    list of str
+        A remark on causes without an estimate; empty if all have one.
+    """
     solved_run = solve(scene, MPI.COMM_SELF)
     cause_names = [cause_name for cause_name in STATED_CAUSES if cause_name != "friction"]
     is_at_peak = scene.given("growth").drive == "resonance"
@@ -866,10 +973,11 @@ def _estimate_quantity_error_and_remarks(
 def _estimate_life_error_by_threshold(
     length_path: LengthPath, law: Law, lengths: np.ndarray, cycles: np.ndarray, range_error: float
 ) -> float:
-    """Return the error in ln N by loads that fall below the threshold.
+    """Return the error of ln(life) by loads that fall below the threshold.
 
-    All ranges fall by a relative error, which leaves more of a spectrum below the threshold. The
-    rise in ln N comes on top of the exponent's.
+    If all ranges fall by the relative ``range_error`` e, the threshold acts like threshold / (1 -
+    e). More loads of a spectrum are then left out, and the life rises. The rise of ln(life) is
+    returned; 0 without a spectrum, without a threshold, or unless 0 < e < 1.
     """
     is_threshold_relevant = law.drive == "spectrum" and law.threshold and cycles[-1] > 0.0
     if not (is_threshold_relevant and 0.0 < range_error < 1.0):
@@ -896,7 +1004,23 @@ def _collect_growth_remarks(
     vibration_error: float,
     end_reason: str,
 ) -> list[str]:
-    """Return the remarks that cast doubt on a crack's growth."""
+    """Return the doubts about a straight crack's growth, as sentences.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with ``[growth]``.
+    length_path : LengthPath
+        Solved lengths.
+    jump_lengths : list of float [m]
+        Lengths at which splines of the range miss solutions (:func:`_solve_lengths_to_tolerance`).
+    values_by_column, lengths : dict of str to (n,), (n,) [m]
+        Columns and lengths along the growth.
+    vibration_error : float
+        Relative error of the range of K_I; nan if unknown.
+    end_reason : str
+        As in :attr:`Growth.end`.
+    """
     remark_texts = _list_crack_turning_remarks(
         values_by_column["K_max"], values_by_column["K_II_max"], lengths
     )
@@ -942,9 +1066,11 @@ def _collect_growth_remarks(
 def _list_crack_turning_remarks(
     K_max: np.ndarray, K_II: np.ndarray, lengths: np.ndarray
 ) -> list[str]:
-    """Return a remark if a crack would turn.
+    """Return a remark if a crack would turn by more than 10 degrees.
 
-    The largest K_I and K_II, ``K_max`` and ``K_II`` (n,), belong to its ``lengths`` (n,) [m].
+    The kink angle is 2 arctan(2 K_II / (K_I + sqrt(K_I^2 + 8 K_II^2))). ``K_max`` and ``K_II`` (n,)
+    are the largest K_I and K_II at the crack's ``lengths`` (n,) [m]. The list is empty for smaller
+    angles.
     """
     K_I = np.maximum(K_max, SMALLEST_NORMAL)
     kink_angles = 2.0 * np.arctan(2.0 * K_II / (K_I + np.sqrt(K_I**2 + 8.0 * K_II**2)))
@@ -962,21 +1088,21 @@ def _list_crack_turning_remarks(
 
 @dataclass(frozen=True)
 class LengthPath:
-    """Columns of sweeps over the crack's length, and splines through them.
+    """Solutions at crack lengths, with splines between them.
 
     Attributes
     ----------
     lengths : (k,) [m]
         Solved lengths in ascending order.
     column_by_name : dict of str to (k,)
-        The :data:`LOGARITHMIC_COLUMN_NAMES` and the linear ones.
+        Columns :data:`LOGARITHMIC_COLUMN_NAMES` and :data:`LINEAR_COLUMN_NAMES`.
     sweep_results : tuple of SweepResult
-        Sweeps that the columns come from.
+        Sweeps with the solutions.
     leading_omega : (k,) [rad/s]
-        Load frequencies at which most of the growth happens.
+        Load frequency with most of the growth at each length.
     mode_number : int or None
-        Mode of the natural frequencies, from 1: nearest to the leading load of the first length.
-        None before the first length.
+        Number, from 1, of the mode with the natural frequencies in the columns. Its bilinear
+        frequency is nearest to the leading load at the first length. None without lengths.
     """
 
     lengths: np.ndarray
@@ -987,7 +1113,7 @@ class LengthPath:
 
     @property
     def failed_lengths_and_reasons(self) -> list[tuple[float, str]]:
-        """Return failed lengths [m], each with its reason."""
+        """Return each length [m] that could not be solved, with the reason."""
         failure_text_by_length = {
             sweep_result.axes[0].values[case_index[0]]: failure_text
             for sweep_result in self.sweep_results
@@ -997,7 +1123,7 @@ class LengthPath:
 
     @property
     def not_stable_lengths(self) -> list[float]:
-        """Return lengths [m] with unstable, irregular or undecided vibration."""
+        """Return lengths [m] with a vibration that is unstable, irregular or undecided."""
         not_stable_sweep_cases = (
             (sweep_result, case_index)
             for sweep_result in self.sweep_results
@@ -1011,7 +1137,12 @@ class LengthPath:
         )
 
     def interpolate_column(self, column_name: str, lengths: np.ndarray) -> np.ndarray:
-        """Interpolate a column at any lengths (n,) within the path."""
+        """Interpolate a column by a cubic spline at lengths (n,) [m].
+
+        Lengths must lie between the first and last solved ones. For
+        :data:`LOGARITHMIC_COLUMN_NAMES`, the spline goes through logarithms, with values of at
+        least 1e-4 times the largest.
+        """
         from scipy.interpolate import CubicSpline  # takes a while, and is needed here alone
 
         column = self.column_by_name[column_name]
@@ -1024,9 +1155,18 @@ class LengthPath:
     def with_sweep(
         self, sweep_result: SweepResult, law: Law, level_cycles: np.ndarray
     ) -> LengthPath:
-        """Return the path with the cases of one more sweep.
+        """Return the path with the solved lengths of another sweep.
 
-        The sweep is over lengths and a spectrum's levels, with the cycles at each level.
+        A length counts if all loads of the spectrum are solved there.
+
+        Parameters
+        ----------
+        sweep_result : SweepResult
+            Sweep over the crack length, and the load frequency for a spectrum.
+        law : Growth
+            Table ``[growth]``.
+        level_cycles : (levels,)
+            Load cycles at each frequency of the spectrum; (1,) without a spectrum.
         """
         sweep_lengths = np.array(sweep_result.axes[0].values)
         is_solved = sweep_result.converged.reshape(len(sweep_lengths), -1).all(axis=1)
@@ -1076,21 +1216,32 @@ class LengthPath:
 def _reduce_load_levels_to_columns(
     level_values_by_column: dict[str, np.ndarray], law: Law, level_cycles: np.ndarray
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Reduce the load levels (k, levels) of each length to columns (k,).
+    """Reduce values at the loads of a spectrum to a column over lengths.
 
-    The driving range is the range of constant amplitude with the same growth,
+    The column "driving" is the range of constant amplitude with the same growth,
 
         (sum n_i delta K_i^m / sum n_i)^(1 / m),
 
-    with n_i cycles of the equivalent range delta K_i at level i. Levels below the threshold are
-    left out if another level is above it.
+    with n_i cycles at load i. delta K_i is the range of K_I from 0 with equal growth in a period.
+    Loads with a range below the threshold while the crack tip is open are left out, if any load is
+    above the threshold.
+
+    Parameters
+    ----------
+    level_values_by_column : dict of str to (k, levels)
+        Values at k lengths and each load, by column name.
+    law : Growth
+        Table ``[growth]`` with m and the threshold.
+    level_cycles : (levels,)
+        Cycles n_i.
 
     Returns
     -------
     dict of str to (k,)
-        Columns by name.
+        "K_max" and "delta_K_effective" are maxima; "omega" is the mean frequency. Other columns
+        are from the load with most growth.
     (k,) [rad/s]
-        Load frequency of the level with most growth.
+        Frequency of the load with most growth.
     """
     effective_ranges = level_values_by_column["delta_K_effective"]
     equivalent_ranges = level_values_by_column["delta_K_equivalent"]
@@ -1126,27 +1277,29 @@ def _reduce_load_levels_to_columns(
 def _solve_lengths_to_tolerance(
     scene: Scene, folder: Path | None, comm: MPI.Comm, *, progress: bool = False
 ) -> tuple[LengthPath, float, list[float]]:
-    """Solve a scene at crack lengths until the cycles are known (collective).
+    """Solve crack lengths until interpolation gives the cycles precisely (collective).
 
-    The lengths are from the crack's to the last of growth, and the tolerance is
-    ``growth.life_tolerance``. A folder keeps the sweeps, one for each round.
+    The first round has five lengths from ``crack.length`` to ``growth.until``. Up to five further
+    rounds halve intervals. They end when the error of the cycles is below ``growth.life_tolerance``
+    and the error of ln delta K is at most :data:`MAX_ALLOWED_LOG_RANGE_ERROR` (0.05) everywhere.
+    ``folder`` keeps the sweep of round n in growth_n.h5; None keeps nothing.
 
     Returns
     -------
     LengthPath
         Solved lengths.
     float
-        Interpolation error of the cycles, relative to them.
+        Relative error of the cycles by interpolation.
     list of float
-        Lengths [m] at which the spline of ln delta K misses by more than
-        :data:`MAX_ALLOWED_LOG_RANGE_ERROR` in spite of all rounds, the steepest first.
+        Beginnings [m] of the intervals in which ln delta K still has a larger error, the steepest
+        first.
 
     Raises
     ------
     ConvergenceError
-        The first round has failed lengths.
+        A length of the first round cannot be solved.
     StoppedError
-        Ctrl-C has stopped it.
+        Ctrl-C was pressed.
     """
     law = scene.given("growth")
     first_length, last_length = scene.given("crack").length, law.until
@@ -1214,9 +1367,10 @@ def _solve_lengths_to_tolerance(
 
 
 def _get_level_omega_and_cycles(law: Law) -> tuple[np.ndarray, np.ndarray]:
-    """Return a spectrum's load frequencies [rad/s], and the cycles at each.
+    """Return load frequencies (levels,) [rad/s] and cycles of a spectrum.
 
-    Without a spectrum: no frequencies, and one cycle.
+    A level is one load frequency of ``[growth]``. Without a spectrum: no frequencies (0,), and
+    cycles (1,) of 1.
     """
     if law.frequencies is None:
         return np.zeros(0), np.ones(1)
@@ -1231,7 +1385,20 @@ def _sweep_crack_sizes(
     *,
     progress: bool = False,
 ) -> SweepResult:
-    """Run a sweep over crack sizes and the levels of a spectrum (collective)."""
+    """Solve a scene at crack sizes and at the loads of a spectrum (collective).
+
+    Parameters
+    ----------
+    values_by_key : dict of str to array
+        Values for the axes of the sweep: "crack.length", "crack.depth", "excitation.omega".
+    sweep_path : path or None
+        File of the sweep, which is continued if it exists; None keeps nothing.
+
+    Raises
+    ------
+    StoppedError
+        Ctrl-C was pressed.
+    """
     is_at_resonance = scene.given("growth").drive == "resonance"
     value_list_by_key = {
         sweep_key: swept_sizes.tolist() for sweep_key, swept_sizes in values_by_key.items()
@@ -1256,12 +1423,18 @@ def _sweep_crack_sizes(
 def _estimate_interval_log_range_errors(
     previous_path: LengthPath, length_path: LengthPath, previous_errors: np.ndarray
 ) -> np.ndarray:
-    """Return the spline's error in ln delta K between neighbouring lengths: (k - 1,).
+    """Return errors of the spline of ln delta K between lengths: (k - 1,).
 
-    In new intervals it is the previous spline's error at the interval ends, a quarter of the
-    largest difference. In other intervals it is the previous error or, if larger, the difference
-    between both splines in the middle. A resonance inside an interval shows around the interval,
-    too.
+    In new intervals the error is a quarter of the larger difference between both splines at the
+    ends. In other intervals it is the previous error or, if larger, the difference between both
+    splines in the middle. A resonance inside an interval shows around the interval, too.
+
+    Parameters
+    ----------
+    previous_path, length_path : LengthPath
+        Solved lengths before and after the last sweep.
+    previous_errors : (j - 1,)
+        Errors between the j lengths of the previous path.
     """
 
     def compute_log_range_difference(lengths: np.ndarray) -> np.ndarray:

@@ -35,21 +35,24 @@ from fenics_crack.study.campbell import Campbell, campbell
 from fenics_crack.study.plausibility import MAX_PLAUSIBLE_TIP_SPEED, TIP_SPEED_TEXT_TEMPLATE
 
 IGNORED_SCENE_TABLE_NAMES = (*RESULT_TABLE_NAMES, "reduction")
-"""Tables that may differ between a scene and a result.
+"""Tables of a scene that may differ from the scene of a result.
 
-They choose results, or a run decides them.
+They only choose results, or are settled during a run.
 """
 MIN_PLAUSIBLE_TIP_SPEED = 1.0
 """Minimum plausible speed of a blade tip [m/s].
 
-Times in ms in place of s turn 200 m/s into 0.2.
+With times in ms instead of s, 200 m/s becomes 0.2.
 """
 SLOW_TIP_TEXT_FORMAT = (
     "the blade tip moves at {:.3g} m/s, but tips of rotors with probes move at 1 to 700 m/s"
 )
-"""Beginning of a remark on slow blade tips."""
+"""Beginning of a remark on blade tips below :data:`MIN_PLAUSIBLE_TIP_SPEED`."""
 MAX_ALLOWED_RELATIVE_MODE_DISTANCE = 0.1
-"""Allowed distance between a resonance and a mode, relative to the resonance frequency."""
+"""Maximum distance from a measured resonance to a mode that explains it.
+
+The distance is relative to the resonance frequency.
+"""
 
 
 def arrivals_of_blades(
@@ -57,32 +60,32 @@ def arrivals_of_blades(
     source: Mapping[int, ArrivalTimes] | Path | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
 ) -> tuple[dict[int, ArrivalTimes], Run[Result] | None]:
-    """Return arrival times of every blade by ``[tip_timing]`` of a scene (collective).
+    """Return the arrival times of every blade at the probes (collective).
 
-    In a bladed disk, blade j + 1 is a sector ahead of blade j in the direction of rotation. Other
-    scenes have one blade.
+    The table ``[tip_timing]`` of the scene has the probes. In a bladed disk, blade j + 1 is one
+    sector ahead of blade j in the direction of rotation. Other scenes have one blade.
 
     Parameters
     ----------
     scene : Scene
         With [tip_timing].
     source : mapping of int to ArrivalTimes, or path, optional
-        Measured arrivals by blade number; or a result of ``solve`` or ``curve``, whose scene has
-        the rotation. A run-up ends where the curve becomes unstable. Default: the steady vibration
-        of the scene, which is solved.
+        Measured arrivals by blade number, which are returned; or the file of a result of ``solve``
+        or ``curve``. A run-up along a curve ends before the curve becomes unstable. Default: the
+        scene is solved for its steady vibration.
     comm : MPI.Comm
         Ranks that share the structure.
 
     Returns
     -------
     dict of int to ArrivalTimes, Run or None
-        Arrivals by blade number, and the run that they are computed from; None for measured
+        Arrivals by blade number from 1, and the run with their vibration; None for measured
         arrivals.
 
     Raises
     ------
     InputError
-        The scene has no such table, the source is something else, or as :func:`tip_timing`.
+        The scene has no ``[tip_timing]``, the source is another result, or as :func:`tip_timing`.
 
     Examples
     --------
@@ -104,7 +107,13 @@ def arrivals_of_blades(
 
 
 def _load_or_solve_run(scene: Scene, source_path: Path | None, comm: MPI.Comm) -> Run[Result]:
-    """Load the run of a source, or solve the scene (collective)."""
+    """Load a result, or solve the scene if there is no path (collective).
+
+    Raises
+    ------
+    InputError
+        The result is neither a converged solution nor a curve.
+    """
     run: Run[Result] = solve(scene, comm) if source_path is None else load_run(source_path, comm)
     result = run.result
     if not isinstance(result, (PeriodicSolution, ResponseCurve)):
@@ -121,7 +130,10 @@ def _load_or_solve_run(scene: Scene, source_path: Path | None, comm: MPI.Comm) -
 
 
 def get_response_curve_or_none(run: Run[Any] | None) -> ResponseCurve | None:
-    """Return the curve of computed arrivals, or None of another source."""
+    """Return the response curve of a run.
+
+    None for other results, and without a run (measured arrivals).
+    """
     result = None if run is None else run.result
     return result if isinstance(result, ResponseCurve) else None
 
@@ -133,7 +145,23 @@ def _compute_arrivals(
     probe_angles: np.ndarray,
     blade_number: int,
 ) -> ArrivalTimes:
-    """Compute arrivals of a blade at probes (n,) [rad] (collective)."""
+    """Compute the arrival times of one blade at the probes (collective).
+
+    A run-up ends before the curve becomes unstable.
+
+    Parameters
+    ----------
+    timing_table : TipTiming
+        Table ``[tip_timing]``.
+    run : Run
+        Solution or curve of the vibration.
+    source_path : path or None
+        File of the run, for errors; None if solved now.
+    probe_angles : (n,) [rad]
+        Increasing angles from this blade's tip.
+    blade_number : int
+        Number of the blade, from 1.
+    """
     result: Any = run.result
     if (curve := get_response_curve_or_none(run)) is not None:
         passed_indices, unstable_index = find_run_up_point_indices(curve)
@@ -159,7 +187,10 @@ def _compute_arrivals(
 
 
 def describe_run_up_end_or_empty(scene: Scene, run: Run[Any]) -> str:
-    """Describe where a run-up becomes unstable, or return ""."""
+    """Describe the speed at which a computed run-up becomes unstable.
+
+    Return "" without a curve, and for a curve that is stable all the way.
+    """
     if (curve := get_response_curve_or_none(run)) is None:
         return ""
     passed_indices, unstable_index = find_run_up_point_indices(curve)
@@ -176,7 +207,10 @@ def describe_run_up_end_or_empty(scene: Scene, run: Run[Any]) -> str:
 
 
 def describe_scene_difference_or_empty(scene: Scene, run: Run[Any]) -> str:
-    """Describe how the scene of a result differs, or return "" (collective)."""
+    """Describe how a result's scene differs from a given scene (collective).
+
+    Tables :data:`IGNORED_SCENE_TABLE_NAMES` do not count. Return "" if nothing differs.
+    """
     scene_pair = with_crack_length(scene, run.structure.comm), run.scene
     compared_scenes = [
         scene_with_full_paths(scene).replace(dict.fromkeys(IGNORED_SCENE_TABLE_NAMES))
@@ -194,7 +228,11 @@ def describe_scene_difference_or_empty(scene: Scene, run: Run[Any]) -> str:
 
 
 def list_arrival_remarks(arrivals: ArrivalTimes) -> list[str]:
-    """Return remarks on measured arrivals that seem to be in another unit."""
+    """Return remarks on measured arrivals that seem to have wrong units.
+
+    A remark follows for a tip speed outside 1 to 1000 m/s, and for several probes all below 6.28
+    degrees. The list is empty otherwise.
+    """
     remark_texts, tip_speed = [], arrivals.mean_speed * arrivals.tip_radius
     if not MIN_PLAUSIBLE_TIP_SPEED < tip_speed < MAX_PLAUSIBLE_TIP_SPEED:
         speed_remark_format = (
@@ -212,7 +250,10 @@ def list_arrival_remarks(arrivals: ArrivalTimes) -> list[str]:
 
 
 def is_run_up(arrivals: ArrivalTimes, run: Run[Any] | None) -> bool:
-    """Return True if arrivals have a curve or a varying speed."""
+    """Return True if arrivals belong to a run-up or run-down.
+
+    Their run is a curve, or their speed varies by more than 1 %.
+    """
     return get_response_curve_or_none(run) is not None or not arrivals.steady
 
 
@@ -222,18 +263,33 @@ def fit_vibration_or_passages(
     scene: Scene | None = None,
     run: Run[Any] | None = None,
 ) -> TipFit | TipTrack | tuple[PassageFit, ...]:
-    """Fit the vibration, or the passages, that ``[tip_timing]`` requests.
+    """Fit the vibration in one blade's arrivals, as ``[tip_timing]`` requests.
 
-    At constant speed, fit frequencies if a range is given; otherwise the orders of the table, the
-    order of the load, or the default orders. In a run-up, track the order of the load; without it,
-    or if orders are given with a measured run-up, find the resonances passed.
+    At constant speed, fit a frequency in ``frequencies`` if given; otherwise the best engine order
+    of ``orders``, the load's order, or 1 to 24. In a run-up, track the load's order. If the load's
+    order is unknown, or ``orders`` are given with a measured run-up, find the resonances.
+
+    Parameters
+    ----------
+    timing_table : TipTiming
+        Table ``[tip_timing]``.
+    arrivals : ArrivalTimes
+        Arrivals of the blade.
+    scene : Scene, optional
+        Scene with the load's order and the rotation.
+    run : Run, optional
+        Run with the vibration of computed arrivals; None for measured arrivals.
+
+    Returns
+    -------
+    TipFit, TipTrack or tuple of PassageFit
+        Vibration at constant speed, tracked order, or resonances in a run-up.
 
     Raises
     ------
     InputError
         As :func:`fit_order`, :func:`fit_frequency`, :func:`track_order` and :func:`find_passages`;
-        or a frequency is requested in a run-up, orders in one that is computed, or more than first
-        harmonics, or revolutions together, where its resonances are sought.
+        or a key of the table does not belong to this fit.
     """
     load_order = timing_table.order or (None if scene is None else scene.excitation.order)
     fit_argument_by_name: dict[str, Any] = {"harmonics": timing_table.fitted_harmonics}
@@ -283,14 +339,18 @@ def fit_vibration_or_passages(
 def find_passages_and_modes(
     scene: Scene, arrivals: ArrivalTimes
 ) -> list[tuple[PassageFit, int, str]]:
-    """Find the resonances that a record passes, and their modes (collective).
+    """Find the resonances in a measured run-up, and their modes (collective).
 
-    Returns a list of (resonance, mode of the scene from 1, ""), or (resonance, 0, reason).
+    Returns
+    -------
+    list of (PassageFit, int, str)
+        Resonance, number of the scene's mode from 1, and ""; or resonance, 0, and the reason why no
+        mode matches.
 
     Raises
     ------
     InputError
-        As :func:`find_passages`; or the load is no engine order of a table ``[rotation]``.
+        As :func:`find_passages`; or the scene has no ``[rotation]`` or no ``excitation.order``.
     """
     if scene.rotation is None or scene.excitation.order is None:
         requirement_text = (
@@ -307,7 +367,11 @@ def find_passages_and_modes(
 
 
 def describe_passage(passage_fit: PassageFit, mode: int, reason_text: str) -> str:
-    """Describe a resonance and its mode, with doubts or reasons."""
+    """Describe a resonance in a run-up, its mode, and doubts in brackets.
+
+    ``mode`` is a number from 1, or 0 for a resonance that is not used. ``reason_text`` tells why;
+    "" with a mode.
+    """
     doubt_texts = ["another vibration is near this resonance"] * passage_fit.in_doubt
     doubt_texts += [f"its {passage_fit.disagreement_in_words}"] * passage_fit.disagree
     remark_text = "; ".join([reason_text] * bool(reason_text) + doubt_texts)
@@ -316,14 +380,18 @@ def describe_passage(passage_fit: PassageFit, mode: int, reason_text: str) -> st
 
 
 def match_mode_or_give_reason(passage_fit: PassageFit, diagram: Campbell) -> tuple[int, str]:
-    """Match a resonance with a mode, or give the reason against it.
+    """Match a measured resonance with a mode of the Campbell diagram.
+
+    A mode reaches from its frequency with open crack to that with bonded crack. The nearest mode
+    must be within 10 % of the resonance frequency, and the second nearest not within 5 %. No other
+    order that explains the arrivals may meet a mode within 10 %.
 
     Returns
     -------
     int
-        Mode from 1; 0 without a match.
+        Number of the mode, from 1; 0 without a match.
     str
-        Reason without a match, else empty.
+        Reason without a match; "" with a match.
     """
     omega_open, omega_tied = diagram.interpolate_open_and_tied(passage_fit.speed)
 
@@ -370,7 +438,11 @@ def match_mode_or_give_reason(passage_fit: PassageFit, diagram: Campbell) -> tup
 def _fit_passages(
     timing_table: TipTiming, arrivals: ArrivalTimes, diagram_or_none: Campbell | None
 ) -> tuple[PassageFit, ...]:
-    """Find resonances, with the stiffening of the table, diagram, or none."""
+    """Find the resonances in a run-up, with the stiffening by rotation.
+
+    The stiffening is ``tip_timing.stiffening``, or else from the Campbell diagram. With None for
+    the diagram, the stiffening is 0.
+    """
     stiffening_or_function: float | StiffeningFunction = timing_table.stiffening or 0.0
     if timing_table.stiffening is None and diagram_or_none is not None:
         stiffening_or_function = diagram_or_none.stiffening
@@ -378,7 +450,10 @@ def _fit_passages(
 
 
 def _compute_campbell_diagram(scene: Scene, arrivals: ArrivalTimes) -> Campbell:
-    """Return a scene's Campbell diagram over a record's speeds (collective)."""
+    """Return a Campbell diagram over the speeds of arrivals (collective).
+
+    The diagram has ten modes at five equally spaced speeds.
+    """
     begin_stage("Campbell diagram")
     rotor_speeds = np.linspace(arrivals.speed.min(), arrivals.speed.max(), 5)
     return campbell(scene, rotor_speeds, few=10)
@@ -387,9 +462,18 @@ def _compute_campbell_diagram(scene: Scene, arrivals: ArrivalTimes) -> Campbell:
 def find_tip_factor_by_dof(
     timing_table: TipTiming, run: Run, blade_number: int = 0
 ) -> dict[int, float]:
-    """Return the factor of each dof in the tangential tip displacement (collective).
+    """Return the dofs and factors for the tip displacement at the probes (collective).
 
-    For a wheel it is a blade's displacement: the watched blade's if ``blade_number`` is 0.
+    The sum of factors times dofs is the displacement in the direction of rotation.
+
+    Parameters
+    ----------
+    timing_table : TipTiming
+        Table ``[tip_timing]``.
+    run : Run
+        Run with the structure.
+    blade_number : int
+        Blade of a bladed disk, from 1; 0 for the blade with the watched dof.
 
     Raises
     ------
@@ -429,7 +513,10 @@ def find_tip_factor_by_dof(
 
 
 def describe_probed_tip_displacement(timing_table: TipTiming, run: Run) -> str:
-    """Describe which displacements the probes measure, and their factors (collective)."""
+    """Describe the displacement that the probes measure (collective).
+
+    An example is "the probes measure 1 times the y displacement at (0.1, 0.1) m".
+    """
     structure = run.structure.whole
     dofs_and_factors = find_tip_factor_by_dof(timing_table, run).items()
     term_texts = [
@@ -439,15 +526,20 @@ def describe_probed_tip_displacement(timing_table: TipTiming, run: Run) -> str:
 
 
 def find_probed_displacement_and_reversal(scene: Scene) -> tuple[str, bool]:
-    """Find the displacement that measured arrivals show, and whether it is reversed.
+    """Find the displacement that measured arrivals show, from the scene alone.
 
-    No mesh is needed. Returns the name ("tip.ux"; "" for the watched displacement), and True if it
-    is against the rotation.
+    Returns
+    -------
+    str
+        Point and direction, as "tip.ux"; "" for the load's displacement.
+    bool
+        True if this displacement points against the rotation.
 
     Raises
     ------
     InputError
-        The blade tip of a solid is not given, lies on the axis, or moves along no coordinate.
+        The blade tip of a solid is not given, lies on the axis, or does not move along x, y or z
+        (within 2.6 degrees).
     """
     timing_table = scene.given("tip_timing")
     tip_rotation = _get_solid_tip_rotation_or_none(timing_table, scene)
@@ -472,17 +564,18 @@ def find_probed_displacement_and_reversal(scene: Scene) -> tuple[str, bool]:
 
 
 def _get_solid_tip_rotation_or_none(timing_table: TipTiming, scene: Scene) -> Rotation | None:
-    """Return the rotation that carries the tip of a solid, or None.
+    """Return ``[rotation]`` of a solid whose tip moves around the axis.
 
-    Without it, the watched displacement times ``tip_timing.tangential`` (or 1) is tangential.
+    None for plates, without rotation, or with ``tip_timing.tangential``. The tip displacement is
+    then the watched displacement times ``tip_timing.tangential`` (default 1).
     """
     return scene.rotation if timing_table.tangential is None and scene.dimension == 3 else None
 
 
 def _find_circumferential_direction(scene: Scene, point: np.ndarray) -> np.ndarray:
-    """Return the direction in which a rotor carries a point: (3,).
+    """Return the unit vector (3,) in which a rotor carries a point.
 
-    The unit vector along a x (x - x_0), with the axis a through x_0.
+    The direction is a x (x - x_0) for the point x [m], with the axis a through x_0.
 
     Raises
     ------
@@ -507,13 +600,16 @@ def _find_circumferential_direction(scene: Scene, point: np.ndarray) -> np.ndarr
 def _choose_speed_or_order_argument(
     timing_table: TipTiming, run: Run, source_path: Path | None
 ) -> dict[str, Any]:
-    """Choose an argument of :func:`tip_timing`, by name: rotor speed or engine order.
+    """Choose the argument ``speed`` or ``order`` of :func:`tip_timing`.
+
+    Return a dict with one entry: the rotor speed [rad/s], or the load periods in a revolution.
+    ``source_path`` is the file of the run, or None.
 
     Raises
     ------
     InputError
-        As :func:`get_engine_order`; or the curve of a rotor has one speed, while stiffness and
-        mean load change in a run-up.
+        Neither or both are given (:func:`get_engine_order`), or the rotor has one speed along the
+        whole curve.
     """
     owner_text = "" if source_path is None else f" of {str(source_path)!r}"
     curve_or_none = get_response_curve_or_none(run)
@@ -541,14 +637,14 @@ def _choose_speed_or_order_argument(
 
 
 def get_engine_order(timing_table: TipTiming, scene: Scene, owner_text: str = "") -> int:
-    """Return the engine order of the load, by ``[excitation]`` or ``[tip_timing]``.
+    """Return the load periods in a revolution, from the scene or ``[tip_timing]``.
 
-    ``owner_text``: words for the owner of the scene, as " of 'curve.h5'".
+    ``owner_text`` names the scene's file in errors, as " of 'curve.h5'".
 
     Raises
     ------
     InputError
-        Neither or both of them have it.
+        Neither or both of ``excitation.order`` and ``tip_timing.order`` are given.
     """
     if scene.excitation.order is not None:
         timing_table.forbid_keys(("order",), f"excitation.order{owner_text}")

@@ -34,7 +34,10 @@ from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.numerics.fourier import from_complex, sample_period, to_complex
 
 MAX_ALLOWED_RELATIVE_FOLD_DISTANCE = 1e-3
-"""Largest distance from a fold at which a motion jumps, relative to the frequency."""
+"""Maximum distance before a fold at which a run-up may jump off the curve.
+
+The distance is in load frequency, relative to the frequency at the fold.
+"""
 
 
 def tip_timing(
@@ -52,10 +55,11 @@ def tip_timing(
 ) -> ArrivalTimes:
     """Compute when the tip of a vibrating blade passes stationary probes (collective).
 
-    The blade tip is at the angle W t + u(t) / R. The tip passes the probe at phi in revolution n
-    when this angle is phi + 2 pi n. This is solved to rounding, with the Fourier series of the
-    response (Heath and Imregun, International Journal of Mechanical Sciences 38, 1996, 1047). At
-    time 0 the rotor's angle is 0 and the load begins its period.
+    The blade tip is at the angle W t + u(t) / R, with rotor speed W, tip radius R, and displacement
+    u in the direction of rotation. The tip passes the probe at phi in revolution n when this angle
+    is phi + 2 pi n. The equation is solved to rounding, with the Fourier series of the response
+    (Heath and Imregun, International Journal of Mechanical Sciences 38, 1996, 1047). At time 0 the
+    rotor's angle is 0 and the load begins its period.
 
     A curve is a run-up, or a run-down if followed downwards: the speed changes at constant
     acceleration from the first point to the last. The vibration is taken to be the steady one at
@@ -66,34 +70,35 @@ def tip_timing(
     Parameters
     ----------
     result : PeriodicSolution or ResponseCurve
-        Vibration; also one of twice the load's period.
+        Vibration, with the load's period or twice this period.
     tip : int or mapping of int to float
-        Dof of the blade tip's displacement in the direction of rotation; or dofs with factors,
-        whose sum it is: {dof: -1.0} if the dof points against the rotation.
+        Dof of the blade tip's displacement in the direction of rotation; or dofs and factors, with
+        the displacement as the sum of products: {dof: -1.0} if the dof points against the rotation.
     probes : (n_probes,) [rad]
         Angles of the probes from the blade tip at time 0, in the direction of rotation; from 0 to 2
         pi, increasing.
     tip_radius : float [m]
         Distance R of the blade tip from the axis.
     speed : float [rad/s]
-        W; for a solution whose frequency is no multiple of the speed (asynchronous).
+        Rotor speed W, if the load frequency is no multiple of the speed (asynchronous).
     order : int
         In place of ``speed``: periods of the load in a revolution (engine order), W = omega /
-        order; a curve needs it.
+        order. A curve requires the order.
     revolutions : int
-        Number of revolutions; of a run-up all together.
+        Number of revolutions, for a run-up in total.
     noise : float [s]
-        Standard deviation of normal errors added to the arrivals, not to the marks of the shaft;
-        shorter than a revolution.
+        Standard deviation of normal errors in the arrivals; shorter than a revolution. The
+        once-per-revolution times of the shaft have no errors.
     clock : float [s]
-        Resolution, shorter than a revolution: arrivals are rounded to its multiples; 0: none.
+        Resolution: arrivals are rounded to multiples of this time, shorter than a revolution; 0:
+        no rounding.
     seed : int
-        Seed of the noise.
+        Seed of the random errors.
 
     Returns
     -------
     ArrivalTimes
-        Revolution by probe [s].
+        Arrival times (revolutions, probes) [s], and the times of the revolutions.
 
     Raises
     ------
@@ -152,7 +157,27 @@ def tip_timing(
 def _compute_arrival_times(
     tip_motion: _TipMotion, probe_angles: np.ndarray, tip_radius: float
 ) -> np.ndarray:
-    """Compute arrival times at the probes: (revolutions, probes) [s]."""
+    """Compute the times at which a blade tip passes the probes.
+
+    Parameters
+    ----------
+    tip_motion : _TipMotion
+        Displacement of the tip, and rotor speed.
+    probe_angles : (probes,) [rad]
+        Probe angles from the tip at time 0.
+    tip_radius : float [m]
+        Distance of the tip from the axis.
+
+    Returns
+    -------
+    (revolutions, probes) [s]
+        Arrival times.
+
+    Raises
+    ------
+    InputError
+        The tip moves backwards at some time.
+    """
     backward_ratio = tip_motion.bound_backward_slope() / tip_radius
     target_angles = 2.0 * np.pi * np.arange(tip_motion.n_revolutions)[:, None] + probe_angles
     target_angle_batches = np.array_split(
@@ -180,9 +205,24 @@ def _build_motion(
     order: int | None,
     n_revolutions: int,
 ) -> _TipMotion:
-    """Return the motion of the blade tip (collective).
+    """Return the motion of a blade tip over the rotor angle (collective).
 
-    Raise InputError unless either ``speed`` or ``order`` is given; for a curve, ``order``.
+    Parameters
+    ----------
+    result : PeriodicSolution or ResponseCurve
+        Steady vibration, or a curve that is a run-up.
+    factor_by_dof : dict of int to float
+        Dofs and factors whose sum of products is the tip's displacement in the rotation's
+        direction.
+    speed, order : float [rad/s], int
+        Rotor speed, or load periods in a revolution; None for the other. A curve needs the order.
+    n_revolutions : int
+        Number of revolutions.
+
+    Raises
+    ------
+    InputError
+        Not exactly one is given, or a curve cannot be a run-up.
     """
     if order is not None:
         check_count("order", order, 1)
@@ -221,7 +261,15 @@ def _build_motion(
 def _build_run_up_motion(
     curve: ResponseCurve, factor_by_dof: Mapping[int, float], order: int, n_revolutions: int
 ) -> _TipMotion:
-    """Return the motion of the blade tip along a run-up or run-down."""
+    """Return a blade tip's motion in a run-up or run-down along a curve.
+
+    Parameters are as in :func:`_build_motion`.
+
+    Raises
+    ------
+    InputError
+        The curve has one load frequency only, or an unstable or irregular point on the way.
+    """
     first_omega, last_omega = float(curve.omega[0]), float(curve.omega[-1])
     if first_omega == last_omega:
         raise InputError(
@@ -249,14 +297,17 @@ def _build_run_up_motion(
 
 
 def find_run_up_point_indices(curve: ResponseCurve) -> tuple[np.ndarray, int | None]:
-    """Find the indices of points of a curve that a run-up passes.
+    """Find the points of a curve that a run-up or run-down passes.
+
+    Points pass while the load frequency goes beyond all previous ones. Before a fold the motion may
+    jump from the last stable point (:func:`_mark_jumped_points`).
 
     Returns
     -------
     (k,)
-        Their indices, up to the first unstable or irregular point.
+        Indices of the passed points, up to the first unstable or irregular point.
     int or None
-        Index of that point; None without such a point, or with unknown stability.
+        Index of this point; None without such a point, or if the curve has no stability.
     """
     signed_omega = np.sign(curve.omega[-1] - curve.omega[0]) * curve.omega
     highest_previous_omega = np.concatenate([[-np.inf], np.maximum.accumulate(signed_omega)[:-1]])
@@ -278,11 +329,19 @@ def find_run_up_point_indices(curve: ResponseCurve) -> tuple[np.ndarray, int | N
 def _mark_jumped_points(
     signed_omega: np.ndarray, is_passed: np.ndarray, is_doubtful: np.ndarray
 ) -> np.ndarray:
-    """Mark points before folds that a jump leaves out: (n,) bool.
+    """Mark the points just before folds that a jump leaves out: (n,) bool.
 
-    ``signed_omega``: the frequency, negative in a run-down; ``is_passed``: points of the run-up;
-    ``is_doubtful``: points not known to be stable. If doubtful points lead up to a nearby fold, the
-    motion jumps before them.
+    Doubtful points in an unbroken row up to a fold are left out, if their load frequency is within
+    1e-3 of the fold's, relative.
+
+    Parameters
+    ----------
+    signed_omega : (n,) [rad/s]
+        Load frequency of all points, times -1 in a run-down.
+    is_passed : (n,) bool
+        Points that go beyond all previous frequencies.
+    is_doubtful : (n,) bool
+        Points that are not known to be stable.
     """
     is_jumped = np.zeros(len(signed_omega), dtype=bool)
     for fold_index in np.flatnonzero(is_passed[:-1] & ~is_passed[1:]):
@@ -299,9 +358,11 @@ def _mark_jumped_points(
 
 @dataclass(frozen=True)
 class _TipMotion:
-    """Tangential displacement of a blade tip over the rotor angle.
+    """Displacement u of a blade tip over the rotor angle, along the rotation.
 
-    The rotor turns at constant acceleration, from angle 0 at time 0.
+    The rotor turns at constant acceleration, from angle alpha = 0 at time 0:
+
+        u(alpha) = Re sum_k U_k exp(i k q alpha).
 
     Attributes
     ----------
@@ -310,11 +371,12 @@ class _TipMotion:
     n_revolutions : int
         Number of revolutions.
     rotor_speeds : (n,) [rad/s]
-        Speeds with known vibration, increasing; between them it is interpolated.
+        Increasing speeds with known vibration. Between two speeds U_k is linear; outside it is
+        constant.
     tip_harmonics : (n, H+1) complex [m]
-        U_k at these speeds.
+        Harmonics U_k at these speeds, k = 0 to H.
     periods_per_revolution : float
-        Periods of the response in a revolution, q.
+        Periods q of the response in a revolution.
     """
 
     end_speeds: tuple[float, float]
@@ -325,7 +387,7 @@ class _TipMotion:
 
     @property
     def angular_acceleration(self) -> float:
-        """Return the acceleration of the rotor [rad/s^2]."""
+        """Return the constant acceleration of the rotor [rad/s^2]; < 0 in a run-down."""
         begin_speed, end_speed = self.end_speeds
         return (
             (end_speed - begin_speed)
@@ -334,21 +396,25 @@ class _TipMotion:
         )
 
     def compute_rotor_speeds(self, rotor_angles: np.ndarray) -> np.ndarray:
-        """Return rotor speeds [rad/s] at angles [rad]."""
+        """Return rotor speeds [rad/s] at rotor angles [rad]."""
         return np.asarray(
             np.sqrt(self.end_speeds[0] ** 2 + 2.0 * self.angular_acceleration * rotor_angles)
         )
 
     def compute_times(self, rotor_angles: np.ndarray) -> np.ndarray:
-        """Return times [s] at angles [rad], without cancellation at small accelerations."""
+        """Return the times [s] at which the rotor has given angles [rad].
+
+        The formula is 2 alpha / (W_0 + W(alpha)), without cancellation at small accelerations.
+        """
         return np.asarray(
             2.0 * rotor_angles / (self.end_speeds[0] + self.compute_rotor_speeds(rotor_angles))
         )
 
     def bound_backward_slope(self) -> float:
-        """Return an upper bound of -du/dalpha [m] at all speeds.
+        """Return an upper bound of -du/dalpha [m] at all known speeds.
 
-        The largest of samples over a period, and its possible change between two samples.
+        A tip at radius R moves forwards if the bound is below R. The bound is the largest of
+        samples over a period, plus the possible change between two samples.
         """
         harmonic_orders = np.arange(self.tip_harmonics.shape[1])[:, None]
         harmonics_of_slope = (
@@ -370,7 +436,10 @@ class _TipMotion:
     def evaluate_displacement_and_slope(
         self, rotor_angles: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return u [m] and du/dalpha [m] at rotor angles (n,) [rad]."""
+        """Return displacements u and slopes du/dalpha [m] at rotor angles (n,) [rad].
+
+        The slope includes the change of the harmonics with the speed.
+        """
         phase_factors = np.exp(1j * self.periods_per_revolution * rotor_angles)
         rotor_speeds = self.compute_rotor_speeds(rotor_angles)
         lower_speed_indices = np.clip(
@@ -416,9 +485,23 @@ class _TipMotion:
 def _solve_passing_angles_or_nan(
     tip_motion: _TipMotion, target_angles: np.ndarray, tip_radius: float
 ) -> np.ndarray:
-    """Find the rotor angles at which the tip has the target angles.
+    """Find the rotor angles at which a blade tip is at given angles.
 
-    Solves alpha + u(alpha) / R = targets (n,) [rad] to rounding; nan if the tip moves backwards.
+    Solve alpha + u(alpha) / R = theta to rounding, by Newton's method with bisection.
+
+    Parameters
+    ----------
+    tip_motion : _TipMotion
+        Motion with u(alpha).
+    target_angles : (n,) [rad]
+        Angles theta of the tip: probe angle plus whole turns.
+    tip_radius : float [m]
+        Radius R.
+
+    Returns
+    -------
+    (n,) [rad]
+        Rotor angles alpha; nan where the tip moves backwards.
     """
     displacement_angle_bound = (
         np.abs(tip_motion.tip_harmonics).sum(axis=1).max() / tip_radius * (1.0 + 1e-12)

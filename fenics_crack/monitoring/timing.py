@@ -27,7 +27,7 @@ from fenics_crack.files.saved import SavedResult
 from fenics_crack.scene.scene import Scene
 
 EMPTY_COLUMN_BY_NAME: dict[str, list[Any]] = {"blade": [], "rpm": [], "order": [], "frequency": []}
-"""Columns of a table without any resonance."""
+"""Columns of the table of ``timing`` if a run-up has no resonance."""
 MISSING_HARMONICS_TEXT = (
     "the vibration has more harmonics than are fitted (raise tip_timing.fitted_harmonics)"
 )
@@ -69,16 +69,17 @@ CONSTANT_FREQUENCY_TEXT = (
 
 @dataclass(frozen=True, repr=False)
 class Timing(SavedResult):
-    """Vibration of blade tips, from their arrival times.
+    """Result of ``fenics-crack timing``: vibrations fitted to arrival times of blade tips.
 
     Attributes
     ----------
     scene : Scene or None
         Scene with [tip_timing]; None for a measured record by itself.
     arrivals : dict of int to ArrivalTimes
-        Arrival times by blade number from 1.
+        Arrival times at the probes, by blade number from 1.
     fits : dict of int to TipFit, TipTrack or tuple of PassageFit
-        Vibration of each blade at one speed, of known order in a run-up, or the passed resonances.
+        Fit of each blade: a vibration at constant speed (TipFit), an engine order along a run-up
+        (TipTrack), or resonances in a run-up (PassageFit, none for an empty tuple).
     doubts : tuple of str
         Sentences that cast doubt on the arrivals.
     """
@@ -92,11 +93,15 @@ class Timing(SavedResult):
 
     @property
     def of_resonances(self) -> bool:
-        """Return True if the fits are of passed resonances."""
+        """Return True if the fits are resonances in a run-up."""
         return any(isinstance(fit, tuple) for fit in self.fits.values())
 
     def to_dict(self) -> dict[str, Any]:
-        """Return a row for each resonance, blade, harmonic or speed."""
+        """Return the table's columns by name.
+
+        Rows are resonances, or blades at constant speed. A single blade has the columns of the fit
+        itself, with rows for harmonics or speeds. Without resonances the columns are empty.
+        """
         if self.of_resonances:
             table_rows = [
                 {"blade": blade} | passage_fit.to_dict()
@@ -127,6 +132,7 @@ class Timing(SavedResult):
 
     @property
     def _first_fit(self) -> Any:
+        """Return the fit of the blade with the first key."""
         return next(iter(self.fits.values()))
 
     def _unit_by_name(self) -> Mapping[str, str]:
@@ -142,12 +148,16 @@ class Timing(SavedResult):
 
 
 def _is_second_harmonic_fitted(fit: TipFit) -> bool:
-    """Return True if the second harmonic is among the fitted harmonics."""
+    """Return True if twice the load's frequency is among the fitted harmonics."""
     return bool(np.any(np.isclose(fit.multiples, 2.0)))
 
 
 def _make_fit_row_by_column(fit: TipFit, has_harmonic_ratio: bool) -> dict[str, float]:
-    """Return a fit's table row by column, perhaps with the ratio of harmonics."""
+    """Return a blade's table row by column: amplitude, order and ratio of harmonics.
+
+    Amplitudes belong to the first fitted harmonic. ``has_harmonic_ratio`` adds the ratio of the
+    second harmonic to the first, with the standard error.
+    """
     amplitudes, amplitude_errors = fit.amplitudes, fit.amplitude_errors
     value_by_column = {
         "amplitude": float(amplitudes[0]),
@@ -164,7 +174,7 @@ def _make_fit_row_by_column(fit: TipFit, has_harmonic_ratio: bool) -> dict[str, 
 
 
 def report_of_timing(timing: Timing) -> Report:
-    """Report the vibration of each blade, and doubts about it."""
+    """Return the report of ``fenics-crack timing``: each blade's vibration, and doubts."""
     from fenics_crack.study.plausibility import remarks_on_scene  # with DOLFINx
 
     passages_by_blade = {blade: fit for blade, fit in timing.fits.items() if isinstance(fit, tuple)}
@@ -188,7 +198,10 @@ def report_of_timing(timing: Timing) -> Report:
 
 
 def find_blade_of_largest_amplitude_or_none(timing: Timing) -> int | None:
-    """Find the blade with the largest amplitude; None in a run-up."""
+    """Find the blade with the largest first harmonic at constant speed.
+
+    None for a run-up.
+    """
     fit_by_blade = {blade: fit for blade, fit in timing.fits.items() if isinstance(fit, TipFit)}
     return (
         max(fit_by_blade, key=lambda blade: float(fit_by_blade[blade].amplitudes[0]))
@@ -200,7 +213,19 @@ def find_blade_of_largest_amplitude_or_none(timing: Timing) -> int | None:
 def _conclude_from_passages(
     passages_by_blade: Mapping[int, tuple[PassageFit, ...]],
 ) -> tuple[Conclusion, list[str], list[str]]:
-    """Conclude from all blades' resonances, with notes and doubts."""
+    """Conclude from the resonances of all blades in a run-up.
+
+    ``passages_by_blade`` has the resonances by blade number, the clearest first.
+
+    Returns
+    -------
+    Conclusion
+        Number of resonances, and the clearest.
+    list of str
+        Notes for the reader.
+    list of str
+        Warnings: excluded probes, ambiguous orders, correlated residuals.
+    """
     blades_and_resonances = [
         (blade, fit) for blade, fits in passages_by_blade.items() for fit in fits
     ]
@@ -257,12 +282,15 @@ def _conclude_from_passages(
 
 
 def _describe_orders(statement_text: str, orders: Iterable[float]) -> str:
-    """Return "orders that STATEMENT: 5, 7"."""
+    """Return the text "orders that STATEMENT: 5, 7"."""
     return f"orders that {statement_text}: {format_first_orders([*orders])}"
 
 
 def _describe_constant_frequency_fit(line_fit: TipFit) -> str:
-    """Describe a vibration of constant frequency."""
+    """Describe a vibration of constant frequency, independent of the speed.
+
+    The text has the frequency [Hz], and the amplitude of the first harmonic with its error.
+    """
     amplitude, amplitude_error = line_fit.amplitudes[0], line_fit.amplitude_errors[0]
     line_text = (
         f"{line_fit.omega / RAD_PER_TURN:.6g} Hz, "
@@ -272,12 +300,27 @@ def _describe_constant_frequency_fit(line_fit: TipFit) -> str:
 
 
 def _format_amplitude_with_error(amplitude: float, amplitude_error: float) -> str:
-    """Return "3 µm ± 1 µm"."""
+    """Return an amplitude with its standard error, both in m, as "3 µm ± 1 µm"."""
     return f"{format_quantity(amplitude, 'm')} ± {format_quantity(amplitude_error, 'm')}"
 
 
 def _conclude_from_track(track: TipTrack) -> tuple[Conclusion, Table, list[str], list[str]]:
-    """Conclude from a run-up, with a table of peaks, notes and doubts."""
+    """Conclude from an engine order that is tracked along a run-up.
+
+    A harmonic is significant where its amplitude a exceeds sqrt(2 ln(n / 0.001)) standard errors,
+    at n speeds.
+
+    Returns
+    -------
+    Conclusion
+        Speed and size at the peak of the first significant harmonic.
+    Table
+        Peak of each significant harmonic.
+    list of str
+        Notes with an upper bound for each other harmonic.
+    list of str
+        Doubts about the fit.
+    """
     track_table = track.table()
     kept_column_indices = [
         column_index
@@ -349,7 +392,17 @@ def _conclude_from_track(track: TipTrack) -> tuple[Conclusion, Table, list[str],
 
 
 def _conclude_from_fits(timing: Timing) -> tuple[Conclusion, list[str], list[str]]:
-    """Conclude from vibrations at one speed, with notes and doubts."""
+    """Conclude from vibrations at constant speed, one fit for each blade.
+
+    Returns
+    -------
+    Conclusion
+        Amplitude and frequency; for several blades, of the largest amplitude.
+    list of str
+        Notes for the reader.
+    list of str
+        Doubts about the fits.
+    """
     has_several_blades, note_texts, warning_texts = len(timing.fits) > 1, [], []
     for blade, fit in timing.fits.items():
         assert isinstance(fit, TipFit)
@@ -382,9 +435,16 @@ def _conclude_from_fits(timing: Timing) -> tuple[Conclusion, list[str], list[str
 
 
 def _list_fit_notes_and_doubts(fit: TipFit) -> tuple[list[str], list[str]]:
-    """List notes and doubts of a fit.
+    """List notes and doubts about the fit of one blade, as sentences.
 
-    A note has the ratio of the second harmonic to the first, which indicates a crack.
+    A note gives the ratio of the second harmonic to the first, which indicates a breathing crack.
+
+    Returns
+    -------
+    list of str
+        Notes.
+    list of str
+        Doubts.
     """
     note_texts = [
         f"in addition, {_describe_constant_frequency_fit(line_fit)}"

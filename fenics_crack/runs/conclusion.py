@@ -38,14 +38,16 @@ from fenics_crack.time.march import TimeHistory
 
 
 class StudyWithResult(Study):
-    """Result with its study, the base of :class:`fenics_crack.runs.run.Run`.
+    """Study (scene, structure, contact law, watched displacements) with its computed result.
+
+    Base class of :class:`fenics_crack.runs.run.Run`.
 
     Attributes
     ----------
-    result : object
+    result : Modes, PeriodicSolution, ResponseCurve or TimeHistory
         Result of the computation.
     stated : Verification or None
-        Errors of the result, if they were computed together.
+        Estimated errors of the result's numbers; None if the command did not estimate them.
     """
 
     result: Any
@@ -53,12 +55,16 @@ class StudyWithResult(Study):
 
     @property
     def watched_description(self) -> str:
-        """Name of the watched dof in words."""
+        """First watched displacement in words, such as "x displacement of tip"."""
         return self.watched[0].words
 
     @cached_property
     def remarks(self) -> tuple[Remark, ...]:
-        """Remarks on scene and structure, as ``fenics-crack check`` gives them (collective)."""
+        """Remarks on unusual values of the scene and its structure (collective).
+
+        ``fenics-crack check`` prints the same remarks. If the key figures (natural frequencies,
+        static responses) cannot be computed, the remarks based on them are left out.
+        """
         try:
             key_figures = find_key_figures(self)
         except REFUSAL_EXCEPTIONS:  # figures that cannot be found are no reason to lose the result
@@ -67,21 +73,27 @@ class StudyWithResult(Study):
 
     @property
     def watched_dof(self) -> int:
-        """First watched dof of the whole structure."""
+        """Number of the first watched dof, counted in the unreduced structure."""
         return self.watched[0].dof
 
 
 MIN_REPORTED_FRICTION_CHANGE = 0.01
-"""Minimum relative change of the amplitude by friction that is reported."""
+"""Minimum relative change of the watched amplitude by friction that a closing sentence mentions, if
+the scene leaves friction out. A larger tolerance of harmonic balance replaces this limit."""
 LINEAR_VIBRATION_TEXT = "no contact pair opens and closes: the vibration is linear"
 
 
 def list_linearity_sentences(closed_share: np.ndarray) -> list[str]:
     """Return a sentence if the vibration is linear, else an empty list.
 
-    It is linear if in every solution all pairs stay closed, or all stay open. ``closed_share``
-    (...) is the time fraction with closed pairs, a mean over the pairs. The list is also empty
-    without pairs (nan), and if some pairs stay closed and some open.
+    A vibration is linear if all contact pairs stay closed, or all stay open. The list is empty if
+    any solution is not linear, and without contact pairs.
+
+    Parameters
+    ----------
+    closed_share : array of any shape
+        For each solution, the fraction of the period for which a pair is closed, averaged over the
+        pairs: 0 to 1, nan without pairs. Any value between 0 and 1 gives an empty list.
     """
     breathes = np.any((closed_share > 0.0) & (closed_share < 1.0))
     has_pairs = np.any(np.isfinite(closed_share))
@@ -89,9 +101,18 @@ def list_linearity_sentences(closed_share: np.ndarray) -> list[str]:
 
 
 def describe_stated_error(run: StudyWithResult, quantity_name: str = "") -> str:
-    """Return the stated error of a number in words: "2.4 %, mostly due to the mesh".
+    """Return a number's relative error in words: "2.4 %, mostly due to the mesh".
 
-    By default it is that of the watched amplitude; empty if not stated, unknown, 0 or infinite.
+    Causes missing in the error follow, with reasons. The text is empty if the run has no estimated
+    errors, or if the error is unknown, 0, or as large as the number. The main cause is named for
+    errors above 1e-4.
+
+    Parameters
+    ----------
+    run : StudyWithResult
+        Result with its estimated errors, ``run.stated``.
+    quantity_name : str
+        Name as in ``[output] quantities``; by default the amplitude at the first watched dof.
     """
     if run.stated is None:
         return ""
@@ -105,9 +126,10 @@ def describe_stated_error(run: StudyWithResult, quantity_name: str = "") -> str:
 
 
 def explain_unknown_amplitude_error(run: StudyWithResult) -> str:
-    """Return why the watched amplitude's error is unknown, by the stated errors.
+    """Return the reason why the error of the watched amplitude is unknown.
 
-    Empty if the error is known or no errors are stated, and for large structures.
+    The text is empty if the error is known, or if the run has no estimated errors. It is also empty
+    for large structures (over 600 dofs or several ranks, and crack faces with mass).
     """
     if run.stated is None or not is_small(run.structure):  # then the report alone has the error
         return ""
@@ -115,7 +137,11 @@ def explain_unknown_amplitude_error(run: StudyWithResult) -> str:
 
 
 def explain_unknown_solution_error(run: StudyWithResult) -> str:
-    """Return why a solution's error is unknown, by its report or stated errors."""
+    """Return the reason why the error of a periodic solution is unknown.
+
+    The solution's own report (:class:`ErrorReport`) comes first, then the errors stated for the
+    watched amplitude. The text is empty if both are known.
+    """
     error_report = run.result.report
     return (
         describe_unknown_error_part(error_report)
@@ -125,12 +151,15 @@ def explain_unknown_solution_error(run: StudyWithResult) -> str:
 
 
 def frequency_in_words(scene: Scene, omega: float) -> str:
-    """Return a load frequency [rad/s] in the scene's unit, in words."""
+    """Return a load frequency [rad/s] as text in the scene's unit.
+
+    Examples are "50.1 Hz" and "315 rad/s".
+    """
     return format_in_unit(choose_frequency_factor_name_unit(scene.is_frequency_in_hertz), omega)
 
 
 def make_conclusion(run: StudyWithResult) -> Conclusion:
-    """Return the parts of the last sentence on a run (collective)."""
+    """Build the closing sentence that a command prints on its result (collective)."""
     result_kind: str = run.result.KIND
     return (
         _MAKE_CONCLUSION_BY_KIND[result_kind](run)
@@ -140,7 +169,10 @@ def make_conclusion(run: StudyWithResult) -> Conclusion:
 
 
 def _make_conclusion_of_modes(run: StudyWithResult) -> Conclusion:
-    """Return the conclusion for modes: the first natural frequency and its error."""
+    """Build the closing sentence on modes.
+
+    It states the first natural frequency with open crack, and its error.
+    """
     first_omega = float(run.result.omega[0])
     answer_text = (
         f"the first natural frequency with the crack open is {first_omega / RAD_PER_TURN:.5g} Hz "
@@ -153,9 +185,9 @@ def _make_conclusion_of_modes(run: StudyWithResult) -> Conclusion:
 
 
 def _error_clause(run: StudyWithResult, quantity_name: str = "", fallback_text: str = "") -> str:
-    """Return ", estimated error 2.4 %", or a fallback if the error is not stated.
+    """Return ", estimated error 2.4 %", or ``fallback_text`` if no error is stated.
 
-    The causes that the error does not include follow.
+    Causes missing in the error follow. ``quantity_name`` is as in :func:`describe_stated_error`.
     """
     if error_text := describe_stated_error(run, quantity_name):
         return f", estimated error {error_text}"
@@ -164,7 +196,10 @@ def _error_clause(run: StudyWithResult, quantity_name: str = "", fallback_text: 
 
 
 def _make_conclusion_of_solution(run: StudyWithResult) -> Conclusion:
-    """Return the conclusion for a solution: amplitude, error, crack and stability."""
+    """Build the closing sentence on a periodic solution.
+
+    It states amplitude, error, crack opening and stability.
+    """
     solution: PeriodicSolution = run.result
     unknown_error_reason = explain_unknown_solution_error(run)
     if not solution.converged:
@@ -194,7 +229,10 @@ def _make_conclusion_of_solution(run: StudyWithResult) -> Conclusion:
 def _list_crack_and_verdict_sentences(
     run: StudyWithResult, solution: PeriodicSolution, faces_text: str
 ) -> list[str]:
-    """Return sentences on the crack's opening, friction left out, and stability."""
+    """Return sentences on crack opening, omitted friction, and stability of a solution.
+
+    ``faces_text`` is the scene's word for crack faces; "pairs" without a crack (matrices).
+    """
     sentences = []
     if run.structure.n_pairs and solution.contact is not None:
         subject_text = "the crack opens" if faces_text != "pairs" else "contact opens"
@@ -232,7 +270,10 @@ def _list_crack_and_verdict_sentences(
 
 
 def _make_conclusion_of_curve(run: StudyWithResult) -> Conclusion:
-    """Return the conclusion for a curve: its largest response, errors and verdicts."""
+    """Build the closing sentence on a response curve.
+
+    It states the largest response, its error, and how many points are stable.
+    """
     response_curve: ResponseCurve = run.result
     peak = response_curve.top(run.watched_dof)
     curve_axis = axis_factor_name_and_unit(
@@ -279,7 +320,11 @@ def _make_conclusion_of_curve(run: StudyWithResult) -> Conclusion:
 
 
 def _make_conclusion_of_history(run: StudyWithResult) -> Conclusion:
-    """Return the conclusion for a motion in time: amplitudes, and whether it has settled."""
+    """Build the closing sentence on a motion in time.
+
+    It states the amplitude, and whether the motion has settled. For a free decay it states the
+    amplitudes in the first and last period.
+    """
     history: TimeHistory = run.result
     integration_table = run.scene.integration or Integration()
     displacement_description = run.watched_description
@@ -331,9 +376,16 @@ _MAKE_CONCLUSION_BY_KIND: dict[str, Callable[[StudyWithResult], Conclusion]] = {
 
 
 def list_stability_sentences(stability: Stability | None, amplitude: float) -> list[str]:
-    """Return sentences on a solution's verdict, and on the motion from rest if it differs.
+    """Return sentences on a solution's stability, and on the motion from rest.
 
-    ``amplitude`` [m] is the amplitude of the solution.
+    The motion from rest is described only if it was integrated and does not settle to the solution.
+
+    Parameters
+    ----------
+    stability : Stability or None
+        None gives "stability not examined".
+    amplitude : float [m]
+        Amplitude of the solution, for comparison with the motion from rest.
     """
     if stability is None:
         return ["stability not examined"]

@@ -44,30 +44,31 @@ from fenics_crack.study.solve import (
 def curve(
     scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool = False
 ) -> Run[ResponseCurve]:
-    """Follow the response curve of a scene's table ``[curve]``, as ``fenics-crack curve`` does.
+    """Follow the response curve of a scene's table ``[curve]`` (collective).
 
-    The curve is followed over the frequency (:func:`continue_frequency`), over rotor speed or
-    another parameter (:func:`continue_parameter`), or at resonance over the load
-    (:func:`follow_resonance`). Collective.
+    ``fenics-crack curve`` does the same. The table's parameter chooses the method: frequency
+    (:func:`continue_frequency`), rotor speed or another parameter (:func:`continue_parameter`), or
+    the resonance over the load (:func:`follow_resonance`).
 
     Parameters
     ----------
     scene : Scene or Study
-        Scene that vibrates, with its curve; or the result of :func:`load_prepared`.
+        Scene that vibrates, with a table ``[curve]``; or the result of :func:`load_prepared`.
     comm : MPI.Comm
         Ranks that share the structure.
     progress : bool
-        Show a bar.
+        Show a progress bar.
 
     Returns
     -------
     Run
-        Scene, structure, law and ``result``: the curve, which may have ended early.
+        Scene, structure, contact law, and as ``result`` the curve. It may have ended early:
+        ``result.complete`` says whether it reached the end.
 
     Raises
     ------
     InputError
-        A value of the scene cannot be used, or there is no such table.
+        A value of the scene cannot be used, or the table ``[curve]`` is missing.
 
     Examples
     --------
@@ -112,7 +113,11 @@ def curve(
 
 
 def _check_curve_is_possible(study: Study) -> None:
-    """Raise InputError if no load vibrates, or the law suits no curve."""
+    """Raise InputError if a curve cannot be followed for a study.
+
+    The load must vary in time. Rigid contact needs crack faces without mass (``reduction.method =
+    'massless'``).
+    """
     structure = study.structure
     if not structure.sum_over_ranks(np.abs(structure.force[1:]).sum()):
         requirement_text = "one that changes in time, for a curve: nothing vibrates"
@@ -125,7 +130,15 @@ def _check_curve_is_possible(study: Study) -> None:
 
 
 def _follow_curve(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
-    """Follow the curve of a study with given modes (collective)."""
+    """Follow the curve of a study with a fixed number of modes (collective).
+
+    Parameters
+    ----------
+    study : Study
+        Source of structure and contact law.
+    scene : Scene
+        Source of the table ``[curve]``, load frequency, harmonics and tolerance.
+    """
     from fenics_crack.curves.follow import continue_frequency, continue_parameter
     from fenics_crack.curves.resonance import follow_resonance
     from fenics_crack.curves.verdicts import judge_curve
@@ -162,10 +175,11 @@ def _follow_curve(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
 
 
 def iterate_curve_studies(scene_or_study: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
-    """Yield a scene prepared for its curve, with more and more modes (collective).
+    """Yield a scene reduced for its curve, each time with more modes (collective).
 
-    A run-up is yielded once. It has one basis for all speeds, with as many modes as the first
-    resonance of the curve needs at the scene's own speed.
+    For a curve over the rotor speed (run-up) a single study is yielded. One reduction basis then
+    serves all speeds, with as many modes as the first resonance on the curve needs. They are
+    counted at the scene's own speed.
     """
     scene = scene_or_study.scene if isinstance(scene_or_study, Study) else scene_or_study
     parameter_name, start, stop = scene.given("curve").parameter_and_range
@@ -198,10 +212,18 @@ def iterate_curve_studies(scene_or_study: Scene | Study, comm: MPI.Comm) -> Iter
 def _find_study_with_enough_modes(
     study: Study, studies: Iterator[Study], start_omega: float, stop_omega: float
 ) -> Study:
-    """Return the first study with enough modes for a curve over the frequency (collective).
+    """Return the first study with enough modes for a tolerance (collective).
 
-    ``studies`` follow ``study`` with more modes. The error due to modes is computed at the first
-    resonance of the curve, or at its start. If no study suffices, it is the last one.
+    Its modal error on the curve meets the tolerance. The error is computed at the first resonance
+    in the range, else at ``start_omega``. If the error is unknown, or no study meets the tolerance,
+    the study tried last is returned.
+
+    Parameters
+    ----------
+    study, studies : Study, iterator of Study
+        First study, and further studies with more modes.
+    start_omega, stop_omega : float [rad/s]
+        Range of the load frequency.
     """
     balance_table, law = study.scene.harmonic_balance, required_contact_law(study)
     for larger_study in chain([study], studies):
@@ -219,7 +241,10 @@ def _find_study_with_enough_modes(
 
 
 def _lowest_bilinear_omega(study: Study, start_omega: float, stop_omega: float) -> float:
-    """Return the lowest bilinear frequency in a range [rad/s], else its start (collective)."""
+    """Return the lowest bilinear frequency between two load frequencies [rad/s] (collective).
+
+    ``start_omega`` is returned if no bilinear frequency lies between them.
+    """
     lower_bound, upper_bound = sorted((start_omega, stop_omega))
     bilinear_omegas = bilinear_frequencies(study.structure).omega_bilinear
     is_between = (bilinear_omegas > lower_bound) & (bilinear_omegas < upper_bound)
@@ -227,9 +252,9 @@ def _lowest_bilinear_omega(study: Study, start_omega: float, stop_omega: float) 
 
 
 def _describe_mode_choice(study: Study, mode_error: float) -> str:
-    """Describe in words whether the number of modes meets the tolerance of a curve.
+    """Say in words whether the number of modes meets a curve's tolerance.
 
-    ``mode_error`` is the relative error due to the number of modes.
+    ``mode_error`` is the relative error due to the number of modes; inf if unknown.
     """
     scene = study.scene
     tolerance, n_modes = scene.harmonic_balance.given("tolerance"), scene.given("reduction").modes

@@ -48,12 +48,13 @@ def integrate(
     comm : MPI.Comm
         Ranks that share the structure.
     progress : bool
-        Show a bar.
+        Show a progress bar.
 
     Returns
     -------
     Run
-        Scene, structure, law and ``result``: the motion over the last periods.
+        Scene, structure, contact law, and as ``result`` the motion over the last load periods: at
+        most 4, or all of a free decay.
 
     Raises
     ------
@@ -117,9 +118,10 @@ def integrate(
 def _march_function_and_steps(
     study: Study, method_name: str, steps_per_period: int | None
 ) -> tuple[Callable[..., TimeHistory], int]:
-    """Return the integrating function of a method, and its steps per period.
+    """Return a method's integrating function, and its time steps per load period.
 
-    The steps are those given, else the method's default.
+    If ``steps_per_period`` is None, "events" takes 256 and "exponential" 512 steps. Central
+    differences take twice the steps needed for numerical stability, at least 512.
     """
     from fenics_crack.time.central_differences import (
         integrate_central_difference,
@@ -141,7 +143,10 @@ def _march_function_and_steps(
 
 
 def _read_initial_motion_file(path: str, comm: MPI.Comm) -> StoredFile:
-    """Read the file of an earlier motion, named by ``integration.initial`` (collective)."""
+    """Read the result file that ``integration.initial`` names (collective).
+
+    Raises InputError unless the file holds a periodic solution or a motion in time.
+    """
     try:
         motion_file = read_result_file(path, comm)
     except InputError as error:
@@ -154,16 +159,18 @@ def _read_initial_motion_file(path: str, comm: MPI.Comm) -> StoredFile:
 def _start_state_from_run(
     earlier_run: Run[Any], structure: Structure, integration_table: Integration
 ) -> tuple[np.ndarray, ...]:
-    """Return the state of an earlier motion of the same mesh for a structure (collective).
+    """Return the initial state of an integration from an earlier motion (collective).
 
-    A solution gives the state at phase 0 of its load, a motion in time its final state. For a
-    reduced structure the state is projected on the modes: q = Phi^T M u.
+    A periodic solution gives the state at phase 0 of its load, a motion in time its final state. In
+    a reduced structure, the modal amplitudes q = Phi^T M u follow from the displacement u with
+    modes Phi and mass M. Another mesh raises InputError.
 
     Returns
     -------
-    displacement, velocity : (n_dofs,) [m], [m/s]
+    displacement, velocity : (n_local,) [m], [m/s]
+        In the coordinates of ``structure``; the mesh's dofs on this rank if it is not reduced.
     places : (n_pairs,) [m]
-        Only with friction.
+        Tangential gaps at which pairs stick; only if the earlier motion has friction.
     """
     earlier_motion, whole_structure = earlier_run.result, structure.whole
     if isinstance(earlier_motion, TimeHistory):
@@ -193,7 +200,11 @@ def _start_state_from_run(
 
 
 def _choose_method(study: Study, integration_table: Integration, law: ContactLaw) -> str:
-    """Return the name of the integration method; InputError if it cannot be used."""
+    """Return the integration method: "events", "exponential" or "central_difference".
+
+    ``integration.method`` decides. The default is "exponential" for crack faces without mass, else
+    "central_difference". InputError if structure or contact law do not suit the method.
+    """
     structure, contact, requirement_text = study.structure, study.scene.contact, ""
     has_massless_faces = structure.light_lips
     method_name = integration_table.method or (

@@ -25,29 +25,29 @@ from fenics_crack.time.march import TimeHistory
 
 
 def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
-    """Read the result of a command with its scene, structure and law (collective).
+    """Read a command's result file, with scene, structure and contact law (collective).
 
-    The structure is built anew from the scene in the file; the result is only read. Mesh and matrix
-    files that the scene names must have the SHA-256 digests of the result. If the structure exists
-    already, :func:`fenics_crack.load` reads the same files; ``SweepResult.load`` reads sweeps.
+    The structure is built again from the scene in the file; the result is only read. Mesh and
+    matrix files named by the scene must be unchanged (compared by SHA-256). For a structure that
+    exists already, use :func:`fenics_crack.load`; for a sweep ``SweepResult.load``.
 
     Parameters
     ----------
     path : path
-        The file.
+        Result file.
     comm : MPI.Comm
         Ranks that share the structure.
 
     Returns
     -------
     Run
-        Scene, structure, law and result.
+        Scene, structure, contact law and result.
 
     Raises
     ------
     InputError
-        The file is not a result with a scene, is a sweep, damaged or of an older version; or a file
-        that the scene names has changed.
+        The file is damaged, of an older version, a sweep, no result, or without a scene. Or a file
+        named by the scene has changed.
 
     Examples
     --------
@@ -60,10 +60,10 @@ def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
 def make_run_from_file(
     result_file: StoredFile, comm: MPI.Comm = MPI.COMM_WORLD, *, with_reference: bool = True
 ) -> Run[Result]:
-    """Make the run of a result file that has been read (collective).
+    """Build scene, structure and law for the result in an open file (collective).
 
-    A reduced structure has a reference of more modes if ``with_reference``. Raises as
-    :func:`load_run`.
+    With ``with_reference``, a reduced structure also gets a reference structure with more modes,
+    for the reduction error. Raises as :func:`load_run`.
     """
     result_type, scene = result_class(result_file), result_file.scene()
     if scene is None:
@@ -94,9 +94,10 @@ def make_run_from_file(
 
 
 def make_run_on_this_rank(result_file: StoredFile) -> Run[Result]:
-    """Make the run of a result file on this rank alone.
+    """Build scene, structure and law for an open result file.
 
-    A solution's structure gets no reference, because the file has the stated errors.
+    The structure lies on this rank alone (MPI.COMM_SELF). A periodic solution gets no reference
+    structure for the reduction error, because the file has the stated errors.
     """
     return make_run_from_file(
         result_file, MPI.COMM_SELF, with_reference=result_file.kind != PeriodicSolution.KIND
@@ -104,7 +105,7 @@ def make_run_on_this_rank(result_file: StoredFile) -> Run[Result]:
 
 
 def study_under_mean_load(study: Study) -> Study:
-    """Return a study whose load is the mean load alone."""
+    """Return a study with its mean load alone, for free decay."""
     structure = structure_under_static_load(study.structure, 0.0)
     return replace(study, structure=structure.watching(study.watched[0].dof))
 
@@ -112,7 +113,8 @@ def study_under_mean_load(study: Study) -> Study:
 def structure_under_static_load(structure: Structure, first_harmonic_fraction: float) -> Structure:
     """Return a structure under a static load.
 
-    The load is the mean load, plus a fraction of the first harmonic's cosine and sine parts.
+    The load is f_0 + ``first_harmonic_fraction`` (a_1 + b_1): the mean f_0, and the cosine and sine
+    parts a_1, b_1 of the first harmonic.
     """
     load_weight_matrix = np.zeros((len(structure.force),) * 2)
     load_weight_matrix[0, :3] = 1.0, first_harmonic_fraction, first_harmonic_fraction

@@ -20,14 +20,14 @@ from fenics_crack.time.march import TimeHistory
 
 @dataclass(frozen=True, repr=False)
 class Reaction(Tabular):
-    """Forces and moments of a plate's or solid's clamp over a motion.
+    """Forces and moments of a plate's or solid's clamp during a motion.
 
     Attributes
     ----------
     time : (n,) [s]
         Instants in one period of a solution, or in the record of a motion in time.
     center : (d,) [m]
-        Centre of the clamp, about which the moments are taken.
+        Centre of the clamp, the reference point of the moments.
     force : (n, d) [N]
         Force of the clamp on the body; for a plate through its whole thickness.
     moment : (n, 1) or (n, 3) [N m]
@@ -41,11 +41,11 @@ class Reaction(Tabular):
 
     @property
     def numbers(self) -> Mapping[str, float]:
-        """Largest ``reaction_force`` [N] and ``reaction_moment`` [N m]."""
+        """Largest magnitudes over time: ``reaction_force`` [N] and ``reaction_moment`` [N m]."""
         return read_observables(Place.CLAMP, self)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return time, forces and moments as columns, a row for every instant."""
+        """Return the columns "time", "force_x", ..., "moment_z", a row for every instant."""
         values_by_column = {"time": self.time.tolist()}
         force_axis_names = AXES[: self.force.shape[1]]
         moment_axis_names = AXES[-self.moment.shape[1] :]
@@ -69,33 +69,34 @@ class Reaction(Tabular):
 
 
 def reaction(run: Run[PeriodicSolution] | Run[TimeHistory]) -> Reaction:
-    r"""Find the forces and moments of the clamp over a motion (collective).
+    r"""Find forces and moments of the clamp over a motion (collective).
 
-    Newton's law holds for the whole body. With the rigid-body motions r, translations and rotations
-    about the clamp's centre,
+    Newton's law holds for the whole body. With the rigid-body motions r (translations, and
+    rotations about the clamp's centre), mass M, displacement u and load f, the reaction R follows
+    from
 
     .. math:: r \cdot R = r^T M (\ddot u + \alpha \dot u) - r^T f.
 
     The factor :math:`\alpha` of Rayleigh damping is a drag from outside. All other damping acts
-    inside the body and adds no force. Contact forces on both faces cancel. Truncated modes have no
-    inertia, but their share of the load is included.
+    inside the body and adds no force. Contact forces on both crack faces cancel. In a reduced
+    structure, truncated modes have no inertia, but their share of the load is included.
 
     Parameters
     ----------
     run : Run
-        Result of :func:`fenics_crack.solve` or :func:`fenics_crack.integrate`, of a mesh at
-        rest.
+        Result of :func:`fenics_crack.solve` or :func:`fenics_crack.integrate`, for a meshed
+        structure without rotation.
 
     Returns
     -------
     Reaction
         Reaction over a period of a solution (1024 instants or more), or over the record of a motion
-        in time, with the acceleration of a spline.
+        in time. The acceleration of a record is that of a spline.
 
     Raises
     ------
     InputError
-        The run is of another kind, of matrices, which have no clamp, or of a rotating structure.
+        The run is of another kind, has matrices (which have no clamp), or rotates.
 
     Examples
     --------

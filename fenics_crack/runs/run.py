@@ -28,7 +28,10 @@ ResultType = TypeVar("ResultType", bound=Result, covariant=True)
 
 
 class ResultAttribute:
-    """Attribute of a run's result, read through the run."""
+    """Attribute of a :class:`Run` that is read from its result.
+
+    ``run.omega`` is ``run.result.omega``.
+    """
 
     def __set_name__(self, owner: type, attribute_name: str) -> None:
         self.attribute_name = attribute_name
@@ -37,19 +40,31 @@ class ResultAttribute:
         return self if run is None else getattr(run.result, self.attribute_name)
 
 
-@with_old_names(watched_name="watched_description")
+@with_old_names(
+    at_phase="basis_gaps_and_forces_at_phases",
+    coordinates="displacement_of_local_dofs",
+    force_rows="row_force_coefficients",
+    gap_rows="row_gap_coefficients",
+    measure="indicators_of_dofs",
+    observe="observe_dofs",
+    over_period="basis_gaps_and_forces_over_period",
+    said="build_conclusion",
+    watched_name="watched_description",
+)
 @dataclass(frozen=True, repr=False)
 class Run(StudyWithResult, Generic[ResultType]):
-    """A study with its result, and with the result's attributes: ``run.amplitude()``.
+    """Result of a command, with scene, structure, contact law and watched displacements.
+
+    All attributes of the result can be read from the run, too: ``run.amplitude()``.
 
     Attributes
     ----------
     scene, structure, contact, watched
-        As :class:`Study` has them.
+        As in :class:`Study`.
     result : Modes, PeriodicSolution, ResponseCurve or TimeHistory
         Result of the computation.
     stated : Verification or None
-        The :attr:`errors`, if they were computed together with the result.
+        The :attr:`errors`, if they were computed together with the result; else None.
     """
 
     result: ResultType
@@ -57,10 +72,11 @@ class Run(StudyWithResult, Generic[ResultType]):
 
     @cached_property
     def errors(self) -> Verification | None:
-        """Stated errors of each number; None for motions in time.
+        """Estimated errors of the result's numbers, by cause (collective at first use).
 
-        A curve has those of its largest response. They are computed when first requested
-        (collective).
+        For a curve they are the errors of the largest response. None for motions in time, for
+        solutions without convergence or without estimated errors, and for curves over other
+        parameters than frequency and speed.
         """
         return self.stated or estimate_result_errors(self, self.result)
 
@@ -74,9 +90,15 @@ class Run(StudyWithResult, Generic[ResultType]):
         return self.result.table().html(str(self))
 
     def peak(self, dof: int | None = None) -> Peak:
-        """Return the largest response of a curve (:meth:`ResponseCurve.peak`; collective).
+        """Return the largest response of a curve, with its errors (collective).
 
-        The watched dof's peak has the stated :attr:`errors`.
+        :meth:`ResponseCurve.peak` finds it. At the watched dof, amplitude and frequency get the
+        stated :attr:`errors`. Results other than curves raise AttributeError.
+
+        Parameters
+        ----------
+        dof : int, optional
+            Dof of the displacement. Default: the watched dof.
         """
         if not isinstance(self.result, ResponseCurve):
             raise AttributeError("'Run' object has no attribute 'peak'")
@@ -95,10 +117,14 @@ class Run(StudyWithResult, Generic[ResultType]):
         )
 
     def motion(self) -> dict[str, np.ndarray]:
-        """Return the watched displacements [m] by their descriptions (collective).
+        """Return the watched displacements [m], by their descriptions in words (collective).
 
-        A solution has Fourier coefficients (2H+1,), a curve (n, 2H+1), a motion in time
-        displacements (n,), and modes have none.
+        Returns
+        -------
+        dict of str to array
+            Fourier coefficients a0, a1, b1, ...: (2H+1,) for a solution, (n, 2H+1) for n points of
+            a curve. A motion in time has displacements at n instants (n,). Modes give an empty
+            dict.
         """
         result = self.result
         watched_dofs = [watched_displacement.dof for watched_displacement in self.watched]
@@ -119,9 +145,9 @@ class Run(StudyWithResult, Generic[ResultType]):
         )
 
     def save(self, path: str | Path) -> None:
-        """Write the result with its scene, stated errors and watched motion (collective).
+        """Write the result with its scene, stated errors and watched displacements (collective).
 
-        :func:`load_run` reads it, and so do programs without the structure
+        :func:`load_run` reads the file. Programs without the structure can read it, too
         (:func:`fenics_crack.save`).
 
         Raises
@@ -152,6 +178,7 @@ class Run(StudyWithResult, Generic[ResultType]):
     bifurcations = ResultAttribute()
     branch = ResultAttribute()
     breathes = ResultAttribute()
+    build_conclusion = ResultAttribute()
     by_period = ResultAttribute()
     change = ResultAttribute()
     coefficients_at = ResultAttribute()
@@ -210,7 +237,6 @@ class Run(StudyWithResult, Generic[ResultType]):
     resolution = ResultAttribute()
     row_force_coefficients = ResultAttribute()
     row_gap_coefficients = ResultAttribute()
-    said = ResultAttribute()
     samples = ResultAttribute()
     seconds = ResultAttribute()
     settled = ResultAttribute()
@@ -244,7 +270,10 @@ class Run(StudyWithResult, Generic[ResultType]):
 
 
 def check_run_has_motion(run: object) -> None:
-    """Raise InputError unless a run has a solution or a motion in time."""
+    """Raise InputError unless a run holds a motion.
+
+    The result must be a periodic solution or a motion in time.
+    """
     if not (isinstance(run, Run) and isinstance(run.result, PeriodicSolution | TimeHistory)):
         requirement_text = "what fc.solve(scene) or fc.integrate(scene) returns"
         raise InputError("run", type(getattr(run, "result", run)).__name__, requirement_text)

@@ -20,25 +20,27 @@ from fenics_crack.study.prepare import Study, prepare
 from fenics_crack.study.solve import prepare_unreduced_if_scene, solve_study
 
 N_DEFAULT_MODES = 6
-"""Default number of modes that are found."""
+"""Default number of modes that the command ``modes`` finds."""
 
 
 def modes(scene: Scene, count: int | None = None, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Modes]:
-    """Find the lowest modes of a scene with its crack open, as ``fenics-crack modes`` (collective).
+    """Find the lowest modes of a scene with its crack open (collective).
+
+    ``fenics-crack modes`` does the same.
 
     Parameters
     ----------
     scene : Scene
         Scene that vibrates.
     count : int, optional
-        Number of modes. Default: 6, or all of fewer.
+        Number of modes. Default: 6, or all if the structure has fewer.
     comm : MPI.Comm
         Ranks that share the structure.
 
     Returns
     -------
     Run
-        Scene, structure, law and ``result``: the modes.
+        Scene, structure, contact law, and as ``result`` the modes.
 
     Raises
     ------
@@ -57,9 +59,11 @@ def modes(scene: Scene, count: int | None = None, comm: MPI.Comm = MPI.COMM_WORL
 def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution]:
     """Solve a scene for its steady vibration, as ``fenics-crack solve`` does (collective).
 
-    The solution is found by harmonic balance at the load frequency
-    (:func:`solve_harmonic_balance`). Its stability (:func:`floquet`) is added if that is quick.
-    With a tolerance, the number of modes is chosen unless the scene gives it.
+    Harmonic balance finds the solution at the load frequency (:func:`solve_harmonic_balance`). With
+    a tolerance, the number of modes is chosen unless the scene gives it. Stability
+    (:func:`floquet`) is added if the solution converges and the structure can be decomposed into
+    all of its modes. Smooth contact laws then need at most 100 dofs, and rigid contact needs crack
+    faces without mass.
 
     Parameters
     ----------
@@ -71,7 +75,8 @@ def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Periodic
     Returns
     -------
     Run
-        Scene, structure, law and ``result``: the solution, which may not have converged.
+        Scene, structure, contact law, and as ``result`` the solution. It may not have converged:
+        ``result.converged``.
 
     Raises
     ------
@@ -88,10 +93,11 @@ def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Periodic
 
 
 def _with_outcome_of_start_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
-    """Add the outcome of the motion from rest if the verdict needs it (collective).
+    """Integrate the motion from rest and add its outcome to a solution (collective).
 
-    It is needed if the verdict is undecided, or if no pair opens and closes in the solution. In the
-    latter case the multipliers ignore contact that another motion may meet.
+    This is done if the verdict on stability is undecided, or if no pair opens and closes. In the
+    latter case the multipliers ignore contact in larger motions. The run stays unchanged if a
+    decided solution and the motion from rest agree within 0.1 % of the amplitude.
     """
     solution, watched_dof = run.result, run.watched_dof
     stability = solution.stability

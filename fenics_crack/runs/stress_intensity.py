@@ -33,9 +33,10 @@ from fenics_crack.time.march import TimeHistory
 )  # fmt: skip
 @dataclass(frozen=True, repr=False)
 class StressIntensity(Tabular):
-    """K_I and K_II at the tips of a plate's cracks over a motion.
+    """Stress intensity factors at crack tips or front stations over a motion.
 
-    At stations along the fronts of a solid's cracks there is K_III, too; front follows front.
+    A plate has K_I and K_II at its crack tips. A solid has K_I, K_II and K_III at stations along
+    its crack fronts, one front after the other. Tips below stand for tips or stations.
 
     Attributes
     ----------
@@ -43,21 +44,21 @@ class StressIntensity(Tabular):
         Instants in one period of a solution, or in the record of a motion in time.
     tips : tuple of str
         Names: "the crack tip", "the left crack tip", "the crack tip of crack 2", "the crack front
-        at 3.2 mm", from where that front begins.
+        at 3.2 mm" from the beginning of the front.
     positions : (n_tips,) [m]
         Distances along the crack; in a solid along the front, from its beginning.
     points, growth_directions : (n_tips, d) [m], (n_tips, d)
-        Positions of the tips, and directions in which the cracks run straight on.
+        Positions of the tips, and unit vectors in which the cracks run straight on.
     K_I, K_II : (n, n_tips) [Pa m^1/2]
-        K_I is positive if the crack faces part. K_II is positive if the face on the left, looking
-        ahead, moves ahead. At a front without clearance K_I is never negative, and exactly zero
-        while all contact patches next to the station are closed.
+        K_I and K_II. K_I is positive if the crack faces part. K_II is positive if the face on the
+        left, looking ahead, moves ahead. At a front without clearance K_I is never negative, and
+        exactly zero while all contact patches next to the station are closed.
     K_III : (n, n_tips) [Pa m^1/2] or None
-        K_III is positive if the upper face moves along the front, in the direction e_3 = e_1 x e_2
-        with e_1 ahead and e_2 from the lower to the upper face. None for a plate.
+        K_III, positive if the upper face moves along the front, in the direction e_3 = e_1 x e_2.
+        e_1 points ahead, and e_2 from the lower to the upper face. None for a plate.
     closed_front_errors : (n_tips,) [Pa m^1/2]
-        Error of K_I in a solid: largest |K_I| computed while the front is closed, where it is zero
-        by contact, and largest negative K_I computed while the front is partly closed.
+        Error of K_I in a solid, where contact makes K_I zero or not negative. It is the largest
+        |K_I| computed while the front is closed, or negative K_I while it is partly closed.
     """
 
     time: np.ndarray
@@ -74,12 +75,12 @@ class StressIntensity(Tabular):
 
     @cached_property
     def numbers(self) -> Mapping[str, np.ndarray]:
-        """Largest and smallest values and ranges of each tip: (n_tips,) [Pa m^1/2].
+        """Extremes and ranges of K, by name: (n_tips,) [Pa m^1/2] each.
 
-        K_max, K_min, delta_K, delta_K_effective, K_II_max, and in a solid K_III_max. The effective
-        range is the range while the tip is open, max(K_I, 0) - max(min K_I, 0). A table
-        ``[growth]`` adds delta_K_equivalent: the range from 0 that, once a period of the load, lets
-        the crack grow as much as all rainflow cycles of K_I.
+        Names are K_max, K_min, delta_K = K_max - K_min, delta_K_effective, K_II_max and in a solid
+        K_III_max. The effective range counts positive K_I only: max(K_max, 0) - max(K_min, 0). A
+        table ``[growth]`` adds delta_K_equivalent: a range from 0 that, once per load period, gives
+        the same crack growth as all rainflow cycles of K_I.
         """
         value_by_name_of_tips = [tip_history.value_by_name() for tip_history in self._tip_histories]
         return {
@@ -89,41 +90,47 @@ class StressIntensity(Tabular):
 
     @property
     def largest(self) -> np.ndarray:
-        """Largest K_I of each tip: (n_tips,) [Pa m^1/2]."""
+        """Largest K_I at each tip over time: (n_tips,) [Pa m^1/2]."""
         return self.numbers["K_max"]
 
     @property
     def smallest(self) -> np.ndarray:
-        """Smallest K_I of each tip: (n_tips,) [Pa m^1/2]."""
+        """Smallest K_I at each tip over time: (n_tips,) [Pa m^1/2]."""
         return self.numbers["K_min"]
 
     @property
     def effective(self) -> np.ndarray:
-        """Range of K_I of each tip while it is open: (n_tips,) [Pa m^1/2]."""
+        """Range of positive K_I at each tip: (n_tips,) [Pa m^1/2].
+
+        It is max(K_max, 0) - max(K_min, 0): only the open tip counts.
+        """
         return self.numbers["delta_K_effective"]
 
     @property
     def leading_tip_index(self) -> int:
-        """Index of the tip with the largest effective range."""
+        """Index of the tip or station with the largest :attr:`effective` range."""
         return leading_crack_tip_index(self._tip_histories)
 
     @property
     def comm(self) -> MPI.Comm:
-        """Communicator."""
+        """MPI communicator of the ranks that share the structure."""
         return self._run.structure.comm
 
     @property
     def station_indices_by_front(self) -> dict[str, list[int]]:
-        """Indices of the tips or stations of each front, by the front's name."""
+        """Indices of the stations along each crack front, by the front's name.
+
+        A plate has no fronts: all tips are listed under the name "".
+        """
         return station_indices_by_front(self.tips)
 
     @property
     def turning_angles(self) -> np.ndarray:
-        """Angle to the left by which each crack turns at its largest K_I: (n_tips,) [rad].
+        """Angle by which cracks turn left at largest K_I: (n_tips,) [rad].
 
         In this direction theta the hoop stress is largest: K_I sin(theta) + K_II (3 cos(theta) - 1)
-        = 0 (Erdogan, Sih, Journal of Basic Engineering 85, 1963, 519); nan if K_I is never
-        positive.
+        = 0 (Erdogan, Sih, Journal of Basic Engineering 85, 1963, 519). The angle is nan if K_I is
+        never positive.
         """
         instant_index_of_largest = self.K_I.argmax(axis=0)[None]
         K_I = np.take_along_axis(self.K_I, instant_index_of_largest, axis=0)[0]
@@ -133,9 +140,10 @@ class StressIntensity(Tabular):
 
     @cached_property
     def errors(self) -> Verification | None:
-        """Stated errors of the leading tip's numbers; None for motions in time.
+        """Estimated errors of the :attr:`numbers` at the leading tip (collective).
 
-        They are computed when first requested (collective).
+        They are computed at first use. None for motions in time, and for solutions without
+        convergence or without estimated errors.
         """
         scene = self._run.scene.replace({"output.quantities": tuple(self.numbers)})
         return estimate_result_errors(
@@ -143,7 +151,10 @@ class StressIntensity(Tabular):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return time and the stress intensities of each tip, a row for every instant."""
+        """Return columns of time and stress intensities, by name.
+
+        Names are "time", "K_I, the crack tip" etc.; there is a row for every instant.
+        """
         values_by_column = {"time": self.time.tolist()}
         values_by_name = {"K_I": self.K_I, "K_II": self.K_II} | (
             {} if self.K_III is None else {"K_III": self.K_III}
@@ -167,22 +178,24 @@ class StressIntensity(Tabular):
 
 
 def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressIntensity:
-    r"""Find stress intensities at the tips of a plate's cracks over a motion (collective).
+    r"""Find stress intensity factors at crack tips or fronts over a motion (collective).
 
-    K_I and K_II follow at each instant from the displacement, by the interaction integral over a
-    domain around the tip or front, with inertia inside and contact on the crack faces. A front has
-    K_III, too. Each station has the mean over its neighbourhood; stations at the surface are
-    extrapolated linearly from the two next to them (docs/solids.md). The error of K_I due to the
-    mesh is of first order in the element size. The error at a closed front is stated
-    (``closed_front_errors``). In a reduced structure the static part of the modes is not summed but
-    solved for. With the amplitudes q_r of the modes,
+    K_I and K_II at each instant follow from the displacement by the interaction integral. Its
+    domain surrounds the tip or front, with inertia inside and contact on the crack faces. A front
+    has K_III, too. Each station has the mean over its neighbourhood along the front; stations at
+    the surface are extrapolated linearly from the next two (docs/solids.md).
+
+    The error of K_I due to the mesh is of first order in the element size. The attribute
+    ``closed_front_errors`` states the error at closed fronts. In a reduced structure the static
+    response to the load f and the contact forces lambda is exact; with the amplitudes q_r of the
+    modes,
 
     .. math:: K = K_{\mathrm{static}}(f, \lambda) + \sum_r K_r (q_r - q_{r,\mathrm{static}}).
 
     Parameters
     ----------
     run : Run
-        Result of :func:`fenics_crack.solve` or :func:`fenics_crack.integrate`, of a plate or a
+        Result of :func:`fenics_crack.solve` or :func:`fenics_crack.integrate`, for a plate or a
         solid with a crack.
 
     Returns
@@ -194,8 +207,8 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     Raises
     ------
     InputError
-        The run is of another kind, of matrices or a disk; it has friction, a preload by its
-        clearance, or no crack; or the elements at a crack tip or front are too long.
+        The run is of another kind, or of matrices or a disk. Or it has friction, a preload by its
+        clearance, or no crack. Or the elements at a crack tip or front are too long.
 
     Examples
     --------

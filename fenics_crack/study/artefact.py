@@ -63,14 +63,17 @@ CHANGEABLE_KEYS_TEXT = (
     "damping, clearances, the contact law and its friction, harmonics, the tolerance, [curve]; "
     "else the scene itself is solved"
 )
-"""Keys that a prepared file can vary, in words."""
+"""Keys that may change for a prepared file, in words for an error message."""
 NODE_ARRAY_NAMES = ("points", "dofs", "cells")
-"""Fields of :class:`Nodes` whose rows are spread over the ranks."""
+"""Fields of :class:`Nodes` with a row for each node or cell, spread over the ranks."""
 
 
 @dataclass(frozen=True)
 class GatheredCsrMatrix:
-    """A sparse matrix in CSR format, with the rows of all ranks."""
+    """Sparse matrix in CSR format, with the rows of all ranks.
+
+    ``data``, ``indices`` and ``indptr`` are the arrays of SciPy's ``csr_matrix``.
+    """
 
     data: np.ndarray
     indices: np.ndarray
@@ -78,7 +81,10 @@ class GatheredCsrMatrix:
 
     @classmethod
     def gather(cls, matrix: Any, comm: MPI.Comm) -> Any:
-        """Gather the rows of all ranks; None without a matrix (collective)."""
+        """Gather a matrix's rows from all ranks, in rank order (collective).
+
+        ``matrix`` is a SciPy CSR matrix with this rank's rows, or None. None gives None.
+        """
         if matrix is None:
             return None
         row_lengths = gather_rows(comm, np.diff(matrix.indptr))
@@ -86,9 +92,10 @@ class GatheredCsrMatrix:
         return cls(gather_rows(comm, matrix.data), gather_rows(comm, matrix.indices), row_starts)
 
     def to_matrix(self, *shape: int) -> sparse.csr_matrix:
-        """Return the matrix; ValueError unless the arrays make one of this shape.
+        """Return the SciPy matrix with a given shape.
 
-        SciPy checks the order of row starts only if the last start is above zero.
+        ValueError if the arrays make no such matrix. ``shape`` is (n_rows, n_columns). SciPy checks
+        the order of row starts only if the last start is above zero.
         """
         matrix = sparse.csr_matrix((self.data, self.indices, self.indptr), shape)
         if np.diff(matrix.indptr).min(initial=0) < 0:
@@ -99,23 +106,30 @@ class GatheredCsrMatrix:
 
 @dataclass(frozen=True)
 class PreparedStructure:
-    """Datasets of a whole structure and of its receptances.
+    """Data of a whole structure and its receptances, for a file.
+
+    A receptance (:class:`Receptance`) has modes and static responses at pairs, load and watched
+    points.
 
     Attributes
     ----------
-    gap, tangential, tangents, shares : GatheredCsrMatrix or None
-        As in :class:`Structure` and its pairs. ``pairs`` has no tangents and shares here.
+    gap, tangential : GatheredCsrMatrix or None
+        Gap matrices of :class:`Structure`, dofs by pairs.
+    tangents, shares : GatheredCsrMatrix or None
+        The matrices ``tangential_gap_matrix`` and ``pressure_matrix`` of a solid's pairs
+        (:class:`Pairs`). The field ``pairs`` here lacks both.
     force, clearance, watched, nodes, pairs, clamp
         As in :class:`Structure`, with the rows of all ranks.
     receptances : tuple of Receptance
-        Receptances under this load; with a solid's tangents last.
+        Receptances under this load; if a solid's tangents are included, that receptance is last.
     mass, stiffness : GatheredCsrMatrix or None
-        Matrices, if they are kept.
+        Matrices (n_dofs, n_dofs); None if the file does not keep them.
     key : str
         Digest of the structure's dependencies, by
-        :func:`fenics_crack.study.shelf.digest_of_dependencies`.
-    excitation : (2K+1, d) [N]
-        Force of the excitation: mean, cosine and sine parts of each harmonic.
+        :func:`fenics_crack.study.shelf.digest_of_dependencies`; "" for a prepared file.
+    excitation : (2K+1, d) [N] or None
+        Force of the excitation: mean, then cosine and sine parts of the harmonics 1 to K. None for
+        a prepared file.
     """
 
     gap: GatheredCsrMatrix
@@ -136,7 +150,17 @@ class PreparedStructure:
 
     @classmethod
     def gather(cls, structure: Structure, vtk_type: int = 0, **datasets: Any) -> PreparedStructure:
-        """Gather the datasets of a structure; ``datasets`` are further fields (collective)."""
+        """Gather a structure's data from all ranks (collective).
+
+        Parameters
+        ----------
+        structure : Structure
+            Whole structure, or a varied copy of it.
+        vtk_type : int
+            VTK's number of the cell type, for :class:`Nodes`.
+        datasets
+            Further fields: ``mass``, ``stiffness``, ``key``, ``excitation``.
+        """
         structure, comm = structure.original, structure.comm
         nodes = structure.nodes
         pairs = structure.pairs
@@ -171,15 +195,15 @@ class PreparedStructure:
     def make_structure(
         self, scene: Scene, load_weight_matrix: np.ndarray, comm: MPI.Comm
     ) -> Structure:
-        """Make the structure with a scene's damping and clearance (collective).
+        """Make the whole structure with a scene's damping and clearance (collective).
 
-        Rank 0 has all rows. Datasets that are no structure raise an error of
-        :data:`fenics_crack.files.codec.DATASET_ERROR_CLASSES`.
+        Rank 0 has all rows, other ranks none. Data that make no structure raise an error of
+        :data:`fenics_crack.files.codec.DATASET_ERROR_CLASSES`, such as ValueError.
 
         Parameters
         ----------
         load_weight_matrix : (n, 2K+1)
-            Matrix from the load rows of the file to those of the scene.
+            Matrix from the load rows in the file to the load rows in the scene.
         """
         n_dofs, n_pairs = self._check_arrays_and_count_dofs(), len(self.clearance)
         local_slice = slice(None if comm.rank == 0 else 0)
@@ -235,7 +259,10 @@ class PreparedStructure:
         return structure
 
     def _check_arrays_and_count_dofs(self) -> int:
-        """Return the number of dofs; ValueError unless all shapes and values are valid."""
+        """Check shapes and values of all arrays; return the number of dofs.
+
+        Wrong shapes, and values that are not finite or out of range, raise ValueError.
+        """
         nodes, watched_pair_indices = self.nodes, np.array([*self.pairs.places.values()])
         array_by_name = {
             name: array for name, array in pack_dataclass(self).items() if np.ndim(array)
@@ -292,7 +319,11 @@ class PreparedStructure:
 
 @dataclass(frozen=True)
 class PreparedFileContent:
-    """Datasets of a file: the structures of a mesh and, if any, of a coarser mesh."""
+    """Data in a prepared file: a structure, perhaps with a coarser structure.
+
+    The structure on a coarser mesh serves to estimate the error due to the mesh; None without such
+    a mesh.
+    """
 
     structure: PreparedStructure
     coarser_structure: PreparedStructure | None = None
@@ -300,9 +331,9 @@ class PreparedFileContent:
     def make_shared_structure(
         self, scene: Scene, load_weight_matrix: np.ndarray, comm: MPI.Comm
     ) -> SharedStructure:
-        """Make a scene's structure with its coarser structure, if any (collective).
+        """Make the structure for a scene, with its coarser structure, if any (collective).
 
-        ``load_weight_matrix`` is as in :meth:`PreparedStructure.make_structure`.
+        ``load_weight_matrix`` (n, 2K+1) leads from the file's load rows to the scene's load rows.
         """
         structure = self.structure.make_structure(scene, load_weight_matrix, comm)
         coarser_scene_or_reason = make_coarser_scene_or_reason(scene)
@@ -323,9 +354,9 @@ class PreparedFileContent:
 
 
 def save_prepared(prepared: Study, path: str | Path) -> None:
-    """Write the reduced structure of a prepared scene to a file (collective).
+    """Write a prepared scene's modes and static responses to a file (collective).
 
-    :func:`load_prepared` and the commands ``solve`` and ``curve`` read it.
+    :func:`load_prepared` and the commands ``solve`` and ``curve`` read the file, without a mesh.
 
     Parameters
     ----------
@@ -338,8 +369,8 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
     Raises
     ------
     InputError
-        The scene rotates, is a bladed disk or a solid; its structure is not reduced to crack faces
-        without mass; its damping is a matrix; or the file cannot be written.
+        The scene rotates, is a bladed disk or a solid. Or its structure is not reduced to crack
+        faces without mass, its damping is a matrix, or the file cannot be written.
 
     Examples
     --------
@@ -373,7 +404,11 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
 
 
 def _gather_prepared_structure(study: Study) -> PreparedStructure:
-    """Gather the datasets of a reduced study, with the modes of its reference (collective)."""
+    """Gather a reduced study's data for a file (collective).
+
+    The number of modes is that of the reduction or of its reference (for the reduction error),
+    whichever is larger.
+    """
     reference_structure = getattr(study.structure, "reference", None) or study.structure
     n_modes = max(study.structure.n_modes, reference_structure.n_modes)
     modal_and_static_displacement_rows(
@@ -387,7 +422,7 @@ def _gather_prepared_structure(study: Study) -> PreparedStructure:
 def load_prepared(
     path: str | Path, changes: Mapping[str, object] | None = None, comm: MPI.Comm = MPI.COMM_WORLD
 ) -> Study:
-    """Prepare the scene of a prepared file, without a mesh (collective).
+    """Prepare the scene in a file from :func:`save_prepared`, without a mesh (collective).
 
     :func:`fenics_crack.solve` and :func:`fenics_crack.curve` take the study.
 
@@ -396,7 +431,8 @@ def load_prepared(
     path : path
         The file.
     changes : mapping, optional
-        As of :meth:`Scene.replace`, of keys that need no mesh.
+        New values by key, as for :meth:`Scene.replace`. Only keys that need no mesh may change,
+        such as frequency, damping, clearance and contact law.
     comm : MPI.Comm
         Ranks that share the structure.
 
@@ -408,8 +444,8 @@ def load_prepared(
     Raises
     ------
     InputError
-        The file cannot be read, is damaged or of something else; a key needs a mesh; or a file of
-        its mesh or matrices has changed.
+        The file cannot be read, is damaged or holds something else; a key needs a mesh; or a mesh
+        or matrix file named by the scene has changed.
 
     Examples
     --------
@@ -425,13 +461,15 @@ def load_prepared(
 
 
 def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, object]) -> Scene:
-    """Return the scene of a prepared file with changed keys.
+    """Return the scene in a prepared file, with some keys changed.
+
+    ``changes`` has new values by key.
 
     Raises
     ------
     InputError
         The file is of another kind or has no scene, a changed key needs a mesh, or a requested
-        quantity needs matrices.
+        quantity needs matrices (crack tips, clamp).
     """
     stored_file.check_kind(FILE_KIND)
     file_scene = stored_file.scene()
@@ -475,7 +513,11 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
 
 
 def excitation_and_loads_without_amplitudes(loads: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return the values of :func:`dependencies_of_load` without the excitation's amplitudes."""
+    """Return a scene's loads without the amplitudes of the excitation.
+
+    ``loads`` comes from :func:`dependencies_of_load`. Removed are the keys force_mean, force_cos,
+    force_sin and harmonics.
+    """
     excitation_value_by_key, *other_loads = loads
     amplitude_keys = ("force_mean", "force_cos", "force_sin", "harmonics")
     kept_value_by_key = excitation_value_by_key and {
@@ -487,7 +529,8 @@ def excitation_and_loads_without_amplitudes(loads: tuple[Any, ...]) -> tuple[Any
 def _weight_matrix_between_scene_loads(file_scene: Scene, scene: Scene) -> np.ndarray:
     """Return the matrix from a file's load rows to a scene's load rows.
 
-    Raises as :func:`weight_matrix_of_load_rows`.
+    ``file_scene`` is the scene in the file. Shape and errors are those of
+    :func:`weight_matrix_of_load_rows`.
     """
     # Equal loads are not computed: the file of a wave may be gone.
     if dependencies_of_load(file_scene) == dependencies_of_load(scene):
@@ -498,12 +541,16 @@ def _weight_matrix_between_scene_loads(file_scene: Scene, scene: Scene) -> np.nd
 
 
 def weight_matrix_of_load_rows(file_load_rows: np.ndarray, scene: Scene) -> np.ndarray:
-    """Return the matrix from a file's load rows to a scene's load rows.
+    """Return the matrix W from a file's load rows to a scene's load rows.
+
+    The rows F (mean, cosine and sine parts of the excitation's force) satisfy F_scene = W F_file.
 
     Parameters
     ----------
     file_load_rows : (2K+1, d) [N]
-        Force of the file's excitation.
+        F_file.
+    scene : Scene
+        Source of F_scene, with n rows.
 
     Returns
     -------
@@ -512,8 +559,8 @@ def weight_matrix_of_load_rows(file_load_rows: np.ndarray, scene: Scene) -> np.n
     Raises
     ------
     InputError
-        The scene's excitation is no linear combination of the file's rows, or changes beside other
-        loads.
+        F_scene is no linear combination of the file's rows, or it differs from F_file while the
+        scene has other loads, too.
     """
     scene_load_rows = np.array(list_force_harmonic_vectors(scene), dtype=float)
     has_same_load_rows = np.array_equal(file_load_rows, scene_load_rows)
@@ -537,12 +584,12 @@ def weight_matrix_of_load_rows(file_load_rows: np.ndarray, scene: Scene) -> np.n
 def _make_shared_structure_from_file(
     stored_file: StoredFile, scene: Scene, comm: MPI.Comm
 ) -> SharedStructure:
-    """Make a scene's structure from a file, with its coarser mesh (collective).
+    """Make a scene's structure and its coarser structure from a prepared file (collective).
 
     Raises
     ------
     InputError
-        The file is not one of :func:`save_prepared`.
+        The file was not written by :func:`save_prepared`.
     """
     file_scene = stored_file.scene()
     assert file_scene is not None

@@ -80,27 +80,31 @@ from fenics_crack.study.resonance import (
 from fenics_crack.study.sharing import assemble_or_reuse_structure
 
 HELD_FREQUENCY_KINDS = (*FREQUENCY_KIND_NAMES[:2], "partly")
-"""Kinds of frequencies of a held crack: "open", "tied", "partly"."""
+"""Kinds of natural frequencies for a crack that rotation or mean load holds in a state: "open",
+"tied" (held shut), "partly" (some pairs shut, the others open)."""
 STATE_TEXT_BY_KIND = {
     **dict(zip(HELD_FREQUENCY_KINDS, ("held open", "held shut", "held partly open"), strict=True)),
     "bilinear": "breathing",
 }
-"""State of the crack, in words, for each kind of frequency."""
+"""State of the crack in words, by kind of frequency ("open", "tied", "partly", "bilinear")."""
 RELATIVE_SPEED_TOLERANCE = 1e-4
-"""Relative tolerance of a speed at which the state changes, or an order meets a mode."""
+"""Relative tolerance of rotor speeds at which the crack's state changes, or an engine order meets a
+mode."""
 MAX_REPORTED_ORDER = 8
-"""Highest engine order that is drawn, and reported if the load has no order."""
+"""Highest engine order that a diagram shows, and that is reported for a load without engine
+order."""
 FrequenciesAndMarginsFunction = Callable[[float], tuple[np.ndarray, np.ndarray]]
-"""Function of a speed [rad/s]: frequencies of the kinds in HELD_FREQUENCY_KINDS [rad/s], and
-margins by which the crack is held in these states: (3, count) each."""
+"""Function of a rotor speed [rad/s], for a crack open, shut and partly open. Returns natural
+frequencies [rad/s] and margins, (3, n_modes) each. A positive margin says that rotation or mean
+load holds the crack in the state, even at resonance."""
 PeakAmplitudeFunction = Callable[[Modes], np.ndarray]
-"""Function of modes (n): amplitudes of the modes at their resonances under a load (n,)."""
+"""Function of n modes. Returns each mode's modal amplitude at its resonance under a load: (n,)."""
 
 
 @with_old_names(between="interpolate_open_and_tied", meetings="yield_crossing_texts")
 @dataclass(frozen=True, repr=False)
 class Campbell(SavedResult):
-    """Natural frequencies over the speed.
+    """Result of a Campbell diagram: natural frequencies over the rotor speed.
 
     Attributes
     ----------
@@ -123,12 +127,13 @@ class Campbell(SavedResult):
         speed on.
     coriolis : (m,)
         Relative changes of the open frequencies at the fastest speed by the Coriolis force of a
-        solid, which is left out.
+        solid, which all frequencies here leave out.
     at : function of a speed [rad/s], optional
         Returns the frequencies held open, shut and partly open, and the margins by which they are
         held: (3, m) each. None in a diagram from a file; the blade is then meshed again on demand.
     met : tuple of (mode, LoadResonance)
-        Resonance at the load for each crossing of the load's own engine order.
+        Mode (from 1) and resonance under the load, where the load's own engine order crosses a
+        frequency.
     """
 
     scene: Scene
@@ -150,14 +155,20 @@ class Campbell(SavedResult):
 
     @classmethod
     def from_stored_file(cls, stored: StoredFile) -> Campbell:
-        """Return the diagram of a file; its mesh must not have changed."""
+        """Read a diagram from an open result file.
+
+        Another kind of result, or a changed mesh file of the scene, raises InputError.
+        """
         diagram = super().from_stored_file(stored)
         stored.check_files(diagram.scene)
         return diagram
 
     @cached_property
     def _frequencies_and_margins_function(self) -> FrequenciesAndMarginsFunction:
-        """The function :attr:`at`; made from the scene if there is none."""
+        """Function of the speed in :attr:`at`.
+
+        If it is None (diagram from a file), the blade is meshed again.
+        """
         count = self.omega_open.shape[1]
         return (
             self.at
@@ -168,21 +179,28 @@ class Campbell(SavedResult):
 
     @property
     def omega_bilinear(self) -> np.ndarray:
-        """Bilinear frequencies 2 w_o w_t / (w_o + w_t): (n, m) [rad/s]."""
+        """Bilinear frequencies 2 w_o w_t / (w_o + w_t): (n, m) [rad/s].
+
+        w_o and w_t are the frequencies with open and bonded crack, :attr:`omega_open` and
+        :attr:`omega_tied`.
+        """
         return BilinearFrequencies(self.omega_open, self.omega_tied).omega_bilinear
 
     @property
     def omega_real(self) -> np.ndarray:
-        """Natural frequencies in the crack's state at each speed: (n, m) [rad/s]."""
+        """Natural frequencies in the crack's actual state: (n, m) [rad/s].
+
+        :attr:`kind` names the state.
+        """
         omega_of_kinds = [getattr(self, f"omega_{kind}") for kind in STATE_TEXT_BY_KIND]
         return np.select([self.kind == kind for kind in STATE_TEXT_BY_KIND], omega_of_kinds)
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Kinds of frequencies in the diagram.
+        """Kinds of frequencies in the diagram: "open", "tied", "bilinear", "partly".
 
-        "open", "tied" and "bilinear"; "partly" if the crack is held partly open somewhere. Without
-        a crack "open" alone.
+        "partly" is missing if the crack is nowhere held partly open. Without a crack there is
+        "open" alone.
         """
         kinds_present = {
             *self.kind.ravel().tolist(),
@@ -192,9 +210,10 @@ class Campbell(SavedResult):
         return all_kinds if self.cracked else FREQUENCY_KIND_NAMES[:1]
 
     def crossings(self, order: int, kind: str = "bilinear") -> np.ndarray:
-        """Find where w = order W meets natural frequencies: (k, 2), mode (from 1), speed [rad/s].
+        """Find where an engine order's line w = n W meets natural frequencies w.
 
-        A crossing is sought between two speeds if the mode changes its side of the order's line.
+        A crossing is sought between two neighbouring speeds W if a mode changes its side of the
+        line.
 
         Parameters
         ----------
@@ -202,7 +221,12 @@ class Campbell(SavedResult):
             Engine order n.
         kind : "open", "tied", "partly", "bilinear" or "real"
             Kind of the frequencies; "real" follows the crack's state at each speed. If a change of
-            the state drops the frequency across the order's line, the change is a crossing.
+            the state drops the frequency across the line, the change is a crossing.
+
+        Returns
+        -------
+        (k, 2)
+            Mode (from 1) and rotor speed [rad/s] of each crossing, sorted.
 
         Raises
         ------
@@ -229,7 +253,11 @@ class Campbell(SavedResult):
         return np.array(sorted(crossings)).reshape(-1, 2)
 
     def _crossings_in_actual_state(self, order: int) -> np.ndarray:
-        """Return crossings with the line of the crack's actual state, and at its changes."""
+        """Return an engine order's crossings for the crack's actual state.
+
+        The result (k, 2) has mode (from 1) and rotor speed [rad/s]. Included are changes of the
+        state that drop the frequency across the order's line.
+        """
         crossings = [
             (mode, speed)
             for kind in self.kinds
@@ -246,7 +274,11 @@ class Campbell(SavedResult):
         return np.array(sorted(crossings)).reshape(-1, 2)
 
     def _kinds_before_and_after(self, mode: int, speed: float) -> tuple[str, str]:
-        """Return the kinds of a mode's frequency just below and from a speed on."""
+        """Return a mode's kinds of frequency just below and from a speed.
+
+        ``mode`` counts from 1; ``speed`` is in rad/s. Kinds are "open", "tied", "partly",
+        "bilinear".
+        """
         speeds_and_kinds = zip(self.speed.tolist(), self.kind[:, mode - 1].tolist(), strict=True)
         change_speeds_and_kinds = [
             (start_speed, kind)
@@ -263,17 +295,29 @@ class Campbell(SavedResult):
         return [kinds_begun_by_speed[0], *kinds_begun_below_speed][-1], kinds_begun_by_speed[-1]
 
     def _omega_of_kind(self, mode: int, speed: float, kind: str) -> float:
-        """Return the natural frequency [rad/s] of a mode (from 1) and a kind."""
+        """Return a mode's natural frequency [rad/s] at a rotor speed.
+
+        Modes count from 1; ``speed`` is in rad/s. ``kind`` is "open", "tied", "partly" or
+        "bilinear".
+        """
         omega_of_kinds = self._frequencies_and_margins_function(speed)[0][:, mode - 1]
         if kind == "bilinear":
             return float(BilinearFrequencies(omega_of_kinds[0], omega_of_kinds[1]).omega_bilinear)
         return float(omega_of_kinds[HELD_FREQUENCY_KINDS.index(kind)])
 
     def real_line(self, mode: int) -> list[tuple[float, float, str]]:
-        """Return speeds, frequencies [rad/s] and kinds along a mode's line.
+        """Return a mode's line in the diagram, for the crack's actual state.
 
-        Modes count from 1. The frequency is that of the crack's state. A change of the state gives
-        two points.
+        Parameters
+        ----------
+        mode : int
+            Number of the mode, from 1.
+
+        Returns
+        -------
+        list of (speed, omega, kind)
+            Rotor speed [rad/s], natural frequency [rad/s] and kind, by rising speed. A change of
+            the state gives two points.
         """
         speeds = {
             *self.speed.tolist(),
@@ -286,9 +330,13 @@ class Campbell(SavedResult):
         ]
 
     def _list_crossings_with_resonances(self, order: int) -> list[tuple[int, float, LoadResonance]]:
-        """Return mode, speed and resonance for each crossing of an engine order.
+        """Return each crossing of an engine order, with the resonance there.
 
-        Only the load's own engine order has known resonances.
+        Returns
+        -------
+        list of (mode, speed, resonance)
+            Mode (from 1), estimated rotor speed [rad/s], and the resonance under the scene's load.
+            For orders other than the load's, the resonance was not sought (UNSOUGHT_RESONANCE).
         """
         load_engine_order = self.scene.excitation.order
         crossings = self.crossings(order, "real").tolist()
@@ -302,8 +350,8 @@ class Campbell(SavedResult):
     def yield_crossing_texts(self, order: int) -> Iterator[str]:
         """Yield a text for each crossing of an engine order.
 
-        It names the mode, the resonance at the load if it is known, and the speeds at which the
-        order meets the crack's frequency in the actual state and in others.
+        Each text names the mode, the resonance under the load if known, and the speed for the
+        crack's actual state. Speeds for other states follow.
         """
         for mode, speed, resonance in self._list_crossings_with_resonances(order):
             crossing_text = f"engine order {order} meets mode {mode} at "
@@ -335,11 +383,18 @@ class Campbell(SavedResult):
             )
 
     def stiffening(self, speed: float, omega: float) -> float:
-        """Return d ln w / d ln W of the mode nearest to a frequency [rad/s].
+        """Return d ln w / d ln W for the mode nearest to a frequency.
 
-        The mode's frequency is of the kind that the crack has at the nearest speed of the diagram.
-        Between two speeds and beyond them, w^2 is linear in W^2 (Southwell). For
-        :func:`find_passages`.
+        The frequencies w have the kind (crack state) at the nearest speed in the diagram. Between
+        two speeds W and beyond them, w^2 is taken as linear in W^2 (Southwell).
+        :func:`find_passages` calls this method.
+
+        Parameters
+        ----------
+        speed : float [rad/s]
+            Rotor speed W.
+        omega : float [rad/s]
+            Frequency that selects the mode.
         """
         nearest_kind = self.kind[int(np.abs(self.speed - speed).argmin())]
         omega_of_kinds = [getattr(self, f"omega_{kind}") for kind in STATE_TEXT_BY_KIND]
@@ -353,9 +408,10 @@ class Campbell(SavedResult):
         return float(squared_omega_slopes[mode_index] * speed**2 / squares[mode_index])
 
     def interpolate_open_and_tied(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return open and bonded frequencies at a speed: (m,) [rad/s] each.
+        """Interpolate the frequencies with open and bonded crack at a speed.
 
-        They are interpolated as in :meth:`stiffening`.
+        ``speed`` is in rad/s. Squares of the frequencies are linear in the square of the speed,
+        also beyond the diagram. Both arrays are (m,) [rad/s].
         """
         squares_of_states = (
             self._interpolate_squares_and_slopes(speed, omega)[0]
@@ -369,7 +425,14 @@ class Campbell(SavedResult):
     def _interpolate_squares_and_slopes(
         self, speed: float, omega: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Interpolate squares of frequencies (n, m) at a speed.
+        """Interpolate squared frequencies w^2 linearly in W^2, at a rotor speed W.
+
+        Parameters
+        ----------
+        speed : float [rad/s]
+            W; beyond the diagram the nearest interval is extended.
+        omega : (n, m) [rad/s]
+            Frequencies of m modes at the n speeds of the diagram.
 
         Returns
         -------
@@ -385,7 +448,11 @@ class Campbell(SavedResult):
         return squares[upper_index] + slopes * (speed**2 - squared_speeds[upper_index]), slopes
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the columns of a table with a row for every speed and mode."""
+        """Return the diagram as lists by column name.
+
+        Each speed and mode has a row. Columns are speed [rad/s], rpm, mode, the crack's state in
+        words, and frequencies of each kind [rad/s] and [Hz].
+        """
         n_speeds, n_modes = self.omega_open.shape
         repeated_speeds = np.repeat(self.speed, n_modes)
         values_by_column = {
@@ -400,7 +467,11 @@ class Campbell(SavedResult):
         return add_frequency_entries(values_by_column)
 
     def build_conclusion(self) -> Conclusion:
-        """Return the parts of the last sentence: crossings of the load's engine order."""
+        """Build the closing sentence that the command prints.
+
+        It states the speeds at which the load's engine order meets modes; without an engine order
+        only the number of modes.
+        """
         axis_of_speed, order = (
             choose_speed_factor_name_unit(self.scene.is_speed_in_rpm),
             self.scene.excitation.order,
@@ -437,18 +508,18 @@ def campbell(
     *,
     few: int = 4,
 ) -> Campbell:
-    """Find natural frequencies of a scene's blade at some speeds (collective).
+    """Find a blade's natural frequencies at some rotor speeds (collective).
 
     The blade is meshed once.
 
     Parameters
     ----------
     scene : Scene
-        Scene with a table ``[rotation]``, whose own speed does not matter.
+        Scene with a table ``[rotation]``; the table's own speed does not matter.
     speeds : (n,) [rad/s]
         Two or more speeds, rising from 0 or more.
     count : int, optional
-        Number of the lowest modes. Default: ``few``, or all of fewer.
+        Number of the lowest modes. Default: ``few``, or all if there are fewer.
     comm : MPI.Comm
         Ranks that share the mesh.
     few : int
@@ -535,12 +606,16 @@ def campbell(
 def _find_modes_and_load_resonances(
     diagram: Campbell, projection: RitzProjection
 ) -> tuple[tuple[int, LoadResonance], ...]:
-    """Find the resonance at the load for each crossing of the load's engine order.
+    """Find resonances at the crossings of the load's engine order.
+
+    They are resonances of the nonlinear structure under the load. ``projection`` gives the blade's
+    structure in few coordinates at any speed.
 
     Returns
     -------
     tuple of (mode, LoadResonance)
-        Empty without an engine order or a crack.
+        Mode (from 1) and resonance, in the order of the crossings. Empty without an engine order or
+        a contact law.
     """
     scene, engine_order = diagram.scene, diagram.scene.excitation.order
     law = scene_contact_law(scene, projection.structure)
@@ -563,9 +638,9 @@ def _find_modes_and_load_resonances(
 
 
 def report_of_campbell(diagram: Campbell) -> Report:
-    """Return the report of a diagram: frequencies, and crossings of engine orders.
+    """Return a diagram's report: frequency table, and crossings of engine orders.
 
-    The orders are the load's order, or all up to :data:`MAX_REPORTED_ORDER`.
+    Without an engine order of the load, orders 1 to 8 (:data:`MAX_REPORTED_ORDER`) are reported.
     """
     scene = diagram.scene
     load_engine_order = scene.excitation.order
@@ -596,9 +671,10 @@ def report_of_campbell(diagram: Campbell) -> Report:
 
 
 def _frequency_kinds_from_margins(hold_margins: np.ndarray) -> np.ndarray:
-    """Return the kind of the crack's frequency in each mode: (count,) of str.
+    """Return each mode's kind of frequency: (n_modes,) of str.
 
-    ``hold_margins`` (3, count) are the margins of the states in HELD_FREQUENCY_KINDS.
+    ``hold_margins`` (3, n_modes) belong to "open", "tied" and "partly". The first kind with a
+    positive margin is returned, else "bilinear".
     """
     return np.select([*(hold_margins > 0.0)], HELD_FREQUENCY_KINDS, "bilinear")
 
@@ -609,11 +685,24 @@ def _yield_state_changes(
     upper_speed: float,
     mode_index: int,
 ) -> Iterator[tuple[float, str]]:
-    """Yield speed and new kind of each change of a crack's state.
+    """Yield each change of a crack's state between two rotor speeds.
 
-    ``lower_speed`` and ``upper_speed`` [rad/s] limit the search. Between held and breathing, the
-    state changes at zero margin. Between two held states the crack breathes in a range of speeds,
-    however narrow. ``mode_index`` counts from 0.
+    Between held and breathing, the state changes where the margin of the held state is zero.
+    Between two held states the crack breathes in a range of speeds, however narrow.
+
+    Parameters
+    ----------
+    find_frequencies_and_margins : callable
+        See :data:`FrequenciesAndMarginsFunction`.
+    lower_speed, upper_speed : float [rad/s]
+        Ends of the search.
+    mode_index : int
+        Index of the mode, from 0.
+
+    Yields
+    ------
+    speed, kind : float, str
+        Speed [rad/s], and the kind of frequency from this speed on.
     """
     lower_kind, upper_kind = (
         str(_frequency_kinds_from_margins(find_frequencies_and_margins(speed)[1])[mode_index])
@@ -643,21 +732,26 @@ def _yield_state_changes(
 
 
 def _speed_in_words(speed: float) -> str:
-    """Return a speed [rad/s] in words, in rad/s and rpm."""
+    """Return a rotor speed [rad/s] as text: "104.72 rad/s = 1000 rpm"."""
     return f"{speed:.5g} rad/s = {speed / RAD_PER_S_PER_RPM:.5g} rpm"
 
 
 def _find_modal_peak_amplitudes(
     complex_load: np.ndarray, damped_structure: Structure, modes: Modes
 ) -> np.ndarray:
-    """Return amplitudes of modes at their own resonances: (n_modes,); inf without damping.
+    """Return modal amplitudes at the modes' own resonances: (n_modes,).
+
+    a = |phi . f| / (2 xi w^2) for the mode shape phi, damping ratio xi and frequency w; inf without
+    damping, 0 without a modal force.
 
     Parameters
     ----------
     complex_load : (n,) complex [N]
-        Cosine part less i times sine part of the load, in the modes' coordinates.
+        f, cosine part less i times sine part of the load, in the modes' coordinates.
     damped_structure : Structure
-        Whole structure, whose damping the modes have.
+        Whole structure whose damping gives xi.
+    modes : Modes
+        Modes, normalised by mass.
     """
     modal_forces = np.abs(complex_load @ modes.shapes)
     denominators = 2.0 * list_modal_damping_ratios(damped_structure, modes.omega) * modes.omega**2
@@ -675,17 +769,18 @@ def _find_frequencies_and_margins(
     n_modes: int,
     n_bonded_modes: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find frequencies and margins of the states in which a crack may be held.
+    """Find natural frequencies and margins for three states of the crack.
 
-    The frequencies with open crack are the lowest. The others belong to the same shapes, sought
-    among the lowest ``n_bonded_modes``.
+    The states are open, shut, and partly open. The frequencies with open crack are the lowest.
+    Those of the other states belong to the same mode shapes, sought among the lowest
+    ``n_bonded_modes``. Pairs pressed at rest are bonded in the state partly open.
 
     Returns
     -------
     omega : (3, n_modes) [rad/s]
         Frequencies in the order of HELD_FREQUENCY_KINDS.
     hold_margins : (3, n_modes) [m], [N]
-        Margins at resonance under the load; positive if the crack is held.
+        Margins at resonance under the load; positive if the crack stays in this state.
     """
     open_modes = solve_modes(structure, n_modes)
     no_pairs_mask = np.zeros(structure.n_pairs, dtype=bool)
@@ -725,19 +820,26 @@ def _find_held_frequencies_and_margins(
     is_bonded: np.ndarray,
     n_bonded_modes: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find frequencies and margins with some pairs bonded, for the shapes of open modes.
+    """Find natural frequencies with some pairs bonded, and whether this state holds.
 
     Parameters
     ----------
+    open_modes : Modes
+        Modes with open crack, whose shapes the modes with bonds shall resemble.
+    peak_amplitude_function : callable
+        See :data:`PeakAmplitudeFunction`.
     rest_state : (n_pairs,) [m], [N]
         Openings of open pairs, and forces of bonded pairs, at rest.
     is_bonded : (n_pairs,) of bool
+        True for bonded pairs.
+    n_bonded_modes : int
+        Number of the lowest modes with bonds in which the shapes are sought.
 
     Returns
     -------
     omega : (n_modes,) [rad/s]
     hold_margins : (n_modes,) [m], [N]
-        Smallest value over all pairs: state at rest less its amplitude at resonance.
+        Smallest value over the pairs: opening or force at rest, less its amplitude at resonance.
     """
     modes, structure = open_modes, open_modes.structure
     if is_bonded.any():

@@ -34,7 +34,7 @@ def prepare_coarser_study_or_reason(study: Study) -> tuple[Study, tuple[int, int
     length_ratio : float
         Element length of the coarser mesh over that of the study's mesh.
 
-    Without a coarser mesh, the reason as a text.
+    Without a usable coarser mesh, a str with the reason is returned instead.
     """
     structure, coarser_scene = study.structure, make_coarser_scene_or_reason(study.scene)
     if isinstance(coarser_scene, str):
@@ -79,7 +79,10 @@ def prepare_coarser_study_or_reason(study: Study) -> tuple[Study, tuple[int, int
 
 
 def make_coarser_scene_or_reason(scene: Scene) -> Scene | str:
-    """Return the scene with a coarser mesh, or the reason why there is none."""
+    """Return a scene with a coarser mesh, or the reason for none.
+
+    Elements are about twice as long; for a mesh file the coarser mesh is the file ``mesh.coarser``.
+    """
     if scene.structure is not None:
         return "matrices have no coarser mesh"
     if not scene.mesh.error:
@@ -100,11 +103,12 @@ def make_coarser_scene_or_reason(scene: Scene) -> Scene | str:
 def _coarser_over_fine_element_length(
     scene: Scene, coarser_scene: Scene, element_counts: tuple[int, int]
 ) -> float:
-    """Return the element length of a coarser mesh over that of a scene's mesh.
+    """Return the element length of a coarser mesh over a scene's.
 
-    The ratio follows from the numbers of elements. For a solid with cracks or a disk's sector the
-    given sizes are compared, because they hold where the error is largest. A size above a solid's
-    shortest side does not count, because elements cannot be longer than the solid is thick.
+    The ratio follows from ``element_counts`` (scene, coarser scene). For a solid with cracks or a
+    disk's sector the given ``mesh.size`` is compared, because it holds where the error is largest.
+    A size above a solid's shortest side does not count, because elements cannot be longer than the
+    solid is thick.
     """
     element_size, is_plane = scene.mesh.size, scene.dimension == 2
     if scene.has_graded_lengths and element_size is not None and (scene.crack_by_name or is_plane):
@@ -116,7 +120,7 @@ def _coarser_over_fine_element_length(
 def _describe_crack_mismatch(structure: Structure, coarser_structure: Structure) -> str:
     """Describe how cracks differ in a coarser mesh; "" if they agree.
 
-    Area and centroid of the faces may differ by an element of the coarser mesh.
+    Area and centroid of the crack faces may differ by about one element of the coarser mesh.
     """
     areas_and_points_of_cracks = _pair_areas_and_points_of_cracks(structure)
     coarser_areas_and_points = _pair_areas_and_points_of_cracks(coarser_structure)
@@ -149,7 +153,11 @@ def _describe_crack_mismatch(structure: Structure, coarser_structure: Structure)
 
 
 def _pair_areas_and_points_of_cracks(structure: Structure) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return areas (n,) [m^2] and positions (n, d) [m] of each crack's pairs."""
+    """Return areas and positions of each crack's contact pairs.
+
+    Each entry has areas (n,) [m^2] and positions (n, d) [m]. The list is empty if areas or
+    positions are unknown.
+    """
     pairs = structure.whole.pairs
     if pairs.cracks is None or pairs.areas is None or pairs.points is None:
         return []
@@ -158,14 +166,17 @@ def _pair_areas_and_points_of_cracks(structure: Structure) -> list[tuple[np.ndar
 
 
 def refine_scene_or_none(scene: Scene, refinement_factor: float) -> Scene | None:
-    """Return a scene with elements ``refinement_factor`` times as short; None without such a mesh.
+    """Return a scene with a finer or coarser mesh, or None.
 
-    The number of elements along crack faces is rounded up; sizes and patches follow it, so that the
+    Elements are ``refinement_factor`` times as short; a factor below 1 makes them longer. Mesh
+    files, and grids with odd counts to be made coarser, give None.
+
+    The number of elements along crack faces is rounded up; sizes and patches follow, so that the
     mesh stays similar. In a solid or a disk's sector, three or more elements along a face change
     with their grading (:func:`_refine_graded_elements`). For a finer mesh, a size above the
     shortest side counts as that side; for a coarser mesh it stays, because elements of a thin solid
     may be longer. A grid becomes finer by the next whole factor, so that cracks stay on its lines,
-    or coarser by 2 if its counts are even.
+    or coarser by 2.
     """
     mesh_table = scene.mesh
     if mesh_table is None or mesh_table.layout == "file":
@@ -204,9 +215,10 @@ def refine_scene_or_none(scene: Scene, refinement_factor: float) -> Scene | None
 
 
 def _patch_key_changes(scene: Scene, refinement_factor: float) -> dict[str, int]:
-    """Return the change of the scene's key for patches ``refinement_factor`` times as short.
+    """Return a changed number of contact patches, for ``Scene.replace``.
 
-    Their error then is part of the mesh's error. Empty without patches.
+    The result is ``{"mesh.patches": n}``, or {} without patches. Patches become
+    ``refinement_factor`` times as short, so that their error is part of the mesh's error.
     """
     n_patches = scene.mesh.patches
     return (
@@ -221,16 +233,25 @@ def _refine_graded_elements(
 ) -> tuple[int, float, float]:
     """Refine graded elements along a solid's crack face to a similar mesh.
 
-    The n elements are h_0 r^k long, k = 0 to n - 1, with the grading r^(n - 1). Neighbouring
-    elements are h_0 + (r - 1) d long at the distance d from the front. If r^n stays the same, so
-    does h_0 / (r - 1).
+    The n elements are h_0 r^k long, k = 0 to n - 1 from the front, with the grading r^(n - 1).
+    Neighbouring elements are h_0 + (r - 1) d long at the distance d from the front. The mesh stays
+    similar if r^n, and so h_0 / (r - 1), stays the same.
+
+    Parameters
+    ----------
+    n_elements : int
+        n.
+    grading : float
+        Length of the longest over the shortest element.
+    refinement_factor : float
+        Requested ratio of old to new element lengths.
 
     Returns
     -------
     n_new_elements : int
     grading : float
     refinement_factor : float
-        Actual ratio of old to new element lengths, near the requested one.
+        Actual ratio, which differs since n is whole.
     """
     # log r^n; equal elements count as hardly graded, since r must exceed 1
     log_growth = math.log(grading) * n_elements / (n_elements - 1) or 1e-9
@@ -244,7 +265,10 @@ def _refine_graded_elements(
 
 
 def count_elements(structure: Structure) -> int:
-    """Return the number of elements of a structure's mesh; 1 for matrices (collective)."""
+    """Return the number of elements in a structure's mesh (collective).
+
+    It is 1 for given matrices.
+    """
     whole_structure = structure.whole
     return max(
         1,
@@ -255,9 +279,10 @@ def count_elements(structure: Structure) -> int:
 
 
 def has_similar_finer_mesh(scene: Scene) -> bool:
-    """Return True if a mesh 1.5 times finer is similar.
+    """Return True if a similar mesh 1.5 times finer exists.
 
-    It is not if the rounded number of elements along a crack face grows by more than 1.56.
+    False for mesh layouts other than "graded", and if rounding multiplies the number of elements
+    along a crack face by more than 1.56.
     """
     if scene.mesh.layout != "graded":
         return False

@@ -43,16 +43,18 @@ if TYPE_CHECKING:
 
 
 MIN_FRONT_STATIONS = 3
-"""Minimum number of stations along which K varies; with two it is the mean over the front."""
+"""Minimum number of stations along a crack front for K to vary. With two, both have the mean over
+the front."""
 MAX_EXPANDED_VALUES = 20_000_000
-"""Maximum number of values of the whole structure that are expanded at once (160 MB). Each
-expansion factors the structure again."""
+"""Maximum number of displacement values expanded at once from reduced to full coordinates (160 MB).
+Each expansion factors the structure again."""
 
 
 def make_requested_rows_and_readers(study: Study) -> list[ExtraRows]:
-    """Make rows, and readers of their numbers, for requested tips and clamp (collective).
+    """Make rows and readers for requested numbers of crack tips and clamp (collective).
 
-    Rows are made once for the study's structure.
+    Each :class:`ExtraRows` has factors of the displacement, and a function that reads the numbers.
+    The list is empty if the scene requests none. Rows are made once for the study's structure.
     """
     requested_places = {
         OBSERVABLES_BY_NAME[name].place for name in list_requested_extra_quantities(study.scene)
@@ -65,7 +67,7 @@ def make_requested_rows_and_readers(study: Study) -> list[ExtraRows]:
 
 
 class ObservedQuantity(NamedTuple):
-    """A number of a motion, or an array along a curve.
+    """A number read from a motion, with its name and unit.
 
     Attributes
     ----------
@@ -74,6 +76,7 @@ class ObservedQuantity(NamedTuple):
     words, unit : str
         Description, with the watched displacement, and unit.
     value : float or (n,)
+        The number; for a curve an array over its n points.
     """
 
     column_name: str
@@ -84,9 +87,10 @@ class ObservedQuantity(NamedTuple):
 
 
 def observe_quantities(study: Study, motion: ObservedMotion) -> list[ObservedQuantity]:
-    """Return the numbers of a motion: watched displacements, crack faces, requests (collective).
+    """Return a motion's numbers for tables and files (collective).
 
-    Requested are quantities of crack tips and the clamp.
+    They are numbers of the watched displacements, then of the crack faces, then requested numbers
+    of crack tips and clamp. For a curve each is an array over the points.
     """
     watched_dofs = [watched_displacement.dof for watched_displacement in study.watched]
     observed_displacements, requested_value_by_name = motion.observe_dofs(
@@ -121,9 +125,10 @@ def observe_quantities(study: Study, motion: ObservedMotion) -> list[ObservedQua
 
 
 class ClampReactions(NamedTuple):
-    """Forces (n, d) [N] and moments (n, n_rigid - d) [N m] of the clamp over time.
+    """Forces and moments of the clamp at n instants.
 
-    ``n_rigid`` is the number of rigid-body motions.
+    ``force`` is (n, d) [N] and ``moment`` (n, n_rigid - d) [N m], for the n_rigid rigid-body
+    motions: 3 in a plate, 6 in a solid.
     """
 
     force: np.ndarray
@@ -131,7 +136,10 @@ class ClampReactions(NamedTuple):
 
 
 def compute_clamp_reactions(record: Record) -> ClampReactions:
-    """Compute clamp reactions over time from a record of :func:`clamp_inertia_rows`."""
+    """Compute the clamp's forces and moments from a motion's record.
+
+    ``record`` has the products of the rows from :func:`clamp_inertia_rows` with the displacement.
+    """
     whole_structure, load_omega = record.structure.whole, record.omega
     clamp, rayleigh_mass_factor = _clamp_and_rayleigh_mass_factor(whole_structure)
     if record.instants_per_load_period:
@@ -149,7 +157,10 @@ def compute_clamp_reactions(record: Record) -> ClampReactions:
 
 
 def _clamp_and_rayleigh_mass_factor(whole_structure: Structure) -> tuple[Clamp, float]:
-    """Return a structure's clamp, and the mass factor of its Rayleigh damping [1/s]."""
+    """Return a structure's clamp, and the mass factor of Rayleigh damping [1/s].
+
+    The factor is 0 for other damping. A structure without matrices raises InputError.
+    """
     check_has_matrices(whole_structure, "its clamp")
     assert whole_structure.clamp is not None  # the scene has been checked
     clamp, damping_rule = whole_structure.clamp, whole_structure.damping
@@ -157,10 +168,10 @@ def _clamp_and_rayleigh_mass_factor(whole_structure: Structure) -> tuple[Clamp, 
 
 
 def clamp_inertia_rows(structure: Structure) -> np.ndarray:
-    """Return r^T M of the rigid-body motions r: (n_rigid, n_local) (collective).
+    """Return the rows r^T M for the rigid-body motions r: (n_rigid, n_local) (collective).
 
-    The columns are the structure's coordinates. Coordinates without mass have no inertia, since
-    truncated modes respond quasi-statically.
+    M is the mass matrix; the columns are the structure's coordinates. Truncated modes respond
+    quasi-statically, so coordinates without mass have no inertia.
     """
     whole_structure = structure.whole
     inertia_rows = _clamp_and_rayleigh_mass_factor(structure.whole)[0].inertia
@@ -182,18 +193,19 @@ def clamp_inertia_rows(structure: Structure) -> np.ndarray:
 
 
 class CrackTipHistory(NamedTuple):
-    """Stress intensity at a crack tip, or a station of a crack front, over time.
+    """Stress intensity factors over time at a crack tip or front station.
 
     Attributes
     ----------
     K_I, K_II, K_III : (n,) [Pa m^1/2]
-        K_III is None for a plate.
+        Values at n instants; K_III is None for a plate.
     duration_in_load_periods : float
-        Duration, or period of the motion, in periods of the load.
+        Duration of the record, or period of the motion, in load periods.
     growth_law : Growth or None
-        Law of crack growth of the scene.
+        Table ``[growth]`` of the scene: law of fatigue crack growth.
     closed_front_error : float [Pa m^1/2]
-        Largest |K_I| computed where contact makes K_I zero or not negative: its error in a solid.
+        Largest correction of K_I by contact in a solid. K_I is set to zero while the front is
+        closed, and is never negative. 0 in a plate.
     """
 
     K_I: np.ndarray
@@ -205,13 +217,13 @@ class CrackTipHistory(NamedTuple):
 
     @property
     def equivalent_range(self) -> float:
-        """Range of K_I from 0 that, once a period, gives the same crack growth.
+        """Range of K_I from 0 with the same growth per load period.
 
             (sum_i (delta K_i / (1 - R_i)^(1 - gamma))^m / T)^(1 / m) [Pa m^1/2]
 
-        T is ``duration_in_load_periods``. The sum is over the rainflow cycles i, with the range
-        delta K_i while the tip is open and the ratio R_i of minimum to maximum. Cycles below the
-        threshold are left out if another cycle is above it.
+        The sum is over the rainflow cycles i of max(K_I, 0). Each has the range delta K_i and the
+        ratio R_i of minimum to maximum. gamma and m are ``ratio_exponent`` and ``exponent`` of the
+        growth law. Cycles below the threshold are left out if another cycle is above it.
         """
         assert self.growth_law is not None
         maxima, minima = find_rainflow_cycles(np.maximum(self.K_I, 0.0)).T
@@ -234,7 +246,10 @@ class CrackTipHistory(NamedTuple):
         )
 
     def value_by_name(self) -> dict[str, float]:
-        """Return the tip's quantities by name; the equivalent range only with a growth law."""
+        """Return the tip's numbers by name: K_max, delta_K, ....
+
+        The equivalent range is included only with a growth law, and K_III_max only in a solid.
+        """
         excluded_flags = IN_FILES_ONLY if self.growth_law is not None else REQUIRES_GROWTH_LAW
         return read_observables(
             Place.TIPS,
@@ -246,7 +261,7 @@ class CrackTipHistory(NamedTuple):
 def compute_crack_tip_histories(
     record: Record, tips: Sequence[Tip | Station], force_rows: np.ndarray, growth_law: Growth | None
 ) -> list[CrackTipHistory]:
-    """Compute stress intensities of each tip from a record of :func:`make_tips_and_intensity_rows`.
+    """Compute stress intensity factors at each tip over a motion's record.
 
     At the front of a solid's crack without clearance K_I is never negative, and zero while all
     adjacent pairs are closed.
@@ -254,9 +269,14 @@ def compute_crack_tip_histories(
     Parameters
     ----------
     record : Record
-        Time history of the products of the displacement rows.
+        Products of the displacement rows from :func:`make_tips_and_intensity_rows`, and contact
+        forces.
+    tips : sequence of Tip or Station
+        Tips, or stations along fronts, from the same function.
     force_rows : (2 n_tips, n_pairs), or (3 n_tips, n_pairs) in a solid
         Factors of the contact forces.
+    growth_law : Growth or None
+        Law of crack growth, for the equivalent range.
     """
     stress_intensities = (record.row_products + record.forces[:, : record.n_pairs] @ force_rows.T).T
     is_without_clearance = not np.any(record.structure.clearance)
@@ -283,7 +303,10 @@ def compute_crack_tip_histories(
 
 
 class EllipseTipHistories(NamedTuple):
-    """Stress intensity over time at the deepest station of a half-ellipse, and at its ends."""
+    """Stress intensity factors at an elliptic front's deepest station and ends.
+
+    Each history has values over time. The ends are those at the surface of the body.
+    """
 
     deepest_history: CrackTipHistory
     end_histories: list[CrackTipHistory]
@@ -292,18 +315,19 @@ class EllipseTipHistories(NamedTuple):
 def estimate_closed_front_and_mesh_errors(
     study: Study, motion: ObservedMotion, coarser_study: Study, coarser_motion: ObservedMotion
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Estimate errors of a solid's stress intensities, by closed fronts and a coarser mesh.
+    """Estimate errors of stress intensities from closed fronts and a coarser mesh (collective).
 
-    Collective. Both dicts are empty for a plate, or if no numbers of fronts are requested.
+    Both dicts are empty for a plate, or if the scene requests no numbers of crack fronts.
 
     Returns
     -------
     closed_error_by_name : dict of str to float [Pa m^1/2]
-        For each requested number, the largest error of K_I while a front is closed.
+        For each requested number, the largest correction of K_I by contact
+        (``closed_front_error``). Empty if the coarser mesh is of no use, as below.
     difference_by_name : dict of str to float [Pa m^1/2]
         Largest difference between the meshes along the fronts; at a single station the difference
-        may vanish by chance. Infinite if the coarser mesh lacks the numbers or has too few stations
-        for K to vary along a front; the first dict then is empty.
+        may vanish by chance. Infinite if the coarser mesh lacks the numbers or has fewer than 3
+        stations on a front.
     """
     requested_quantity_names = set(list_requested_extra_quantities(study.scene))
     quantity_names = sorted(
@@ -350,13 +374,13 @@ def estimate_closed_front_and_mesh_errors(
 def _collect_intensities_by_front(
     study: Study, motion: ObservedMotion
 ) -> dict[str, tuple[np.ndarray, dict[str, np.ndarray], float]]:
-    """Collect the stress intensities of each front by its name (collective).
+    """Collect stress intensities along each crack front, by name (collective).
 
     Returns
     -------
     dict of str to (relative_positions, values_by_name, closed_front_error)
-        Positions (n,) over the front's length, each number at these positions (n,), and the error
-        of K_I while the front is closed [Pa m^1/2].
+        Positions (n,) of the stations along the front, 0 to 1; each number at these stations (n,)
+        [Pa m^1/2]; and the largest correction of K_I by contact [Pa m^1/2].
     """
     stations, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
     [record] = motion.records(displacement_rows)
@@ -383,7 +407,11 @@ def _collect_intensities_by_front(
 
 
 def station_indices_by_front(station_names: Sequence[str]) -> dict[str, list[int]]:
-    """Return the indices of each front's stations, by the front's name."""
+    """Return the indices of each front's stations, by the front's name.
+
+    ``station_names`` are like "the crack front at 3.2 mm". Names without " at " (crack tips of a
+    plate) are listed under "".
+    """
     indices_by_front: dict[str, list[int]] = {}
     for station_index, station_name in enumerate(station_names):
         indices_by_front.setdefault(station_name.rpartition(" at ")[0], []).append(station_index)
@@ -391,7 +419,10 @@ def station_indices_by_front(station_names: Sequence[str]) -> dict[str, list[int
 
 
 def leading_crack_tip_index(tip_histories: list[CrackTipHistory]) -> int:
-    """Return the index of the crack tip with the largest effective range of K_I."""
+    """Return the index of the tip with the largest delta_K_effective.
+
+    This is the range of positive K_I, max(max K_I, 0) - max(min K_I, 0).
+    """
     return int(
         np.argmax(
             [
@@ -405,11 +436,12 @@ def leading_crack_tip_index(tip_histories: list[CrackTipHistory]) -> int:
 def make_tips_and_intensity_rows(
     study: Study,
 ) -> tuple[list[Tip] | list[Station], np.ndarray, np.ndarray]:
-    """Make the rows of K at crack tips or front stations (collective).
+    """Make the rows that give K at crack tips or front stations (collective).
 
-    The rows are made once for a structure and all structures with the same matrices. In a reduced
-    structure the rows act on the expanded displacement, including static responses to load and
-    contact. K thus converges with the static responses, not as a sum over modes.
+    K = displacement_rows u + force_rows lambda for displacement u and contact forces lambda. The
+    rows are made once for a structure and its copies with other load, damping or clearance. In a
+    reduced structure u includes the static responses to load and contact, so that K converges
+    faster than a sum over modes.
 
     Returns
     -------
@@ -422,7 +454,7 @@ def make_tips_and_intensity_rows(
     Raises
     ------
     InputError
-        Stress intensities of the scene are not known, or it has no crack with tips.
+        Stress intensities cannot be computed for the scene, or no crack has a tip.
     """
     scene = study.scene
     refuse_for_reason(reason_without_stress_intensity(scene), "output.quantities")
@@ -433,7 +465,11 @@ def make_tips_and_intensity_rows(
 
 @dataclass(frozen=True)
 class _TipsAndIntensityRowsMaker:
-    """Function that makes tips and rows of a structure; equal for scenes of the same body."""
+    """Function from a structure to tips and rows of K, for :meth:`Structure.compute_once`.
+
+    Two makers are equal if their scenes have the same body, cracks and mesh (``dependencies``); the
+    result is then shared.
+    """
 
     dependencies: tuple[object, ...]
     scene: Scene = field(compare=False)
@@ -468,11 +504,11 @@ class _TipsAndIntensityRowsMaker:
 
 
 def find_rainflow_cycles(values: np.ndarray) -> np.ndarray:
-    """Return maximum and minimum of each rainflow cycle in periodic values: (k, 2).
+    """Return each rainflow cycle's maximum and minimum: (k, 2).
 
-    Counting starts at the highest of the values (n,). A range is a cycle if the next range is at
-    least as large (ASTM E1049, 5.4.5; Downing and Socie, International Journal of Fatigue 4, 1982,
-    31).
+    The values are periodic. Counting starts at the largest value of ``values`` (n,). A range is a
+    cycle if the next range is at least as large (ASTM E1049, 5.4.5; Downing and Socie,
+    International Journal of Fatigue 4, 1982, 31). Constant values give no cycle, (0, 2).
     """
     start_index = int(values.argmax())
     periodic_values = np.append(values[start_index:], values[: start_index + 1])
@@ -493,9 +529,10 @@ def find_rainflow_cycles(values: np.ndarray) -> np.ndarray:
 
 
 def _make_tip_rows_and_reader(study: Study) -> ExtraRows:
-    """Make the rows of crack tips, and the reader for the leading tip (collective).
+    """Make the rows of K at crack tips, and their reader (collective).
 
-    In a solid K_max is the largest K_I of all stations, which decides on fracture.
+    The numbers are those of the tip or station with the largest range of positive K_I. In a solid
+    K_max is the largest K_I of all stations, which decides on fracture.
     """
     tips, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
 
@@ -512,9 +549,9 @@ def _make_tip_rows_and_reader(study: Study) -> ExtraRows:
 
 
 def _make_ellipse_rows_and_reader(study: Study) -> ExtraRows:
-    """Make the rows of a half-ellipse's front, and their reader (collective).
+    """Make the rows of K along a half-ellipse's front, and their reader (collective).
 
-    The numbers are taken at the deepest station and at the ends.
+    The numbers are taken at the deepest station, and as mean over the front's ends at the surface.
     """
     stations, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
     station_positions = np.array([station.point for station in stations])
@@ -543,7 +580,10 @@ def _make_ellipse_rows_and_reader(study: Study) -> ExtraRows:
 
 
 def _make_clamp_rows_and_reader(study: Study) -> ExtraRows:
-    """Make the clamp's rows, and the reader of its largest force and moment (collective)."""
+    """Make the clamp's rows r^T M, and their reader (collective).
+
+    The numbers are the largest force and moment.
+    """
     inertia_rows = study.structure.compute_once(clamp_inertia_rows)
     return ExtraRows(
         inertia_rows, lambda record: read_observables(Place.CLAMP, compute_clamp_reactions(record))
@@ -554,4 +594,4 @@ _MAKE_ROWS_AND_READER_BY_PLACE: dict[Place, Callable[[Study], ExtraRows]] = {
     Place.TIPS: _make_tip_rows_and_reader, Place.ELLIPSE: _make_ellipse_rows_and_reader,
     Place.CLAMP: _make_clamp_rows_and_reader,
 }  # fmt: skip
-"""Functions that make the rows of a place."""
+"""Functions that make the rows for crack tips, ellipse front or clamp, if requested."""

@@ -65,15 +65,15 @@ from fenics_crack.study.resonance import (
 )
 
 N_KEY_FIGURE_MODES = 4
-"""Number of modes among the key figures."""
+"""Number of lowest modes among a scene's key figures."""
 MAX_SMALL_ROTATION = 0.1
-"""Maximum rotation [rad], displacement over length, of small displacements. Linear theory neglects
+"""Maximum rotation [rad], displacement over length, for small displacements. Linear theory neglects
 terms of about its square, 1 %."""
 
 
 @dataclass(frozen=True)
 class KeyFigures:
-    """Key figures of a scene's structure before reduction.
+    """Key figures of a scene's unreduced structure, by which ``check`` finds unusual values.
 
     Attributes
     ----------
@@ -89,11 +89,12 @@ class KeyFigures:
     damping_ratios : (at most 4,)
         Ratios of critical damping of the open modes.
     squared_omega_slopes : (at most 4,)
-        S = d(w^2) / d(W^2) of the open modes under rotation; 0 without rotation.
+        S = d(w^2) / d(W^2) of the open modes with frequency w, over the rotor speed W; 0 without
+        rotation.
     face_stiffness : (n_pairs,) [N/m]
         Static stiffness of the crack faces at each pair, 1 / (B^T K^-1 B)_jj.
     contact_stiffness_ratio : (n_pairs,) or None
-        Contact stiffness over ``face_stiffness``; None without a law, or without a stiffness.
+        Contact stiffness over ``face_stiffness``; None without a law, or for rigid contact.
     opening_under_mean_load, largest_static_gap_motion : float [m]
         Largest static opening of an open crack under the mean load, and largest static motion of
         its gaps under the load's amplitude.
@@ -136,9 +137,10 @@ class KeyFigures:
 
 
 def find_key_figures(study: Study) -> KeyFigures:
-    """Find the key figures of a study (collective).
+    """Compute natural frequencies, static responses and amplitudes for remarks (collective).
 
-    A reduced study is evaluated in its own coordinates, in which static responses are exact.
+    No nonlinear equations are solved. A reduced study is evaluated in its own coordinates, in which
+    static responses are exact.
     """
     scene, law = study.scene, study.contact
     structure = study.structure.structure_in_few_coordinates()
@@ -218,13 +220,13 @@ def _solve_modes_and_static_responses(
     Returns
     -------
     search_modes : Modes
-        Lowest modes with open crack, as many as the search of a resonance takes.
+        Lowest modes with open crack: 10 (N_SEARCH_MODES), or all if there are fewer.
     modes, bonded_modes : Modes
-        Modes of the key figures, with open and with bonded crack.
+        At most 4 modes with open and with bonded crack, for the key figures.
     static_displacements : (2K+1, n_local) [m]
-        Static responses to the load's parts.
+        Static responses to the load's mean, cosine and sine parts.
     face_compliance : (n_pairs, n_pairs) [m/N]
-        B^T K^-1 B.
+        B^T K^-1 B with the gap matrix B and the stiffness K.
     """
     known_omega_and_shapes = structure.known_omega_and_shapes(is_bonded=False)
     n_available_modes = (
@@ -256,19 +258,25 @@ def _amplitude_bounds(
     watched_dofs: Sequence[int],
     load_omega: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return upper bounds of amplitudes at a frequency: sums over all harmonics (collective).
+    """Return upper bounds of amplitudes at a load frequency, summed over harmonics (collective).
 
     Parameters
     ----------
+    structure, modes : Structure, Modes
+        Structure, and its modes with open crack.
     modal_damping_ratios : (n_modes,)
         Ratios of critical damping.
     static_complex_amplitudes : three arrays of complex
-        Static displacements (K, n_local) [m], static gaps (K, n_pairs) [m] and modal loads
-        (K, n_modes) of the harmonics 1 to K.
+        Static displacements (K, n_local) [m], static gaps (K, n_pairs) [m] and modal loads (K,
+        n_modes) of the harmonics 1 to K.
     face_compliance, modal_gaps : (n_pairs, n_pairs) [m/N], (n_modes, n_pairs)
         B^T K^-1 B, and gaps of the mode shapes.
     is_closed : (n_pairs,) of bool
         Pairs that stay closed.
+    watched_dofs : sequence of int
+        Dofs of the watched displacements.
+    load_omega : float [rad/s]
+        Load frequency.
 
     Returns
     -------
@@ -321,9 +329,10 @@ def _amplitude_bounds(
 
 
 def _count_modes_below(structure: Structure, modes: Modes, omega: float) -> int:
-    """Return the number of modes below ``omega`` [rad/s] (collective).
+    """Return the number of natural frequencies below ``omega`` [rad/s] (collective).
 
-    If all given modes are below, a further factor counts.
+    ``modes`` are the lowest modes. If all of them lie below, a further factor counts all
+    frequencies.
     """
     if omega < modes.omega[-1]:
         return int(np.sum(modes.omega < omega))
@@ -331,10 +340,19 @@ def _count_modes_below(structure: Structure, modes: Modes, omega: float) -> int:
 
 
 def _static_displacements(stiffness_factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
-    """Return static responses to forces (m, n_local) [N]: (m, n_local) [m] (collective).
+    """Return static displacements under forces: (m, n_local) [m] (collective).
 
     For a structure with rigid-body motions it is the deformation alone, while the structure
     accelerates.
+
+    Parameters
+    ----------
+    factor : Factor
+        Factor of the stiffness.
+    modes : Modes
+        Modes with open crack, rigid-body motions first.
+    forces : (m, n_local) [N]
+        m load cases.
     """
     structure, rigid_body_shapes = modes.structure, modes.shapes[:, modes.omega == 0.0]
     residual_flexibility = ResidualFlexibility(
@@ -348,9 +366,10 @@ def _static_displacements(stiffness_factor: Factor, modes: Modes, forces: np.nda
 
 
 def _slopes_of_squared_omegas(modes: Modes) -> np.ndarray:
-    """Return S = d(w^2) / d(W^2) of mass-normalised modes phi: (n,); 0 without rotation.
+    """Return slopes of squared natural frequencies over the squared rotor speed: (n_modes,).
 
-    S = phi^T (K_1 + K_2 + 2 W^2 K_3) phi
+    S = d(w^2) / d(W^2) = phi^T (K_1 + K_2 + 2 W^2 K_3) phi for the mass-normalised shape phi; 0
+    without rotation. The K_i are terms of the stiffness due to rotation.
     """
     structure, slopes = modes.structure, np.zeros(len(modes.omega))
     rotation = structure.rotation if structure.n_sectors == 1 else structure.whole.rotation
@@ -368,10 +387,10 @@ def _slopes_of_squared_omegas(modes: Modes) -> np.ndarray:
 
 
 def _count_elements_along_face(scene: Scene, structure: Structure) -> int | None:
-    """Return the number of elements along the crack with the fewest; None without pairs.
+    """Return the number of elements along the crack with the fewest.
 
-    It is the number of pairs over the order of the elements, rounded up because tips are no pairs.
-    Patches count as elements.
+    It is the number of contact pairs over the order of the elements, rounded up because tips are no
+    pairs. Patches count as elements. None without pairs.
     """
     if not structure.n_pairs:
         return None
@@ -386,7 +405,10 @@ def _count_elements_along_face(scene: Scene, structure: Structure) -> int | None
 
 
 def mesh_extents(whole_structure: Structure) -> tuple[float, ...]:
-    """Return the extents of a mesh along the axes [m]; nan without nodes (collective)."""
+    """Return the lengths of a mesh along x, y (and z) [m] (collective).
+
+    Without nodes (given matrices) it is (nan, nan).
+    """
     if whole_structure.nodes is None:
         return np.nan, np.nan
     return tuple(
@@ -395,9 +417,9 @@ def mesh_extents(whole_structure: Structure) -> tuple[float, ...]:
 
 
 def distances_from_clamp(whole_structure: Structure, dofs: Sequence[int]) -> np.ndarray:
-    """Return distances from the nodes of some dofs to the clamp: (n_dofs,) [m] (collective).
+    """Return distances from dofs' nodes to the clamp: (n_dofs,) [m] (collective).
 
-    They are at most the mesh's longest side, and infinite without nodes.
+    They are at most the mesh's longest side, and infinite without nodes (given matrices).
     """
     if whole_structure.nodes is None:
         return np.full(len(dofs), np.inf)
@@ -415,10 +437,14 @@ def distances_from_clamp(whole_structure: Structure, dofs: Sequence[int]) -> np.
 
 
 def list_modal_damping_ratios(whole_structure: Structure, natural_omegas: np.ndarray) -> np.ndarray:
-    """Return ratios of critical damping of the lowest modes: (n,).
+    """Return the modes' ratios of critical damping: (n,).
 
-    ``natural_omegas`` (n,) are in rad/s. Modes without damping, and all modes of a structure with a
-    damping matrix, have 0.
+    Modes without damping, and all modes of a structure with a damping matrix, have 0.
+
+    Parameters
+    ----------
+    natural_omegas : (n,) [rad/s]
+        Frequencies of the lowest modes.
     """
     damping_rule = whole_structure.damping
     if isinstance(damping_rule, RayleighDamping):
@@ -442,9 +468,13 @@ def list_modal_damping_ratios(whole_structure: Structure, natural_omegas: np.nda
 def _modal_receptance_increase(
     natural_omegas: np.ndarray, modal_damping_ratios: np.ndarray, omega: float
 ) -> np.ndarray:
-    """Return d_j(w) - 1 / w_j^2 of each mode: (n,) [s^2].
+    """Return d_j(w) - 1 / w_j^2 of modes j: complex (n,) [s^2].
 
-    For rigid-body modes it is d_j(w), since static responses do not contain them.
+        d_j(w) = 1 / (w_j^2 - w^2 + 2 i xi_j w_j w)
+
+    is the receptance of a mode with frequency w_j and damping ratio xi_j, at the load frequency w
+    (``omega``). For rigid-body modes d_j(w) is returned, since static responses do not contain
+    them.
     """
     squared_omegas = natural_omegas**2
     denominators = squared_omegas - omega**2 + 2j * modal_damping_ratios * natural_omegas * omega
@@ -461,9 +491,10 @@ def _modal_receptance_increase(
 
 
 def _list_requested_omegas(scene: Scene, natural_omegas: np.ndarray) -> list[float]:
-    """Return the requested load frequencies [rad/s], ascending.
+    """Return the load frequencies that a scene asks for [rad/s], ascending.
 
-    They are the scene's frequency, the ends of its ranges, and natural frequencies between them.
+    They are the excitation's frequency, the ends of the curve's and the sweep's range, and those of
+    the ``natural_omegas`` in these ranges.
     """
     omegas = {scene.excitation.omega}
     for lowest_omega, highest_omega in (
@@ -479,7 +510,10 @@ def _list_requested_omegas(scene: Scene, natural_omegas: np.ndarray) -> list[flo
 
 
 def lowest_and_highest_load_omega(scene: Scene, command: str) -> tuple[float, float]:
-    """Return lowest and highest load frequency [rad/s] of "solve", "curve" or "sweep"."""
+    """Return lowest and highest load frequency in a command [rad/s].
+
+    ``command`` is "solve", "curve" or "sweep".
+    """
     omegas = [scene.excitation.omega]
     curve_table = scene.curve if command == "curve" else None
     if curve_table is not None and curve_table.parameter_and_range[0] == "omega":
@@ -494,9 +528,10 @@ def lowest_and_highest_load_omega(scene: Scene, command: str) -> tuple[float, fl
 
 
 def highest_harmonic_omega(scene: Scene, command: str = "") -> float:
-    """Return H w, the highest frequency of the harmonics in a command [rad/s].
+    """Return H w, the frequency of a command's highest harmonic [rad/s].
 
-    The command is "solve", "curve" or "sweep"; by default it is the highest of all three.
+    ``command`` is "solve", "curve" or "sweep"; by default the highest frequency of all three is
+    returned.
     """
     if not command:
         return max(
@@ -517,18 +552,18 @@ FACTOR_AND_UNIT_BY_CURVE_PARAMETER = {
     "omega": (1.0, "rad/s"), "frequency": (RAD_PER_TURN, "Hz"), "speed": (1.0, "rad/s"),
     "rpm": (RAD_PER_S_PER_RPM, "rpm"),
 }  # fmt: skip
-"""Factor from a curve's parameter to [rad/s], and the parameter's unit."""
+"""Factor from a curve's parameter to [rad/s], and the parameter's unit, by parameter."""
 
 
 def propose_curve_or_none(scene: Scene, key_figures: KeyFigures) -> Curve | None:
-    """Propose a curve through the resonance at the load, or return None.
+    """Propose a table ``[curve]`` through the resonance, or return None.
 
-    None is returned if the scene's curve meets the resonance or follows another kind of parameter,
-    or if the mode is not damped.
+    None is returned if the scene's curve meets the resonance or is not over frequency or rotor
+    speed, or if the mode is not damped.
 
-    The curve extends three half-power widths beyond the resonance and its place under a small load.
-    If the resonance is not known, it extends so far beyond the open and bonded frequencies of the
-    mode nearest to the load. Ends are rounded outwards to three digits.
+    The curve extends three half-power widths beyond the resonance under the load and under a small
+    load. If the resonance is not known, it extends so far beyond the open and bonded frequencies of
+    the mode nearest to the load. Ends are rounded outwards to three digits.
     """
     excitation = scene.excitation
     scene_curve_table = scene.curve
@@ -581,7 +616,7 @@ def propose_curve_or_none(scene: Scene, key_figures: KeyFigures) -> Curve | None
 
 
 def _round_to_three_digits(value: float, round_function: Callable[[float], int]) -> float:
-    """Round a positive value to three digits, by ``round_function`` (floor or ceil)."""
+    """Round a positive value to three significant digits, by ``math.floor`` or ``math.ceil``."""
     digit_factor = 10.0 ** (2 - math.floor(math.log10(value)))
     return round_function(value * digit_factor) / digit_factor
 
@@ -589,10 +624,23 @@ def _round_to_three_digits(value: float, round_function: Callable[[float], int])
 def _curve_parameter_at_crossing(
     scene: Scene, parameter: str, omega: float, slope: float, harmonic: float = 1.0
 ) -> float:
-    """Return a curve's parameter at which a harmonic meets a natural frequency [rad/s].
+    """Return a curve's parameter at which a harmonic meets a natural frequency.
 
-    ``omega`` is the natural frequency [rad/s], ``slope`` is S = d(w^2) / d(W^2), ``harmonic`` is a
-    multiple of the load frequency. The parameter is a load frequency or a rotor speed.
+    Parameters
+    ----------
+    parameter : "omega", "frequency", "speed" or "rpm"
+        Parameter of the curve.
+    omega : float [rad/s]
+        Natural frequency.
+    slope : float
+        S = d(omega^2) / d(W^2) over the rotor speed W.
+    harmonic : float
+        Multiple of the load frequency.
+
+    Returns
+    -------
+    float [rad/s]
+        Load frequency or rotor speed; nan if an engine order never meets the frequency.
     """
     engine_order = scene.excitation.order
     if parameter in ("speed", "rpm") and engine_order is not None:
@@ -601,10 +649,11 @@ def _curve_parameter_at_crossing(
 
 
 def is_response_proportional_to_load(scene: Scene) -> bool:
-    """Return True if the response is proportional to the load: no clearance, smoothing, rotation.
+    """Return True if the response is proportional to the load.
 
-    If contact begins at g = 0, a positive factor of all forces and gaps is a factor of the whole
-    equations. The centrifugal load does not scale.
+    This requires contact that begins at g = 0 without smoothing, no clearance and no rotation. A
+    positive factor of all forces and gaps then is a factor of the whole equations. The centrifugal
+    load does not scale.
     """
     if scene.speed > 0.0 or (scene.contact is not None and not scene.contact.is_unilateral):
         return False
@@ -617,15 +666,15 @@ def is_response_proportional_to_load(scene: Scene) -> bool:
 # --- remarks --------------------------------------------------------------------------------------
 
 MAX_PLAUSIBLE_SIDE = 20.0
-"""Maximum plausible side of a plate [m]."""
+"""Maximum plausible side of a plate, radius or extent [m]; larger values get a remark."""
 MAX_PLAUSIBLE_TIP_SPEED = 1000.0
 """Maximum plausible speed of a blade tip [m/s]; the longest blades have 700."""
 TIP_SPEED_TEXT_TEMPLATE = "the blade tip moves at {:.3g} m/s, where the fastest have 700"
 MAX_PLAUSIBLE_DAMPING = 0.05
-"""Maximum plausible ratio of critical damping."""
+"""Maximum plausible ratio of critical damping; larger values get a remark."""
 MIN_REPORTED_CORIOLIS_CHANGE = 0.01
-"""Minimum reported relative change of a frequency by the Coriolis force. Errors of usual meshes are
-as large."""
+"""Minimum relative change of a frequency by the Coriolis force that gets a remark. Errors of usual
+meshes are as large."""
 CORIOLIS_TEXT_TEMPLATE = "the Coriolis force, left out, would move one of the first modes by {:.2%}"
 SCENE_KEY_PREFIXES_OF_KEY_FIGURES = (
     "material.",
@@ -634,8 +683,8 @@ SCENE_KEY_PREFIXES_OF_KEY_FIGURES = (
     "mesh.file",
     "structure.model",
 )
-"""Beginnings of keys on which the key figures depend. After a remark on such a key, the figures get
-no remarks."""
+"""Beginnings of scene keys on which the key figures depend. After a remark on such a key, no
+remarks are based on the figures."""
 
 
 @dataclass(frozen=True)
@@ -652,7 +701,7 @@ class Remark:
 
 
 class RemarkRule(NamedTuple):
-    """Rule of remarks: the plausible range of a number that follows from a key's value.
+    """Rule for remarks on a scene: a number's plausible range.
 
     Attributes
     ----------
@@ -660,13 +709,13 @@ class RemarkRule(NamedTuple):
         Keys, separated by blanks. The remark names the first key with a value other than 0; "crack"
         stands for every crack.
     lower_limit, upper_limit : float
-        Plausible range.
+        Plausible range; a number outside gets a remark.
     text_template : str
         Text with fields for the number, further values, {kind} and {faces}.
     number_function : callable, optional
         Function of the value, the scene, and in some tables the structure or the key figures. It
         returns the number, or a tuple of the number and further values; None if the rule does not
-        apply.
+        apply. Default: the largest value of the key.
     factor_by_unit : mapping of str to float
         Units in which values are mistyped, and the factor from the unit to the key's unit.
     """
@@ -682,7 +731,10 @@ class RemarkRule(NamedTuple):
 def remarks_on_scene(
     scene: Scene, structure: Structure | None = None, key_figures: KeyFigures | None = None
 ) -> list[Remark]:
-    """Return the remarks on a scene, its unreduced structure and its key figures (collective)."""
+    """Return remarks on unusual values in a scene (collective).
+
+    The unreduced ``structure`` and the ``key_figures`` add further remarks, if they are given.
+    """
     remarks = [*_iterate_remarks(SCENE_REMARK_RULES, scene)]
     if structure is not None:
         remarks += _iterate_remarks(STRUCTURE_REMARK_RULES, scene, structure)
@@ -700,8 +752,12 @@ def _iterate_remarks(
 ) -> Iterator[Remark]:
     """Yield the remarks of some rules on a scene.
 
-    ``rule_arguments`` are the structure or the key figures. A remark names the first unit in which
-    the value would be usual.
+    A remark proposes the first unit in ``factor_by_unit`` in which the value would be plausible.
+
+    Parameters
+    ----------
+    rule_arguments
+        Further arguments of the rules' functions: the structure or the key figures.
     """
     geometry_table = scene.geometry
     body_kind = "structure" if geometry_table is None else geometry_table.kind
@@ -724,10 +780,10 @@ def _iterate_remarks(
 
 
 def _list_first_given_key_and_value(scene: Scene, keys: str) -> list[tuple[str, object]]:
-    """Return the first given key with a nonzero value, and the value.
+    """Return the first key with a nonzero value, and the value.
 
-    If all values are zero, it is the first given key. A key of "crack" yields a pair for each crack
-    that has it. The list is empty if no key is given.
+    If all values are zero, it is the first given key. A key of the table "crack" yields an entry
+    for each crack that has it. The list is empty if no key is given.
     """
     keys_and_values_by_key: list[list[tuple[str, object]]] = []
     for dotted_key in keys.split():
@@ -759,7 +815,7 @@ def _list_first_given_key_and_value(scene: Scene, keys: str) -> list[tuple[str, 
 
 
 def _longest_side_or_none(side_length: float, scene: Scene) -> float | None:
-    """Return a plate's side [m] if it is the longest one, else None."""
+    """Return a plate's side [m] if none is longer, else None."""
     geometry_table = scene.geometry
     return (
         side_length
@@ -769,20 +825,23 @@ def _longest_side_or_none(side_length: float, scene: Scene) -> float | None:
 
 
 def _length_over_side(length: float, side: float | None) -> float | None:
-    """Return a crack's length over a side; None without a side."""
+    """Return a crack's length or depth over a side.
+
+    None if the scene gives no such side.
+    """
     return None if side is None else length / side
 
 
 def _shorter_side(scene: Scene) -> float:
-    """Return the shorter side of a plate in its plane [m]; inf without sides."""
+    """Return the shorter side of a plate [m]; inf without sides."""
     sides = scene.geometry.width, scene.geometry.height
     return min((side for side in sides if side is not None), default=math.inf)
 
 
 def _thickness_over_shorter_side(thickness: float, scene: Scene) -> float | None:
-    """Return a thickness over the shorter side, or None.
+    """Return a thickness over the shorter side in the plane.
 
-    It is None for plane problems of 1 m, which is usual, and for disks.
+    None for a plate of 1 m, the usual thickness of plane problems, and for disks.
     """
     is_thickness_irrelevant = scene.geometry.kind == "plate" and (
         thickness == 1.0 or scene.disk is not None
@@ -793,10 +852,14 @@ def _thickness_over_shorter_side(thickness: float, scene: Scene) -> float | None
 def _relative_distance_and_node_text(
     load_point: object, scene: Scene, structure: Structure
 ) -> tuple[float, str] | None:
-    """Return relative distance and position of the node nearest to a load.
+    """Return distance and position of the node nearest to the load's point (collective).
 
-    The distance is over the mesh's longest extent. It applies to files of parts and models; None if
-    the load acts inside a cell (collective).
+    Returns
+    -------
+    (float, str) or None
+        Distance over the mesh's longest extent, and the node's position as text. None if the load
+        acts inside a cell, and for scenes without a part file (``geometry.file``) or given
+        matrices.
     """
     if structure.nodes is None or (scene.structure is None and scene.geometry.file is None):
         return None
@@ -819,9 +882,10 @@ def _relative_distance_and_node_text(
 
 
 def _blade_tip_speed(speed_value: float, scene: Scene, structure: Structure) -> float | None:
-    """Return the speed of the node farthest from the axis [m/s] (collective).
+    """Return the speed of the node farthest from the rotor's axis [m/s] (collective).
 
-    None if the value is not that of the key for the rotor's speed.
+    None without rotation or nodes, for a hub radius above 20 m, or if ``speed_value`` is not from
+    the key that sets the rotor's speed.
     """
     rotation_table = scene.rotation
     if (
@@ -843,7 +907,11 @@ def _blade_tip_speed(speed_value: float, scene: Scene, structure: Structure) -> 
 def _clamp_height_ratio_and_height(
     _: float, scene: Scene, structure: Structure
 ) -> tuple[float, float] | None:
-    """Return a clamp's height y over the mesh's longest extent, and y [m]."""
+    """Return a clamp's height, relative and in m (collective).
+
+    The height y is divided by the mesh's longest extent. None unless the mesh is from a file. y is
+    the clamped node's coordinate farthest from 0.
+    """
     nodes = structure.nodes
     if scene.mesh is None or scene.mesh.layout != "file" or nodes is None:
         return None
@@ -860,13 +928,15 @@ def _clamp_height_ratio_and_height(
 def _clamp_bending_ratio_and_stress(
     _: object, scene: Scene, structure: Structure
 ) -> tuple[float, float] | None:
-    """Return the bending stress in a solid's clamp by an eccentric axis.
+    """Return the bending stress in a solid's clamp by an eccentric axis (collective).
+
+    The centrifugal force bends a blade whose rotor axis passes beside the clamp's centre.
 
     Returns
     -------
-    (float, float)
-        Bending stress over the direct stress of the centrifugal force, and in MPa. The clamp
-        counts as a rectangle.
+    (float, float) or None
+        Bending stress over the direct stress of the centrifugal force, and in MPa. The clamp counts
+        as a rectangle. None for plates, disks, and without rotation or clamp.
     """
     nodes, rotation, clamp = structure.nodes, structure.rotation, structure.clamp
     if nodes is None or rotation is None or clamp is None or scene.dimension == 2 or scene.disk:
@@ -899,7 +969,11 @@ def _clamp_bending_ratio_and_stress(
 
 
 def _largest_coriolis_change(_: float, scene: Scene, structure: Structure) -> float | None:
-    """Return the largest relative change of a solid's lowest frequencies by the Coriolis force."""
+    """Return the largest frequency change by the Coriolis force.
+
+    The change is relative, for a solid. The lowest 4 modes are examined. None for plates, disks and
+    without rotation.
+    """
     if scene.rotation is None or structure.rotation is None or scene.dimension == 2 or scene.disk:
         return None
     angular_velocity = structure.rotation.speed * scene.axis_point_and_direction[1]
@@ -908,9 +982,9 @@ def _largest_coriolis_change(_: float, scene: Scene, structure: Structure) -> fl
 
 
 def describe_coriolis(relative_changes: np.ndarray) -> str:
-    """Describe the effect of the Coriolis force in words; "" if it is small.
+    """Describe the Coriolis force's effect in words; "" if at most 1 %.
 
-    ``relative_changes`` (m,) are those of the lowest natural frequencies.
+    ``relative_changes`` (m,) are those of the lowest natural frequencies; the largest one counts.
     """
     largest_change = np.abs(relative_changes).max()
     return (
@@ -921,7 +995,10 @@ def describe_coriolis(relative_changes: np.ndarray) -> str:
 
 
 def _count_rigid_pairs_with_mass(_: str, scene: Scene, structure: Structure) -> float | None:
-    """Return the number of rigid contact pairs with mass, or None."""
+    """Return the number of rigid contact pairs between crack faces with mass.
+
+    None for other contact laws, and for crack faces without mass.
+    """
     reduction, contact_table = modal_reduction_or_none(scene, structure), scene.contact
     has_massless_faces = reduction is not None and reduction.method == "massless"
     return (
@@ -934,9 +1011,9 @@ def _count_rigid_pairs_with_mass(_: str, scene: Scene, structure: Structure) -> 
 def _make_frequency_unit_check(other_unit_factor: float) -> Callable[..., tuple[float, ...] | None]:
     """Return a function that detects a load frequency in another unit.
 
-    It applies if the load frequency is near no natural frequency, but ``other_unit_factor`` times
-    the load frequency is near the first one. The function then returns the load frequency over the
-    first natural frequency, and the latter in Hz and rad/s.
+    The unit is doubtful if the load frequency is not within 10 % of a natural frequency, but
+    ``other_unit_factor`` times the load frequency is near the first one. The function then returns
+    the load frequency over the first natural frequency, and the latter in Hz and rad/s; else None.
     """
 
     def compare_in_other_unit(
@@ -958,18 +1035,23 @@ def _make_frequency_unit_check(other_unit_factor: float) -> Callable[..., tuple[
 
 
 def _is_near_natural_frequency(omega: float, natural_omegas: np.ndarray) -> bool:
-    """Return True if a frequency is within 10 % of a natural frequency."""
+    """Return True if any natural frequency is within 10 %."""
     return bool(np.any(np.abs(natural_omegas - omega) < 0.1 * natural_omegas))
 
 
 def _missed_first_omega_and_text(
     _: float, scene: Scene, key_figures: KeyFigures
 ) -> tuple[float, str] | None:
-    """Return the first natural frequency [rad/s] if a curve meets no resonance.
+    """Return the first natural frequency if a curve meets no resonance.
 
     Resonances are sought between the open and bonded frequencies of the first modes, with the
-    harmonics 1/2, 1, 2 and 3. The second output is a text with the curve's end and a proposed
-    range.
+    harmonics 1/2, 1, 2 and 3.
+
+    Returns
+    -------
+    (float, str) or None
+        Frequency [rad/s], and a text with the curve's end and a proposed range. None if the curve
+        meets a resonance or ends above the modes computed, or is not over frequency or rotor speed.
     """
     curve_table = scene.curve
     if curve_table is None or curve_table.parameter not in FACTOR_AND_UNIT_BY_CURVE_PARAMETER:
@@ -1009,9 +1091,10 @@ def _missed_first_omega_and_text(
 def _peak_rotation_and_displacement(
     _: object, scene: Scene, key_figures: KeyFigures
 ) -> tuple[float, float] | None:
-    """Return peak rotation [rad] and displacement [m] under the force of [excitation] alone.
+    """Return peak rotation [rad] and displacement [m] under the excitation's force.
 
-    None with other loads, or without damping.
+    The crack is open; the peak is over the load frequencies that the scene asks for. None with
+    other loads, or without damping.
     """
     has_other_loads_or_no_damping = scene.has_other_loads or key_figures.damping_ratios.min() == 0.0
     return (
@@ -1022,9 +1105,10 @@ def _peak_rotation_and_displacement(
 
 
 def _n_face_elements_or_none(_: object, scene: Scene, key_figures: KeyFigures) -> int | None:
-    """Return the number of elements along each crack face.
+    """Return the number of elements along each crack face, or None.
 
-    None for a grid, whose columns and rows set the number, and for contact at the mouth alone.
+    None for a grid without patches, whose columns and rows set the number. None, too, for contact
+    at the mouth alone.
     """
     has_mouth_contact_only = scene.contact is not None and scene.contact.pairs == "mouth"
     is_grid_without_patches = scene.mesh.layout == "grid" and scene.mesh.patches is None
@@ -1036,9 +1120,10 @@ def _n_face_elements_or_none(_: object, scene: Scene, key_figures: KeyFigures) -
 def _linear_gap_motion_and_verb(
     _: object, scene: Scene, key_figures: KeyFigures
 ) -> tuple[float, str] | None:
-    """Return the motion of the crack faces [m] if no pair opens or closes.
+    """Return the gaps' largest motion [m] if no pair breathes.
 
-    The second output is the verb for the remark: "opens" or "closes". None if a pair breathes.
+    The second output is the verb for the remark "the crack never ...": "opens" or "closes". None if
+    a pair opens and closes, without contact, and for given matrices.
     """
     if scene.contact is None or scene.structure is not None or key_figures.breathes:
         return None

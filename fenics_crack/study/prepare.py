@@ -36,25 +36,26 @@ from fenics_crack.scene.tables import Contact, Reduction
 from fenics_crack.study.sharing import LAST_STRUCTURES, SharedStructure, assemble_or_reuse_structure
 
 REFUSAL_EXCEPTIONS = (InputError, ConvergenceError, np.linalg.LinAlgError)
-"""Exceptions that fail a single run while other runs continue."""
+"""Exceptions by which one computation fails while others, such as a sweep's cases, continue."""
 MAX_UNREDUCED_DOFS = 100
-"""Maximum dofs of a structure that is reduced only on request."""
+"""Maximum dofs of a structure that is not reduced by default, on one rank. A table ``[reduction]``
+requests a reduction."""
 
 
 @dataclass(frozen=True)
 class WatchedDisplacement:
-    """Displacement component that is printed, written and drawn.
+    """Displacement component whose numbers are printed, written and drawn.
 
     Attributes
     ----------
     name : str
         Prefix of its quantities' names, "tip.ux"; empty without points in the scene.
     words : str
-        "x displacement of tip".
+        Description, such as "x displacement of tip".
     dof : int
-        Dof of the whole structure.
+        Number of its dof in the unreduced structure.
     distance : float [m]
-        Distance from the scene's point to the watched node.
+        Distance from the point in the scene to the node used.
     """
 
     name: str
@@ -63,22 +64,25 @@ class WatchedDisplacement:
     distance: float = 0.0
 
     def column_name(self, quantity: str) -> str:
-        """Return the column name of a quantity: "tip.ux.ratio_2_1", or "ratio_2_1"."""
+        """Return the column name of a quantity here: "tip.ux.ratio_2_1", or "ratio_2_1".
+
+        The short name is that of a scene without ``[output.points]``.
+        """
         return f"{self.name}.{quantity}" if self.name else quantity
 
 
 @dataclass(frozen=True, repr=False)
 class Study:
-    """A scene prepared for solution.
+    """A scene prepared for solution, with structure and contact law.
 
     Attributes
     ----------
     scene : Scene
         Scene with known crack length and chosen reduction.
     structure : Structure
-        Structure, reduced as the scene says.
+        Structure, reduced as the scene says; unreduced if prepared with ``whole=True``.
     contact : ContactLaw or None
-        Law of all pairs; None without a crack.
+        Law of all contact pairs; None without a crack.
     watched : tuple of WatchedDisplacement
         Displacements that are printed, written and drawn; ``watched[0].dof`` is the first dof.
     """
@@ -104,7 +108,7 @@ def prepare(
 ) -> Study:
     """Prepare a scene: build and reduce its structure, and make its law (collective).
 
-    A crack length that the scene gives by a natural frequency is found first.
+    If a natural frequency stands for the crack length in the scene, the length is found first.
 
     Parameters
     ----------
@@ -118,22 +122,23 @@ def prepare(
         Study of another scene. Its mesh and matrices are used if only rotor speed and load
         frequency differ, or the mistuning of a bladed disk.
     judged : bool
-        Reduce with a reference for the error of the reduction (:func:`reduce_structure`).
+        Reduce with a reference structure of more modes, for the error of the reduction
+        (:func:`reduce_structure`).
     last : list
-        At most one structure, reused if it has the same mesh; then holds the new structure.
-        Default: the structure of the last scene.
+        At most one structure, reused if it has the same mesh. Afterwards the list has the new
+        structure. Default: the structure of the last scene.
 
     Returns
     -------
     Study
-        Scene, structure, law and watched dofs.
+        Scene, structure, law and watched displacements.
 
     Raises
     ------
     InputError
-        As :func:`build_structure` and :func:`reduce_structure`; a point of ``[output.points]`` is
-        not near a node of its own; or solving the scene would take more than 80 % of the machine's
-        memory.
+        As :func:`build_structure` and :func:`reduce_structure`. Or a point of ``[output.points]``
+        is off the mesh by more than 5 % of its size, or next to a clamped node or a crack face. Or
+        solving the scene would take more than 80 % of the machine's memory.
 
     Examples
     --------
@@ -161,15 +166,16 @@ def prepare(
 def _find_watched_displacements(
     scene: Scene, structure: Structure
 ) -> tuple[WatchedDisplacement, ...]:
-    """Find the watched displacements of a scene's whole structure (collective).
+    """Find the displacements to be printed, written and drawn (collective).
 
-    The points in ``[output.points]`` are watched in their free directions, x before y. Without
-    points the structure's watched dof is used, by default the dof with most of the load.
+    Each point in ``[output.points]`` is watched in its free directions, x before y before z.
+    Without points it is the structure's watched dof, by default the dof with most of the load.
 
     Raises
     ------
     InputError
-        A point is not near a node of its own, or the structure has no nodes.
+        A point is off the mesh by more than 5 % of the mesh's size, or next to a clamped node or a
+        crack face. Or the structure has no nodes.
     """
     if not scene.output_points:
         dof = structure.watched_dof
@@ -199,9 +205,10 @@ def _find_watched_displacements(
 
 
 def _find_structure_in_reference_study(scene: Scene, reference_study: Study) -> Structure | None:
-    """Return a scene's structure from a reference study; None if they differ (collective).
+    """Return a scene's structure, made from another study's mesh and matrices (collective).
 
-    Rotor speed and load frequency may differ; for a bladed disk mistuning and load frequency.
+    ``reference_study`` may differ in rotor speed and load frequency; for a bladed disk in mistuning
+    and load frequency. None if more differs, or if nothing rotates.
     """
     reference_scene, reference_structure = reference_study.scene, reference_study.structure.whole
     if reference_scene.disk is not None:
@@ -229,7 +236,8 @@ def _find_structure_in_reference_study(scene: Scene, reference_study: Study) -> 
 def reduce_study(study: Study, *, with_reference: bool = True) -> Study:
     """Reduce a study as the scene says, unless already reduced (collective).
 
-    The reduced structure has a reference of more modes if ``with_reference``.
+    With ``with_reference`` the reduced structure has a reference structure of more modes, for the
+    reduction error.
 
     Raises
     ------
@@ -260,20 +268,24 @@ def reduce_study(study: Study, *, with_reference: bool = True) -> Study:
 
 
 class ModalReduction(NamedTuple):
-    """Method of a reduction, and the number of kept modes."""
+    """Method of a modal reduction, and number of kept modes.
+
+    Methods are "massless" and "free_interface".
+    """
 
     method: str
     n_modes: int
 
 
 def modal_reduction_or_none(scene: Scene, structure: Structure) -> ModalReduction | None:
-    """Return the reduction of a scene's structure; None if it is not reduced.
+    """Return method and number of modes of a scene's reduction.
 
-    Without the table ``[reduction]``, a structure with at most 100 dofs is not reduced on one rank.
-    If all modes are damped and no number of modes is given, 50 are kept.
+    None if the structure is not reduced. Not reduced are structures with ``reduction.method =
+    'off'``, and on one rank structures with at most 100 dofs and no table ``[reduction]``. If all
+    modes are damped and no number of modes is given, 50 are kept.
 
-    Crack faces lose their mass by default. They keep it if the scene names another method, if all
-    modes are kept, or in a structure with at most 100 dofs and without the table.
+    Crack faces lose their mass ("massless") by default. They keep it if the scene names another
+    method, if all modes are kept, or for at most 100 dofs and no table.
     """
     reduction_table = scene.reduction
     if scene.disk is not None:
@@ -300,6 +312,8 @@ def estimate_and_check_memory(
     scene: Scene, structure: Structure, *, is_run_up: bool = False
 ) -> float:
     """Estimate the memory to solve a scene, or its run-up [byte] (collective).
+
+    A run-up (``is_run_up``) is a curve over the rotor speed. ``structure`` is not reduced.
 
     Raises
     ------
@@ -329,7 +343,10 @@ def estimate_and_check_memory(
 
 
 def _estimate_needed_memory(scene: Scene, structure: Structure, is_run_up: bool) -> float:
-    """Estimate the peak memory of a scene's solution, without a check [byte] (collective)."""
+    """Estimate the peak memory to solve a scene, or its run-up [byte] (collective).
+
+    The memory is not compared with a limit.
+    """
     if (disk := scene.disk) is not None:
         return estimate_wheel_memory(
             structure.whole, count_basis_families(disk.families, disk.modes)
@@ -345,7 +362,8 @@ def _estimate_needed_memory(scene: Scene, structure: Structure, is_run_up: bool)
 def estimate_reduction_memory(structure: Structure, n_modes: int, method: str) -> float:
     """Estimate the peak memory of :func:`reduce_structure` [byte] (collective).
 
-    The estimate is a sum over all ranks and includes the memory held already.
+    ``n_modes`` and ``method`` are those of :class:`ModalReduction`. The estimate is a sum over all
+    ranks and includes the memory held already.
     """
     n_dofs, n_static_columns = structure.n_dofs, structure.n_pairs + 1
     n_reference_modes = n_modes + max(n_modes // 2, 10) if method == "massless" else n_modes
@@ -389,7 +407,8 @@ def estimate_wheel_memory(wheel: Wheel, n_families: int) -> float:
 def estimate_unreduced_memory(structure: Structure, n_harmonics: int) -> float:
     """Estimate the memory to solve an unreduced structure [byte] (collective).
 
-    A factor for each harmonic is kept. The memory held already is included.
+    Each harmonic 0 to ``n_harmonics`` keeps a factor of its dynamic stiffness. The memory held
+    already is included.
     """
     return _measure_memory_of_all_ranks(structure) + (n_harmonics + 1) * _estimate_factor_memory(
         structure
@@ -399,8 +418,9 @@ def estimate_unreduced_memory(structure: Structure, n_harmonics: int) -> float:
 def estimate_run_up_memory(structure: Structure, n_modes: int) -> float:
     """Estimate the peak memory of :func:`run_up_structure` [byte] (collective).
 
-    Either the stiffness and modes of a further speed are held beside the basis, or three bases: the
-    old basis, the addition, and their union. The memory held already is included.
+    ``n_modes`` is the number of modes at each of 3 speeds. Either the stiffness and modes of a
+    further speed are held beside the basis, or three bases: the old basis, the addition, and their
+    union. The memory held already is included.
     """
     basis_bytes = 8.0 * structure.n_dofs * N_BASIS_SPEEDS * (n_modes + structure.n_pairs + 1)
     bytes_of_modes = (
@@ -414,9 +434,9 @@ def estimate_run_up_memory(structure: Structure, n_modes: int) -> float:
 
 
 def _estimate_mode_memory(structure: Structure, n_modes: int) -> float:
-    """Estimate the memory to find modes, beside a factor [byte] (collective).
+    """Estimate the memory to find ``n_modes`` modes, beside a factor [byte] (collective).
 
-    Krylov vectors, or a second factor with a matrix and a copy of the matrix, take the memory.
+    The larger need counts: Krylov vectors, or a second factor with a matrix and its copy.
     """
     krylov_bytes = 8.0 * structure.n_dofs * n_krylov_vectors(n_modes)
     return max(
@@ -425,20 +445,26 @@ def _estimate_mode_memory(structure: Structure, n_modes: int) -> float:
 
 
 def _estimate_matrix_memory(structure: Structure) -> float:
-    """Return the memory of a matrix as sparse as the stiffness [byte] (collective)."""
+    """Return the memory of a matrix like the stiffness [byte] (collective).
+
+    The number of nonzeros is the same.
+    """
     bytes_per_entry = np.dtype(PETSc.ScalarType).itemsize + np.dtype(PETSc.IntType).itemsize
     n_entries: float = structure.stiffness.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
     return bytes_per_entry * n_entries
 
 
 def _estimate_factor_memory(structure: Structure) -> float:
-    """Estimate the memory of a factor of the stiffness [byte]."""
+    """Estimate the memory of a factorization of the stiffness matrix [byte]."""
     is_solid = structure.nodes is not None and structure.nodes.points.shape[1] == 3
     return estimate_factor_bytes(structure.n_dofs, solid=is_solid)
 
 
 def release_freed_memory() -> None:
-    """Return freed memory to the system; it would count as held."""
+    """Return memory freed by the program to the system.
+
+    Otherwise it counts as held. Without ``malloc_trim`` in the C library nothing happens.
+    """
     with suppress(AttributeError):  # a C library without it
         ctypes.CDLL(None).malloc_trim(0)
 
@@ -449,7 +475,9 @@ def _measure_memory_of_all_ranks(structure: Structure) -> float:
 
 
 def scene_contact_law(scene: Scene, structure: Structure) -> ContactLaw | None:
-    """Return the contact law of a scene's pairs; None if there are no pairs.
+    """Return the contact law of a scene's pairs.
+
+    None without pairs or without a table ``[contact]``.
 
     Raises
     ------
@@ -520,9 +548,10 @@ def contact_law(contact: Contact, structure: Structure | None = None) -> Contact
 def _required_pair_areas(
     stiffness_key: str, stiffness_per_area: float, structure: Structure | None
 ) -> np.ndarray:
-    """Return the areas of a structure's pairs (n_pairs,) [m^2].
+    """Return the areas of a structure's contact pairs: (n_pairs,) [m^2].
 
-    Raises InputError for the stiffness per area if the areas are unknown.
+    InputError if they are unknown; ``stiffness_key`` and ``stiffness_per_area`` [N/m^3] name the
+    key of ``[contact]`` and its value in the message.
     """
     if structure is None or structure.pair_areas is None:
         requirement_text = (
@@ -533,7 +562,10 @@ def _required_pair_areas(
 
 
 def _make_normal_contact_law(contact_table: Contact, structure: Structure | None) -> ContactLaw:
-    """Make the normal contact law of a contact table, without friction."""
+    """Make the normal contact law of a table ``[contact]``, without friction.
+
+    ``structure`` is needed for a stiffness per area; InputError without.
+    """
     if contact_table.law == "unilateral":
         return UnilateralConstraint()
     pair_stiffness: float | np.ndarray | None = contact_table.stiffness

@@ -37,32 +37,33 @@ from fenics_crack.study.prepare import (
 )
 
 N_SEARCH_MODES = 10
-"""Number of modes of the structure in which a resonance is sought."""
+"""Number of modes kept in the reduced structure in which a resonance is sought."""
 RELATIVE_AMPLITUDE_TOLERANCE = 0.1
-"""Maximum relative error of a stated resonance amplitude."""
+"""Maximum relative error, by truncated harmonics, of a stated resonance amplitude."""
 SEVERAL_MODES_TEXT = "several modes answer together: see the curve"
 
 
 @dataclass(frozen=True)
 class LoadResonance:
-    """Resonance of a scene at its own load.
+    """Result of the search for a scene's resonance under its load.
 
     Attributes
     ----------
     value, width : float [rad/s]
         Load frequency, or rotor speed under an engine order, at resonance; and half-power width.
     rest : float [rad/s]
-        The same frequency or speed under a small load.
+        The frequency or speed at resonance under a small load; nan if not sought.
     amplitude : float [m]
-        Half peak-to-peak of the watched displacement.
+        Half the peak-to-peak of the watched displacement.
     error : float
         Relative error of the amplitude due to truncated harmonics.
+    verdict : str
+        Verdict on the stability: "stable", "unstable", "irregular" or "undecided".
+    unknown : str
+        Reason why there is no amplitude; "" if there is one. If several modes respond together,
+        ``value``, ``width`` and ``rest`` are known without an amplitude.
     mesh_error : float
         Relative error of the amplitude due to the mesh; nan if it is not estimated.
-    verdict : str
-        Verdict on the stability.
-    unknown : str
-        Reason why there is no amplitude; "" if there is one.
     """
 
     value: float = math.nan
@@ -76,7 +77,10 @@ class LoadResonance:
 
     @property
     def in_words(self) -> str:
-        """Amplitude, verdict, errors and missing causes of errors; or the reason for none."""
+        """Amplitude, verdict on stability, and errors by cause, as text.
+
+        Causes missing in the errors are named last. Without an amplitude the text is the reason.
+        """
         known_error_by_cause = {"harmonics": self.error, "mesh": self.mesh_error}
         error_by_cause = (
             dict.fromkeys((*REQUIRED_ERROR_CAUSES, *OPTIONAL_ERROR_CAUSES), math.nan)
@@ -99,7 +103,10 @@ class LoadResonance:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Value and amplitude by their printed names; empty if they are unknown."""
+        """Frequency or speed [rad/s] as "resonance", and amplitude [m] as "vibration".
+
+        Empty if the amplitude is unknown.
+        """
         return {} if self.unknown else {"resonance": self.value, "vibration": self.amplitude}
 
 
@@ -109,7 +116,9 @@ UNSOUGHT_RESONANCE = LoadResonance(unknown="not sought")
 def order_crossing_speed(
     engine_order: float, reference_speed: float, omega: float, slope: float
 ) -> float:
-    """Return the speed W at which an engine order meets a natural frequency.
+    """Return the speed W at which an order meets a natural frequency.
+
+    W solves (n W)^2 = w_0^2 + S (W^2 - W_0^2).
 
     Parameters
     ----------
@@ -136,19 +145,21 @@ def order_crossing_speed(
 def find_study_resonance(
     study: Study, estimated_omegas: np.ndarray, squared_omega_slopes: np.ndarray
 ) -> LoadResonance:
-    """Find the resonance of an unreduced study at its own load (collective).
+    """Find the resonance of an unreduced study under its scene's load (collective).
+
+    The mode is the one whose estimated frequency is nearest to the load frequency.
 
     Parameters
     ----------
     estimated_omegas : (m,) [rad/s]
-        Estimated resonance frequencies of the modes, at the study's rotor speed.
+        Estimated resonance frequencies of m modes, at the study's rotor speed.
     squared_omega_slopes : (m,)
-        S of each mode, for an engine order.
+        S = d(w^2) / d(W^2) of each natural frequency w over the speed W, for an engine order.
 
     Returns
     -------
     LoadResonance
-        Without a resonance, only the reason ``unknown``.
+        If no resonance is found, only the reason ``unknown``.
     """
     scene, whole_structure, law = study.scene, study.structure, study.contact
     if law is None:
@@ -201,10 +212,16 @@ def find_load_resonance(
     *,
     with_small_load_resonance: bool = False,
 ) -> LoadResonance:
-    """Find the resonance of a small structure under a scene's load, without friction.
+    """Find a small structure's resonance under a scene's load, without friction.
 
     Parameters
     ----------
+    scene : Scene
+        Source of harmonics and samples.
+    law : ContactLaw
+        Contact law; its friction, if any, is left out.
+    structure : Structure
+        Structure with its load, small enough to compute all of its modes.
     start_omega : float [rad/s]
         Load frequency at which the search begins.
     parameter : "omega" or "speed"

@@ -23,7 +23,7 @@ from fenics_crack.scene.scene import Scene
 
 
 class SharedStructure(NamedTuple):
-    """A structure with the scene's values on which it depends.
+    """A structure kept for further scenes, with its dependencies.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class SharedStructure(NamedTuple):
     comm : MPI.Comm
         Ranks that were asked to share the structure.
     dependencies : tuple of three
-        As :func:`dependencies_of_structure` returns them.
+        Values for mesh, loads, and clearances with damping, from :func:`dependencies_of_structure`.
     """
 
     structure: Structure
@@ -41,30 +41,44 @@ class SharedStructure(NamedTuple):
 
 
 LAST_STRUCTURES: list[SharedStructure] = []
-"""The last structure made in this process: at most one entry."""
+"""The structure made last in this process, for the next scene to use: at most one entry."""
 
 
 def make_empty_coarser_structure_list(structure: Structure) -> list[SharedStructure]:
-    """Return an empty list for the structure of the coarser mesh.
+    """Return an empty list for the structure on a coarser mesh.
 
-    :meth:`Structure.compute_once` keeps the list with the finer structure.
+    :meth:`Structure.compute_once` calls this function and keeps the list with the finer structure.
     """
     return []
 
 
 STRUCTURE_FILES: list[Any] = []
-"""The file in which a command keeps its structure, at most one
-(:class:`fenics_crack.study.shelf.StructureFile`)."""
+"""The file in which a command keeps its structure for later commands
+(:class:`fenics_crack.study.shelf.StructureFile`): at most one entry."""
 
 
 def assemble_or_reuse_structure(
     scene: Scene, comm: MPI.Comm, last_shared_structures: list[SharedStructure] = LAST_STRUCTURES
 ) -> Structure:
-    """Return a scene's structure, reused if possible (collective).
+    """Return a scene's structure, an existing one if possible (collective).
 
-    The scene's crack length must be known. A structure with the same mesh in
-    ``last_shared_structures``, or in a file, is reused. The list then holds the result alone.
-    Errors are as for :func:`fenics_crack.build_structure`.
+    The last structure comes first, then a structure file, then a new mesh or matrices. The scene
+    must give the crack length, not a natural frequency instead.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene of the structure.
+    comm : MPI.Comm
+        Ranks that share the structure.
+    last_shared_structures : list of SharedStructure
+        At most one structure, used if it has the same mesh (:func:`_can_reuse`). Afterwards the
+        list has the result alone.
+
+    Raises
+    ------
+    InputError
+        As :func:`fenics_crack.build_structure`.
     """
     dependencies = dependencies_of_structure(scene, comm)
     needs_equal_dependencies = (
@@ -123,11 +137,12 @@ def _can_reuse(
     comm: MPI.Comm,
     needs_equal_dependencies: bool,
 ) -> bool:
-    """Return True if a structure can serve a scene with some dependencies.
+    """Return True if a kept structure can serve a scene.
 
-    Mesh and ranks must be the same; without a DOLFINx mesh also the loads. If
-    ``needs_equal_dependencies``, clearances and damping must be the same, too. A structure with
-    matrices from a file can be used only while a command has a structure file.
+    The scene is given by its ``dependencies``. Mesh and ranks must be the same; without a DOLFINx
+    mesh also the loads. With ``needs_equal_dependencies`` (rotation, disk or given matrices),
+    clearances and damping must be the same, too. A structure with matrices from a file serves only
+    while a command has a structure file.
     """
     has_mesh = getattr(shared_structure.structure.nodes, "mesh_dofs", None) is not None
     has_same_ranks = MPI.Comm.Compare(shared_structure.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)
@@ -147,12 +162,14 @@ def _can_reuse(
 
 
 def dependencies_of_structure(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, Any]:
-    """Return the values in a scene on which a structure depends (collective).
+    """Return the values in a scene that determine its structure (collective).
+
+    Two scenes with equal values have the same structure.
 
     Returns
     -------
     mesh_dependencies : tuple
-        Tables for mesh and matrices, and digests of files.
+        Tables for mesh and matrices, and digests of their files.
     loads : tuple
         As :func:`dependencies_of_load` returns them.
     clearances_and_damping : tuple
@@ -174,12 +191,16 @@ def dependencies_of_structure(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, A
 
 
 def dependencies_of_load(scene: Scene) -> tuple[Any, ...]:
-    """Return the scene's tables for the load: excitation, other loads, base."""
+    """Return the values in a scene that determine the load's rows.
+
+    They are the table ``[excitation]`` by key, without its frequency, then other loads and the base
+    motion.
+    """
     return _value_by_key_without(scene.excitation, "omega", "frequency"), scene.loads, scene.base
 
 
 def _value_by_key_without(table: Any, *omitted_keys: str) -> Any:
-    """Return a table's values by key, without some keys; None without a table."""
+    """Return a table's values by key, without ``omitted_keys``; None without a table."""
     return table and {
         field.name: getattr(table, field.name)
         for field in fields(table)

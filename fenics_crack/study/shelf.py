@@ -36,14 +36,14 @@ from fenics_crack.study.sharing import (
 
 FILE_KIND = "structure of a command"
 MAX_DATASET_BYTES = 500 * 10**6
-"""Maximum size of the arrays in a file [byte]; a larger structure is not kept."""
+"""Maximum size of all arrays in a structure file [byte]; a larger structure is not kept."""
 
 
 def digest_of_dependencies(dependencies: tuple[Any, ...]) -> str:
-    """Return the SHA-256 digest of a structure's dependencies, without load amplitudes.
+    """Return a SHA-256 digest, equal for scenes with the same structure.
 
-    ``dependencies`` come from :func:`dependencies_of_structure`. Clearances and damping do not
-    count; the program's and the libraries' files do.
+    ``dependencies`` come from :func:`dependencies_of_structure`. Load amplitudes, clearances and
+    damping do not count; the files of program and libraries do.
     """
     digested_values = (
         dependencies[0],
@@ -54,7 +54,7 @@ def digest_of_dependencies(dependencies: tuple[Any, ...]) -> str:
 
 
 class StructureFile:
-    """File in which a command keeps its structure.
+    """File in which a command keeps its structure for later commands.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class StructureFile:
     print_line : callable
         Prints a line.
     is_read : bool
-        Look for the structure in the file.
+        Use the structure in the file; if False, the file is only written (option ``--fresh``).
     """
 
     def __init__(self, path: Path, print_line: Callable[[str], None], *, is_read: bool) -> None:
@@ -72,7 +72,11 @@ class StructureFile:
         self._noted_structures_and_scenes: list[tuple[SharedStructure, Scene]] = []
 
     def read_shared_structure_or_none(self, scene: Scene, comm: MPI.Comm) -> SharedStructure | None:
-        """Return the structure of a scene from the file; None without it (collective)."""
+        """Return a scene's structure from the file (collective).
+
+        None if the file is missing or unusable (a line is printed), or has another mesh or another
+        program version.
+        """
         try:
             if not self._cached_prepared_files:
                 stored_file = read_result_file(self._path, comm)
@@ -100,7 +104,10 @@ class StructureFile:
         return shared_structure
 
     def note_shared_structure(self, shared_structure: SharedStructure, scene: Scene) -> None:
-        """Note a structure for the file, if it has the first one's mesh."""
+        """Note a structure to be written at the end.
+
+        It needs the same mesh as the first structure noted; otherwise nothing happens.
+        """
         if (
             not self._noted_structures_and_scenes
             or self._noted_structures_and_scenes[0][0].dependencies[0]
@@ -109,7 +116,11 @@ class StructureFile:
             self._noted_structures_and_scenes[:] = [(shared_structure, scene)]
 
     def write_noted_structure(self, comm: MPI.Comm) -> None:
-        """Write the noted structure unless the file has as much (collective)."""
+        """Write the noted structure with its coarser structure (collective).
+
+        Nothing is written if the file read has at least as many bytes of arrays. Failure, such as
+        more than 500 MB, prints a line.
+        """
         for shared_structure, scene in self._noted_structures_and_scenes:
             if shared_structure.comm.size < comm.size and comm.rank:
                 return  # each rank has a structure for itself
@@ -153,7 +164,7 @@ class StructureFile:
 def _gather_prepared_structure(
     shared_structure: SharedStructure, scene: Scene
 ) -> PreparedStructure:
-    """Gather the datasets of a structure with its matrices (collective)."""
+    """Gather a structure's data and matrices from all ranks, for a file (collective)."""
     return PreparedStructure.gather(
         shared_structure.structure,
         shared_structure.structure.nodes.vtk_type,  # type: ignore[union-attr]
@@ -169,7 +180,7 @@ def _gather_prepared_structure(
 
 
 def _count_dataset_bytes(dataset_by_name: Mapping[str, Any]) -> int:
-    """Return the total size of the arrays among datasets [byte]."""
+    """Return the total size of the arrays in ``dataset_by_name`` [byte]."""
     return sum(
         dataset.nbytes for dataset in dataset_by_name.values() if isinstance(dataset, np.ndarray)
     )

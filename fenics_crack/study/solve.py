@@ -39,13 +39,13 @@ from fenics_crack.study.prepare import (
 
 @dataclass(frozen=True, repr=False)
 class SolvedStudy(Study):
-    """A study with its solution, which may not have converged."""
+    """A study with its periodic solution ``result``, which may not have converged."""
 
     result: PeriodicSolution
 
 
 def _make_solved_study(study: Study, solution: PeriodicSolution) -> SolvedStudy:
-    """Return a study together with its solution."""
+    """Return a study together with its periodic solution."""
     return SolvedStudy(study.scene, study.structure, study.contact, study.watched, solution)
 
 
@@ -54,9 +54,17 @@ def solve_study(
 ) -> SolvedStudy:
     """Solve a study for its steady vibration, reduced as its scene says (collective).
 
-    With a tolerance, the number of modes is chosen unless given by the scene. Without a tolerance,
-    Newton's method starts from ``initial_solution`` (same structure), and ``omega`` [rad/s]
-    replaces the scene's load frequency.
+    With a tolerance in the scene, the number of modes is chosen unless the scene gives it.
+    Stability is added if the solution converges and the structure is small.
+
+    Parameters
+    ----------
+    study : Study
+        Unreduced or reduced study.
+    initial_solution : PeriodicSolution, optional
+        Initial guess on the same structure; ignored with a tolerance or without contact.
+    omega : float, optional [rad/s]
+        Load frequency in place of the scene's; with a tolerance only for the lines of friction.
     """
     make_requested_rows_and_readers(study)  # before anything is solved: this may raise InputError
     scene, law = study.scene, study.contact
@@ -100,7 +108,7 @@ def prepare_unreduced_if_scene(scene_or_study: Scene | Study, comm: MPI.Comm) ->
 
 
 def required_contact_law(study: Study) -> ContactLaw:
-    """Return the contact law of a study; InputError if it has none."""
+    """Return a study's contact law; InputError without a crack."""
     if study.contact is None:
         if study.scene.structure is not None:
             requirement_text = "given: the path of a Matrix Market file, for this command"
@@ -112,10 +120,10 @@ def required_contact_law(study: Study) -> ContactLaw:
 
 
 def with_friction_lines(study: Study, omega: float) -> Study:
-    """Return a study whose friction acts along fixed lines in a solid (collective).
+    """Return a study with friction along a fixed line at each pair (collective).
 
-    The lines are those along which pairs slide without friction at the load frequency ``omega``
-    [rad/s].
+    Only a solid with friction changes. The lines are those along which pairs slide without friction
+    at the load frequency ``omega`` [rad/s].
     """
     if study.contact is None:
         return study
@@ -123,7 +131,10 @@ def with_friction_lines(study: Study, omega: float) -> Study:
 
 
 def _solve_to_tolerance(unreduced_study: Study) -> tuple[Study, PeriodicSolution]:
-    """Solve an unreduced study to its tolerance; return the reduced study and the solution."""
+    """Solve an unreduced study to its scene's tolerance (collective).
+
+    Return the study reduced to the number of modes used, and the solution.
+    """
     scene = unreduced_study.scene
     balance_table = unreduced_study.scene.harmonic_balance
     reduced_studies = list[Study]()
@@ -158,10 +169,11 @@ curve takes four times as long."""
 
 
 def candidate_mode_counts(study: Study, max_modes: int = MAX_MODES_FOR_MONODROMY) -> list[int]:
-    """Return the ascending numbers of modes among which a tolerance chooses (collective).
+    """Return the numbers of modes to try for a tolerance, ascending (collective).
 
-    The list is empty if the scene gives the number of modes, has no tolerance or no crack, or if
-    the structure is reduced already or not to be reduced.
+    Each number doubles the last, up to ``max_modes``. The list is empty if the scene gives the
+    number of modes, or has no tolerance or no crack. It is also empty if the structure is reduced
+    already or not to be reduced.
     """
     scene, structure = study.scene, study.structure
     if structure.whole is not structure:
@@ -187,7 +199,7 @@ def candidate_mode_counts(study: Study, max_modes: int = MAX_MODES_FOR_MONODROMY
 
 
 def reduce_to_modes(study: Study, n_modes: int) -> Study:
-    """Reduce a study to a number of modes (collective)."""
+    """Reduce a study to ``n_modes`` modes, with the method of its scene (collective)."""
     reduction = modal_reduction_or_none(study.scene, study.structure)
     changes = {"reduction.method": reduction and reduction.method, "reduction.modes": n_modes}
     return reduce_study(replace(study, scene=study.scene.replace(changes)))
@@ -201,9 +213,9 @@ def iterate_studies_with_more_modes(
     :func:`candidate_mode_counts` gives the numbers. If the list is empty, the study is reduced
     once, as the scene says.
 
-    The first two numbers and their references share one computation of modes. Separate computations
-    take two more factors, and for a plate 67 steps beside 106. At a tolerance of 1 %, six of ten
-    plates took the second number or more.
+    The first two numbers and their reference structures share one computation of modes. Separate
+    computations take two more factors, and for a plate 67 more steps on top of 106. At a tolerance
+    of 1 %, six of ten plates took the second number or more.
     """
     candidate_counts, structure = candidate_mode_counts(study, max_modes), study.structure
     if candidate_counts[:1] == [FIRST_MODE_COUNT] and structure.has_matrices:

@@ -59,16 +59,17 @@ from fenics_crack.sweep.plan import Chunk
 
 @dataclass(frozen=True)
 class SharedCaseOptions:
-    """Options that all cases of a sweep share.
+    """Options for all sweep cases (combinations of swept values).
 
     Attributes
     ----------
     has_unit_loads : bool
-        True if geometries are built with unit loads.
+        True if structures are built with unit forces, which each case scales by its own force.
     ends_at_large_structure : bool
-        True if the sweep ends with an error at a structure too large to solve.
+        True if a structure too large to solve ends the sweep with an error. If False, only its
+        cases fail.
     at_resonance : bool
-        True if each case is solved at its resonance.
+        True if each case is solved at the resonance nearest to its frequency.
     with_verdicts : bool
         True if the stability of each case is assessed.
     with_reduction_error : bool
@@ -87,26 +88,29 @@ class SharedCaseOptions:
 
 @dataclass(frozen=True)
 class SweepGeometry:
-    """Structure for cases that differ only in load, clearance, contact law and harmonics.
+    """Structure shared by sweep cases that have the same mesh and modes.
+
+    These cases differ only in load, clearance, contact law and harmonics.
 
     Attributes
     ----------
     study : Study
-        Study with a small structure without clearance.
+        Study with this structure, without clearance; reduced, unless the mesh or matrices are
+        small.
     has_unit_loads : bool
-        True if the load has a sine part of 1 N in x and a cosine part of 1 N in y.
-        A solid has a mean of 1 N in z, too.
+        True if the load has a sine part of 1 N in x and a cosine part of 1 N in y. A solid has a
+        mean of 1 N in z, too.
     crack_length : float [m]
         Length of the first crack; nan if unknown.
     bilinear_frequencies : BilinearFrequencies
         Natural frequencies with the crack open and bonded.
     watched_row_by_name : dict of str to (n_dofs,)
-        Rows that give displacements [m]: named points by "tip.ux", the load's point by "".
+        Rows R that give displacements [m] as R u: named points by "tip.ux", the load's point by "".
         Without "", the load vector of a case gives the displacement at the load.
     unreduced_study : Study
         Study before reduction.
     mode_counts : tuple of int
-        Number of modes, then larger numbers that the tolerance may choose.
+        Number of modes in ``study``, then larger numbers to try if a case misses its tolerance.
         Empty if the tolerance does not choose the number.
     """
 
@@ -120,7 +124,10 @@ class SweepGeometry:
 
     @cached_property
     def geometry_with_more_modes(self) -> SweepGeometry | None:
-        """Geometry with the next number of modes; None if there is no larger number."""
+        """This shared structure with the next larger number in ``mode_counts``.
+
+        None if no larger number is left.
+        """
         if len(self.mode_counts) < 2:
             return None
         study_with_more_modes = reduce_to_modes(self.unreduced_study, self.mode_counts[1])
@@ -133,11 +140,11 @@ class SweepGeometry:
 
     @property
     def structure(self) -> Structure:
-        """Structure without clearance."""
+        """Structure that the cases share, without clearance."""
         return self.study.structure
 
     def structure_of_case(self, scene: Scene) -> Structure:
-        """Return the structure with the load and clearance of a case."""
+        """Return the shared structure with a case's load and clearance."""
         load_weight_matrix: float | np.ndarray = 1.0
         if self.has_unit_loads:
             load_weight_matrix = np.zeros((len(FORCE_KEYS), len(FORCE_KEYS)))
@@ -155,10 +162,24 @@ def build_sweep_geometry(
     case_options: SharedCaseOptions,
     last_geometry: SweepGeometry | None = None,
 ) -> SweepGeometry:
-    """Build the geometry for a case (collective).
+    """Build the structure shared by all sweep cases with a scene's mesh (collective).
 
-    ``case_options`` decide whether the reduction error gets a reference. ``last_geometry`` lends
-    its mesh, for another rotor speed.
+    Parameters
+    ----------
+    scene : Scene
+        Scene of any of these cases; its clearance does not matter.
+    comm : MPI.Comm
+        Ranks that share the structure.
+    case_options : SharedCaseOptions
+        Options; ``with_reduction_error`` adds what an estimate of the reduction error needs.
+    last_geometry : SweepGeometry, optional
+        Structure at another rotor speed, whose mesh and matrices are used again.
+
+    Raises
+    ------
+    InputError
+        The structure is too large without a reduction (key ``reduction.method``), or as
+        :func:`prepare`.
     """
     scene = scene.replace({f"{crack_key}.clearance": 0.0 for crack_key in scene.crack_by_name})
     if case_options.has_unit_loads:
@@ -211,7 +232,11 @@ def build_sweep_geometry(
 def iterate_geometries_with_more_modes(
     scene: Scene, case_options: SharedCaseOptions
 ) -> Iterator[SweepGeometry]:
-    """Build geometries with each number of modes that may have solved a case."""
+    """Build structures with all numbers of modes that a sweep may use.
+
+    One of them has solved the case. The last structure is reduced as the scene says, for a sweep
+    without reduction errors.
+    """
     first_geometry = build_sweep_geometry(scene, MPI.COMM_SELF, case_options)
     geometry: SweepGeometry | None = first_geometry
     while geometry is not None:
@@ -224,7 +249,10 @@ def iterate_geometries_with_more_modes(
 
 
 def _find_watched_row_by_name(study: Study) -> dict[str, np.ndarray]:
-    """Return rows for displacements at the load and named points, by name (collective)."""
+    """Return rows R (n_dofs,) for watched displacements R u, by name (collective).
+
+    Names are "tip.ux" for points in ``[output.points]``, and "" for the load's point.
+    """
     named_watched_displacements = [
         watched_displacement for watched_displacement in study.watched if watched_displacement.name
     ]
@@ -242,10 +270,10 @@ def _find_watched_row_by_name(study: Study) -> dict[str, np.ndarray]:
 
 
 def _find_load_point_row_by_name(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
-    """Return the row for the displacement at the load, with the key "" (collective).
+    """Return the row R for the load point's displacement R u (collective).
 
-    For matrices it is the dof with the largest load. The dictionary is empty if the structure
-    watches no displacement.
+    The key is "". For given matrices R selects the dof with the largest load. The dictionary is
+    empty for a mesh whose structure has no watched displacement.
     """
     whole_structure = structure.whole
     if whole_structure.watched is not None:
@@ -263,11 +291,11 @@ def _find_load_point_row_by_name(scene: Scene, structure: Structure) -> dict[str
 
 
 FREQUENCIES_ONLY_STATUS = "natural frequencies alone"
-"""Status of a case with natural frequencies only."""
+"""Text in the column ``status`` for a case with natural frequencies only."""
 CaseValues = dict[str, Any]
-"""Values of a case by column name, and by names that the file omits.
+"""Values of a sweep case by column name.
 
-A converged case has "gap" and "force" coefficients.
+A converged case also has the Fourier coefficients "gap" [m] and "force" [N]: (2H+1, n_rows).
 """
 
 
@@ -277,14 +305,16 @@ def solve_chunk(
     case_options: SharedCaseOptions,
     may_continue: Callable[[], bool],
 ) -> list[CaseValues]:
-    """Solve the cases in a chunk in turn, at given frequencies or at resonances.
+    """Solve the cases in a chunk one after the other.
+
+    They are solved at given frequencies or at resonances, as the options say.
 
     Parameters
     ----------
     geometry : SweepGeometry
-        Shared structure.
+        Structure that the cases share.
     chunk : Chunk
-        Cases.
+        Up to 16 neighbouring cases.
     case_options : SharedCaseOptions
         Options.
     may_continue : callable
@@ -293,7 +323,8 @@ def solve_chunk(
     Returns
     -------
     list of dict
-        Values of the cases that were tried.
+        Values by column name for each case tried, in the order of the chunk. Failed cases have the
+        reason in ``status``.
     """
     solver, chunk_case_values = CaseSolver(geometry), []
     for case_number, case in zip(chunk.case_numbers.tolist(), chunk.scenes_or_reasons, strict=True):
@@ -352,9 +383,10 @@ def solve_chunk(
 
 
 class CaseSolver:
-    """Solver for cases with a common geometry; each case starts from the last case.
+    """Solver for sweep cases with a shared structure.
 
-    Cases that differ only in frequency share structure, law and equations.
+    Each case starts from the last. The last solution is the initial guess. Cases that differ only
+    in frequency share structure, law and equations.
     """
 
     def __init__(self, geometry: SweepGeometry) -> None:
@@ -363,7 +395,7 @@ class CaseSolver:
         self._last_solution: PeriodicSolution | None = None
 
     def solve_as_requested(self, case: Scene, case_options: SharedCaseOptions) -> PeriodicSolution:
-        """Solve a case at a given frequency or at resonance.
+        """Solve a case at its frequency or, if requested, at resonance.
 
         Raises as :meth:`solve_at_given_frequency`.
         """
@@ -374,7 +406,11 @@ class CaseSolver:
         )
 
     def solve_at_given_frequency(self, case: Scene) -> PeriodicSolution:
-        """Solve a case at the given frequency; :data:`REFUSAL_EXCEPTIONS` are raised on failure."""
+        """Solve a case at its own load frequency.
+
+        Without contact the solution is linear. If the computation fails, an exception from
+        :data:`REFUSAL_EXCEPTIONS` is raised: InputError, ConvergenceError or LinAlgError.
+        """
         omega, balance_table = case.excitation.omega, case.harmonic_balance
         self._set_structure_and_law(case)
         structure, law = self._structure, self._law
@@ -391,7 +427,10 @@ class CaseSolver:
         return self._last_solution
 
     def _set_structure_and_law(self, case: Scene) -> None:
-        """Set structure and law for a case, unless only its frequency differs."""
+        """Set structure and contact law for a case.
+
+        Both stay the same if only the load frequency differs from the last case.
+        """
         case_without_frequency = case.replace({"excitation.omega": 1.0, "curve": None})
         if self._last_case_without_frequency != case_without_frequency:
             self._last_case_without_frequency = case_without_frequency
@@ -401,9 +440,10 @@ class CaseSolver:
     def solve_at_resonance(self, case: Scene) -> PeriodicSolution:
         """Solve a case at the resonance nearest to its frequency.
 
-        Raises as :meth:`solve_at_given_frequency`. The resonance is the peak of the response curve
-        if several modes respond together. The same holds with friction or a smooth law, which have
-        no phase resonance.
+        The phase resonance of the mode with the nearest bilinear frequency is sought. If several
+        modes respond together, the peak of the response curve is used instead. Friction and smooth
+        laws have no phase resonance and use the peak, too. Raises as
+        :meth:`solve_at_given_frequency`.
         """
         balance_table = case.harmonic_balance
         self._set_structure_and_law(case)
@@ -427,7 +467,9 @@ class CaseSolver:
     def _find_peak_omega_and_solution(self, problem: Problem) -> tuple[float, PeriodicSolution]:
         """Return frequency and solution at the peak of the response curve.
 
-        The curve covers the nearest mode, from below the open to above the bonded frequency.
+        The curve covers the mode with the nearest bilinear frequency. It goes from (1 - 2 xi)
+        omega_open to (1 + 2 xi) omega_tied, with the damping ratio xi of the mode. InputError
+        unless 0 < xi < 0.5.
 
         Returns
         -------
@@ -457,10 +499,14 @@ class CaseSolver:
         return peak.value, response_curve.solution(peak.index)
 
     def assess_stability_by_name(self, solution: PeriodicSolution) -> CaseValues:
-        """Return "verdict", "multiplier" (largest modulus) and "remark" by name.
+        """Assess a solution's stability for the columns of the sweep.
 
-        The remark says why stability is undecided, or how more modes contradict the verdict. The
-        dictionary is empty without a law, and for rigid contact between crack faces with mass.
+        Returns
+        -------
+        dict
+            "verdict"; "multiplier", the largest modulus, missing if no multiplier was found;
+            "remark", why stability is undecided, or how more modes contradict the verdict. Empty
+            without a contact law, and for rigid contact between crack faces with mass.
         """
         structure, law, remark_text = solution.structure, solution.contact, ""
         if law is None or (is_rigid(law) and not structure.light_lips):
@@ -487,12 +533,19 @@ class CaseSolver:
 def _load_and_nearest_frequency_by_column(
     omega: float, natural_frequencies: BilinearFrequencies
 ) -> CaseValues:
-    """Return the load frequency and the nearest natural frequencies by column name."""
+    """Return load frequency and nearest natural frequencies, by column name.
+
+    The natural frequencies belong to the mode with the nearest bilinear frequency. ``omega`` is the
+    load frequency [rad/s].
+    """
     return add_frequency_entries({"omega": omega}) | natural_frequencies.nearest(omega)
 
 
 def _natural_frequency_by_column(natural_frequencies: BilinearFrequencies) -> CaseValues:
-    """Return natural frequencies by column name; there may be fewer than columns."""
+    """Return the lowest natural frequencies [rad/s] by column name, such as "omega_open_1".
+
+    If the structure has fewer modes than the table has columns, further columns are missing.
+    """
     omegas_of_kinds = (
         natural_frequencies.omega_open,
         np.sort(natural_frequencies.omega_tied),
@@ -509,9 +562,10 @@ def _natural_frequency_by_column(natural_frequencies: BilinearFrequencies) -> Ca
 def _observe_value_by_column(
     solution: PeriodicSolution, case: Scene, geometry: SweepGeometry
 ) -> CaseValues:
-    """Return all quantities of a solution by column name.
+    """Return a solution's numbers for the sweep's columns, by column name.
 
-    They are indicators at the load, at named points, and quantities on request.
+    They are indicators and harmonics at the load and named points, numbers of the crack faces, and
+    requested quantities of crack tips or clamp.
     """
     row_by_name = _find_load_direction_row_by_name(solution, case) | geometry.watched_row_by_name
     row_matrix = np.reshape([*row_by_name.values()], (len(row_by_name), solution.structure.n_dofs))
@@ -540,10 +594,11 @@ def _observe_value_by_column(
 def _find_load_direction_row_by_name(
     solution: PeriodicSolution, case: Scene
 ) -> dict[str, np.ndarray]:
-    """Return the row for the displacement in the load's direction, with the key "".
+    """Return the row R for the load direction's displacement R u.
 
-    The direction follows the largest sine or cosine part, or the mean if both are zero. A force F
-    at x has the load vector f with f . u = F . u(x). The dictionary is empty without a load.
+    The key is "". The force's largest Fourier part gives the direction, or the mean if all others
+    are zero. With a force F at x, the load vector f satisfies f . u = F . u(x); so R = f / |F|. The
+    dictionary is empty without a force.
     """
     force_norms = np.linalg.norm(list_force_harmonic_vectors(case), axis=1)
     part_index = (

@@ -51,7 +51,11 @@ KIND = "sweep"
 
 
 class CaseState(IntEnum):
-    """State of a case."""
+    """Progress of a sweep case, as stored in the column ``state``.
+
+    PENDING: not tried, or damaged. CONVERGED: solved. FAILED: tried without a solution, or natural
+    frequencies only.
+    """
 
     PENDING = 0
     CONVERGED = 1
@@ -59,18 +63,22 @@ class CaseState(IntEnum):
 
 
 UNDECIDED_PREFIX = "undecided: "
-"""Text in a case's status before the reason for undecided stability."""
+"""Text in the column ``status`` before the reason why a case's stability is undecided."""
 CONTRADICTION_PREFIX = "; yet "
-"""Text in a case's status before the remark that more modes contradict the verdict."""
+"""Text in the column ``status`` before a remark that more modes contradict the verdict on
+stability."""
 
 
 def column_name_at_load(quantity: str) -> str:
-    """Return the column name for a quantity at the load, in the load's direction."""
+    """Return the column name for a quantity at the load.
+
+    "amplitude" becomes "response"; other names stay.
+    """
     return "response" if quantity == "amplitude" else quantity
 
 
 KEPT_MODE_NUMBERS = range(1, N_LOWEST_MODES + 1)
-"""Numbers of the modes whose natural frequencies each case keeps."""
+"""Numbers of the modes, 1 to 6, whose natural frequencies are stored for each case."""
 LABEL_AND_UNIT_BY_FREQUENCY_COLUMN = {
     f"omega_{lips}_{mode}": (words.format(mode), "rad/s")
     for lips, words in (
@@ -80,22 +88,23 @@ LABEL_AND_UNIT_BY_FREQUENCY_COLUMN = {
     )
     for mode in KEPT_MODE_NUMBERS
 }
-"""Label and unit of natural frequencies, by column name."""
+"""Label and unit of the columns with natural frequencies, by column name ("omega_open_1")."""
 UNIT_BY_POINT_QUANTITY = {
     name: UNIT_BY_NAME[name] for name in observable_names(Place.POINT) if name != "ratio_half_1"
 }
-"""Units of the quantities at each point and direction, by quantity.
+"""Units of the quantities stored for each point and direction, by quantity name.
 
-``ratio_half_1`` is left out, since no case has a longer period.
+``ratio_half_1`` (subharmonic amplitude ratio) is left out: no case has a period longer than the
+load's.
 """
 KEPT_HARMONIC_ORDERS = (1, 2, 3, 4, 5, 6)
-"""Orders of the harmonics whose cosine and sine parts are kept."""
+"""Orders of the displacement's harmonics that are stored, with cosine and sine part."""
 UNIT_BY_HARMONIC_PART = {
     f"{part}_{order}": "m" for order in KEPT_HARMONIC_ORDERS for part in ("cosine", "sine")
 }
-"""Units of cosine and sine parts, by column name.
+"""Units of the stored harmonics' parts, by column name ("cosine_1", "sine_1").
 
-``harmonic_1`` to ``harmonic_3`` are the amplitudes for these parts.
+``harmonic_1`` to ``harmonic_3`` are the amplitudes sqrt(cosine^2 + sine^2).
 """
 UNIT_AND_TYPE_BY_COLUMN: dict[str, tuple[str, str]] = {
     **{
@@ -121,30 +130,36 @@ UNIT_AND_TYPE_BY_COLUMN: dict[str, tuple[str, str]] = {
     "seconds": ("s", "f8"),
     "status": ("", "S400"),  # and its remark on the verdict; cut where it is longer
 }
-"""Unit and type of each column, without states, named points and quantities on request."""
+"""Unit and NumPy type of the columns that each sweep has, by column name.
+
+The column ``state``, columns of named points, and requested quantities are not included.
+"""
 CHANGES_REMOVING_UNUSED_TABLES = dict.fromkeys(
     name for name in RESULT_TABLE_NAMES if name not in ("sweep", "output", "growth")
 )
-"""Changes that remove the tables without effect on any case."""
+"""Changes for ``Scene.replace`` that remove the tables without effect on any sweep case."""
 UNIT_BY_WAVE = {"gap": "m", "force": "N"}
-"""Units of the coefficients that converged cases keep."""
+"""Units of the Fourier coefficients ("waves") stored for converged cases, by dataset name."""
 WAVES_CHECKSUM_COLUMN_NAME, CASE_CHECKSUM_COLUMN_NAME = "waves_checksum", "checksum"
-"""Columns with the CRC-32 of a case's waves, and of all columns and the state (never 0)."""
+"""Names of two columns with checksums (CRC-32): for a case's gap and force coefficients, and for
+all columns with the state (never 0)."""
 REQUIRED_COLUMN_NAMES = {
     "state",
     WAVES_CHECKSUM_COLUMN_NAME,
     CASE_CHECKSUM_COLUMN_NAME,
     "harmonics",
 }
-"""Columns required in each file; files from earlier versions may lack further columns."""
+"""Columns that each sweep file must have; files from earlier versions may lack other columns."""
 BLANK_VALUE_BY_TYPE_KIND: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
-"""Values that mean "no value", by the kind of the NumPy type."""
+"""Values that mean "no value", by the letter of the NumPy type ("f" float, "i" integer, "S"
+text)."""
 
 
 def unit_and_type_by_column(scene: Scene) -> dict[str, tuple[str, str]]:
-    """Return unit and type of all columns for a scene's sweep, by name.
+    """Return unit and NumPy type for all columns in a scene's sweep.
 
-    Named points have columns such as "tip.ux.ratio_2_1".
+    The dictionary includes requested quantities, and named points with columns such as
+    "tip.ux.ratio_2_1". The column ``state`` and the checksums are not included.
     """
     requested_quantity_names = (
         *(observable_names(required_flags=REQUIRES_FRICTION) if scene.has_friction else ()),
@@ -175,24 +190,26 @@ class SweepFile:
     scene : Scene
         Scene with its sweep.
     n_harmonics_upper_bound, n_gap_rows_upper_bound : int
-        Upper bounds for all cases; without gap rows no waves are kept.
+        Upper bounds over all cases, for the size of the datasets. With 0 gap rows no Fourier
+        coefficients of gaps and forces are stored.
     omitted_options : sequence of str
-        Options that the cases lack.
+        Names of options left out for the cases: "verdicts", "judged", "vibration_2" (position on
+        the last axis with natural frequencies only).
 
     Attributes
     ----------
     is_new : bool
         True if the file did not exist.
-    sweep_header : Stored
+    sweep_header : StoredFile
         Header with the offset of each dataset.
-    case_states : array of int
-        States in the shape of the axes; State.PENDING for damaged cases.
+    case_states : int array
+        State of each case (:class:`CaseState`) in the shape of the axes; PENDING for damaged cases.
 
     Raises
     ------
     InputError
-        The file cannot be written, or holds another sweep or other columns.
-        Or cases are pending while another program writes the file.
+        The file cannot be written, or holds another sweep or other columns. Or cases are pending
+        while another program writes the file.
     """
 
     def __init__(
@@ -232,14 +249,15 @@ class SweepFile:
     def write_pending_cases(
         self, case_numbers: np.ndarray, values_of_cases: Sequence[Mapping[str, Any]]
     ) -> None:
-        """Write the given cases that are still pending.
+        """Write those given cases that are still pending.
 
         Parameters
         ----------
         case_numbers : (n,) int
-            Numbers of the cases.
+            Numbers of the cases, last axis fastest.
         values_of_cases : sequence of mappings
-            Values by column name, with waves if a case converged.
+            Values of each case by column name. Converged cases have the coefficients "gap" and
+            "force".
 
         Raises
         ------
@@ -256,7 +274,11 @@ class SweepFile:
     def write_cases(
         self, case_numbers: np.ndarray, values_of_cases: Sequence[Mapping[str, Any]]
     ) -> None:
-        """Write cases by number (n,): all values first, then the states."""
+        """Write cases into the file: all values first, then the states.
+
+        Parameters and errors are those of :meth:`write_pending_cases`. A case with the key "gap" is
+        converged, any other case failed.
+        """
         if not self._is_file_still_at_path():
             requirement_text = "left alone while the sweep runs; it has been removed or replaced"
             raise WriteError("path", str(self._path), requirement_text)
@@ -307,14 +329,23 @@ class SweepFile:
         self.case_states.flat[case_numbers] = case_states
 
     def close(self, *, remove: bool = False) -> None:
-        """Close the file, or remove it too; raise InputError on failure."""
+        """Close the file; with ``remove`` delete it, too. Failure raises InputError."""
         with report_write_errors(self._path, "path"):
             if remove and self._is_file_still_at_path():
                 self._path.unlink()
             os.close(self._file_descriptor)
 
     def _write_column(self, column_name: str, case_numbers: np.ndarray, values: np.ndarray) -> None:
-        """Write values of cases into a column or a wave, from each case's offset on."""
+        """Write values for some cases into a dataset in the file.
+
+        Parameters
+        ----------
+        case_numbers : (n,) int
+            Numbers of the cases, last axis fastest.
+        values : (n, ...)
+            Value of each case; fewer bytes than the dataset has for a case leave the rest
+            unchanged.
+        """
         stored_column = self.sweep_header.columns[column_name]
         bytes_per_case = stored_column.n_bytes // self.case_states.size
         byte_rows = (
@@ -329,7 +360,10 @@ class SweepFile:
             )
 
     def _is_file_still_at_path(self) -> bool:
-        """Return True if the path still leads to the open file."""
+        """Return True if the path still leads to the open file.
+
+        It does not if the file was removed or replaced.
+        """
         try:
             return os.path.samestat(os.fstat(self._file_descriptor), os.stat(self._path))
         except OSError:
@@ -337,7 +371,10 @@ class SweepFile:
 
 
 def _lock_file_or_return_error(file_descriptor: int) -> OSError | None:
-    """Lock an open file; return the error if another program holds the lock."""
+    """Lock an open file for writing.
+
+    Return None on success, and the error if another program holds the lock.
+    """
     try:
         fcntl.flock(file_descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
@@ -346,7 +383,10 @@ def _lock_file_or_return_error(file_descriptor: int) -> OSError | None:
 
 
 def _pad_waves(waves: list[np.ndarray], n_columns: int) -> np.ndarray:
-    """Return waves as one array (n_waves, n_rows, n_columns), padded with nan."""
+    """Stack Fourier coefficients of several cases: (n_cases, n_rows, n_columns), padded with nan.
+
+    ``waves`` are arrays of at most ``n_columns`` columns; ``n_rows`` is the largest number of rows.
+    """
     padded_waves = np.full((len(waves), max(map(len, waves)), n_columns), np.nan)
     for padded_wave, wave in zip(padded_waves, waves, strict=True):
         padded_wave[: wave.shape[0], : wave.shape[1]] = wave
@@ -354,7 +394,10 @@ def _pad_waves(waves: list[np.ndarray], n_columns: int) -> np.ndarray:
 
 
 def _encode_value(value: Any, max_bytes: int) -> Any:
-    """Return a value for the file: texts as UTF-8, cut between characters."""
+    """Return a value in the form stored in the file.
+
+    A text becomes at most ``max_bytes`` bytes of UTF-8, cut between characters. Other values stay.
+    """
     if not isinstance(value, str):
         return value
     return value.encode()[:max_bytes].decode("utf-8", "ignore").encode()
@@ -367,7 +410,10 @@ def _make_file_and_header_or_none(
     n_gap_rows_upper_bound: int,
     omitted_options: Sequence[str],
 ) -> store.StoredFile | None:
-    """Make a new file and return its header; None if another program made one first."""
+    """Make a new sweep file with pending cases, and return its header.
+
+    None if another program has made the file first. Parameters are those of :class:`SweepFile`.
+    """
     axes_shape = scene.given("sweep").shape
     unit_type_shape_by_dataset = {
         dataset_name: (unit, type_name, axes_shape)
@@ -407,9 +453,10 @@ def _write_datasets_and_make_header(
     unit_type_shape_by_dataset: Mapping[str, tuple[str, str, tuple[int, ...]]],
     omitted_options: Sequence[str],
 ) -> store.StoredFile:
-    """Write a new file's datasets to memory, and return the header.
+    """Write a new sweep file, with zeros, to memory; return its header.
 
-    ``unit_type_shape_by_dataset`` holds tuples by name.
+    ``unit_type_shape_by_dataset`` has unit, NumPy type and shape by dataset name. The header refers
+    to ``path``.
     """
     import h5py  # what only reads has its reader
 
@@ -442,7 +489,10 @@ def _write_datasets_and_make_header(
 
 
 def _copy_written_parts(memory_descriptor: int, target_descriptor: int) -> None:
-    """Copy the size and written parts of an open file to another; raises OSError."""
+    """Copy a sparse file's size and written parts to another open file.
+
+    Both parameters are file descriptors. Failure raises OSError.
+    """
     file_size, part_end = os.fstat(memory_descriptor).st_size, 0
     os.truncate(target_descriptor, file_size)
     while part_end < file_size:
@@ -459,7 +509,7 @@ def _copy_written_parts(memory_descriptor: int, target_descriptor: int) -> None:
 
 
 def _describe_column(column_name: str) -> str:
-    """Return a description of a column or wave; empty if unknown."""
+    """Return a column's description for the file; empty if unknown."""
     if column_name in UNIT_BY_WAVE:
         return (
             "axes of the sweep; "
@@ -476,14 +526,17 @@ def _describe_column(column_name: str) -> str:
 
 
 def _compute_waves_checksum(gap: np.ndarray, force: np.ndarray) -> int:
-    """Return the checksum of a case's waves."""
+    """Return the CRC-32 of a case's gap and force coefficients."""
     return zlib.crc32(force.tobytes(), zlib.crc32(gap.tobytes()))
 
 
 def _compute_case_checksums(
     column_by_name: Mapping[str, np.ndarray], case_states: np.ndarray
 ) -> np.ndarray:
-    """Return checksums of cases (n,) from their columns and states."""
+    """Return a checksum (CRC-32, never 0) for each case: (n,).
+
+    ``column_by_name`` has the values (n,) of each column, and ``case_states`` (n,) the states.
+    """
     # Rows of bytes take memory: make few at once.
     checksums, n_block_cases = np.zeros(len(case_states), dtype="u4"), 4096
     for block_start in range(0, len(case_states), n_block_cases):
@@ -502,7 +555,11 @@ def _compute_case_checksums(
 
 
 def _read_matching_header(path: Path, scene: Scene) -> store.StoredFile:
-    """Return a file's header; raise InputError unless it fits the scene and version."""
+    """Return the header of a file to be continued.
+
+    InputError if the file was begun with another scene, other mesh files or another version of the
+    program, or if columns are missing.
+    """
     sweep_header = store.read_result_file_without_numbers(path)
     sweep_header.check_kind(KIND)
     stored_scene = sweep_header.scene()
@@ -534,7 +591,8 @@ def _check_omitted_options_match(
 ) -> None:
     """Raise InputError if a file was begun with other omitted options.
 
-    Files from earlier versions do not state the options and are accepted.
+    The options are those of :class:`SweepFile`. Files from earlier versions do not state them and
+    are accepted.
     """
     stored_option_names = sweep_header.attributes.get("omitted", " ".join(omitted_options)).split()
     changed_option_texts = [
@@ -551,7 +609,10 @@ def _check_omitted_options_match(
 
 
 def _unit_and_type_by_dataset(scene: Scene) -> dict[str, tuple[str, str]]:
-    """Return unit and type of all columns in a file, by name."""
+    """Return unit and NumPy type of all datasets in a sweep's file.
+
+    These are ``state``, all columns and the checksums, by name.
+    """
     unit_and_type_by_checksum = dict.fromkeys(
         (WAVES_CHECKSUM_COLUMN_NAME, CASE_CHECKSUM_COLUMN_NAME), ("", "u4")
     )
@@ -559,7 +620,10 @@ def _unit_and_type_by_dataset(scene: Scene) -> dict[str, tuple[str, str]]:
 
 
 def scene_of_sweep(sweep_header: store.StoredFile) -> Scene:
-    """Return the scene in a sweep's file; raise InputError if columns do not fit."""
+    """Return the scene in a sweep's file.
+
+    InputError if the file is no sweep, or if its columns do not fit the scene or exceed 2 GiB.
+    """
     sweep_header.check_kind(KIND)
     scene = sweep_header.scene()
     if scene is None or scene.sweep is None:
@@ -586,14 +650,14 @@ def scene_of_sweep(sweep_header: store.StoredFile) -> Scene:
 def _read_columns_and_find_damage(
     sweep_header: store.StoredFile, scene: Scene
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Read all cases, as flat columns, and find damaged ones.
+    """Read all columns of a sweep's file, and find damaged cases.
 
-    A case whose state has no matching checksum is pending.
+    If cases seem damaged, the file is read again: another program may be writing them.
 
     Returns
     -------
     column_by_name : dict of str to (n_cases,)
-        ``state`` and all columns.
+        ``state`` and all columns, without the case checksum. Damaged cases are pending.
     is_damaged : (n_cases,) bool
         True for cases whose stored state does not match the checksum.
     """
@@ -611,7 +675,10 @@ def _read_columns_and_find_damage(
 def _read_flat_column_by_name(
     sweep_header: store.StoredFile, scene: Scene
 ) -> dict[str, np.ndarray]:
-    """Read all stored columns, (n_cases,) each, by name."""
+    """Read all stored columns by name, flattened to (n_cases,), without checks.
+
+    A file that cannot be read raises InputError.
+    """
     try:  # the state first: what is written later counts as pending
         column_names = [
             column_name
@@ -631,12 +698,14 @@ def _replace_unconfirmed_states(
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Replace stored states by states that match the checksums.
 
+    A case is converged or failed if its checksum fits this state, otherwise pending.
+
     Returns
     -------
     column_by_name : dict of str to (n_cases,)
-        ``state`` and the columns, without the checksum.
+        ``state`` and the columns, without the case checksum.
     is_damaged : (n_cases,) bool
-        True for cases with a state that no checksum confirms.
+        True for cases with a stored state that no checksum confirms.
     """
     stored_states, stored_checksums = map(column_by_name.pop, ("state", CASE_CHECKSUM_COLUMN_NAME))
     written_case_numbers = np.flatnonzero(stored_checksums)
@@ -658,7 +727,10 @@ def _replace_unconfirmed_states(
 
 
 def _read_intact_states(sweep_header: store.StoredFile, scene: Scene) -> np.ndarray:
-    """Return states in the shape of the axes; State.PENDING for damaged cases."""
+    """Return each case's state (:class:`CaseState`), in the shape of the axes.
+
+    Cases with damaged columns or Fourier coefficients are PENDING.
+    """
     case_states: np.ndarray = _read_columns_and_find_damage(sweep_header, scene)[0][
         "state"
     ].reshape(scene.given("sweep").shape)
@@ -669,9 +741,10 @@ def _read_intact_states(sweep_header: store.StoredFile, scene: Scene) -> np.ndar
 
 
 def read_column_by_name(sweep_header: store.StoredFile, scene: Scene) -> dict[str, np.ndarray]:
-    """Read ``state`` and all columns, in the shape of the axes.
+    """Read all columns by name, in the shape of the axes.
 
-    Pending cases and missing columns have nan, 0 for whole numbers, and empty texts.
+    The column ``state`` is included. Pending cases and missing columns have nan; whole numbers have
+    0, texts are empty. Damaged cases raise InputError.
     """
     flat_column_by_name, is_damaged = _read_columns_and_find_damage(sweep_header, scene)
     axes_shape, column_by_name = scene.given("sweep").shape, {}
@@ -709,9 +782,17 @@ def read_column_by_name(sweep_header: store.StoredFile, scene: Scene) -> dict[st
 def read_gap_and_force_coefficients(
     path: Path, index: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Read the gap [m] and force [N] coefficients of a converged case: (2H+1, n_rows) each.
+    """Read Fourier coefficients of a converged case's gaps [m] and forces [N].
 
-    With friction, tangential rows follow the normal ones.
+    Each array is (2H+1, n_rows). With friction, tangential rows follow the normal ones. A damaged
+    case raises InputError.
+
+    Parameters
+    ----------
+    path : Path
+        The sweep's file.
+    index : tuple of int
+        Position on each axis.
     """
     sweep_header = store.read_result_file_without_numbers(path)
     sweep_header.check_kind(KIND)
@@ -727,7 +808,11 @@ def read_gap_and_force_coefficients(
 def _read_intact_coefficients(
     sweep_header: store.StoredFile, index: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Read the same coefficients; None if they are damaged."""
+    """Read Fourier coefficients of a case's gaps [m] and forces [N].
+
+    Each array is (2H+1, n_rows). The result is None if they cannot be read or do not match the
+    checksum.
+    """
     stored_column_by_name, file_path, waves = sweep_header.columns, sweep_header.path, []
     try:
         case_number = int(np.ravel_multi_index(index, stored_column_by_name["state"].shape))

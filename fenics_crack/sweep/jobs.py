@@ -37,25 +37,29 @@ from fenics_crack.sweep.plan import Chunk, Plan
 
 
 class MessageTag(IntEnum):
-    """Tags of messages to a rank."""
+    """Tags of messages from rank 0 to another rank.
+
+    JOB brings a job, END stops the rank.
+    """
 
     JOB = 0
     END = 1
 
 
 ChunkOutcome = list[CaseValues] | Exception
-"""Values of the cases in a chunk, or the error that ends the sweep."""
+"""Values of each case in a chunk (up to 16 neighbouring cases), or the error that ends the
+sweep."""
 
 
 class Job(NamedTuple):
-    """Chunks of one geometry for a rank.
+    """Work for one rank: chunks of cases with a shared structure.
 
     Attributes
     ----------
     geometry_number : int
-        Position of the geometry in the plan.
+        Number of the shared structure in the plan.
     chunk_case_numbers : tuple of (n,) int
-        Case numbers in each chunk.
+        Case numbers in each chunk, at most 16.
     """
 
     geometry_number: int
@@ -63,7 +67,7 @@ class Job(NamedTuple):
 
 
 class Worker:
-    """Solver for jobs on one rank; builds the geometries itself.
+    """Solver for one rank's jobs; it builds the shared structures, too.
 
     Parameters
     ----------
@@ -77,10 +81,13 @@ class Worker:
         self._case_options, self._plan = case_options, plan
         self._geometry_number = -1
         self._geometry_or_error: SweepGeometry | Exception | None = None
-        """Last geometry, or the error from building it."""
+        """Shared structure for the last job, or the error from building it; None at first."""
 
     def release_geometry(self, *, is_stopped: bool) -> None:
-        """Release the memory of the last geometry."""
+        """Release the memory of the last job's structure.
+
+        ``is_stopped`` is True if a user has stopped the sweep (for :func:`collect_garbage`).
+        """
         self._geometry_or_error = None
         gc.collect()  # structures and their rotations know each other
         collect_garbage(MPI.COMM_SELF, was_stopped=is_stopped)
@@ -88,9 +95,9 @@ class Worker:
     def iterate_chunk_outcomes(
         self, job: Job, may_continue: Callable[[], bool]
     ) -> Iterator[tuple[np.ndarray, ChunkOutcome]]:
-        """Solve a job's chunks, and yield case numbers and outcome of each.
+        """Solve a job's chunks; yield case numbers (n,) and outcome of each.
 
-        ``may_continue`` is called before each chunk and each case.
+        ``may_continue`` is called before each chunk and each case; False ends the job.
         """
         chunks = list(map(self._plan.make_chunk, job.chunk_case_numbers))
         for chunk in chunks:
@@ -100,7 +107,10 @@ class Worker:
             yield self._solve_chunk(chunk, may_continue)
 
     def _build_geometry(self, geometry_number: int, chunks: list[Chunk]) -> None:
-        """Build a job's geometry, unless already built or all cases are refused."""
+        """Build the shared structure for a job's cases, or keep the error.
+
+        Nothing is built for the same structure as in the last job, or if all cases are refused.
+        """
         scenes_and_reasons = (
             scene_or_reason for chunk in chunks for scene_or_reason in chunk.scenes_or_reasons
         )
@@ -132,7 +142,7 @@ class Worker:
     def _solve_chunk(
         self, chunk: Chunk, may_continue: Callable[[], bool]
     ) -> tuple[np.ndarray, ChunkOutcome]:
-        """Return the numbers of tried cases (n,) and their outcome."""
+        """Solve a chunk; return the numbers (n,) of cases tried, and outcome."""
         geometry_or_error = self._geometry_or_error
         if isinstance(geometry_or_error, SweepGeometry):
             try:
@@ -159,12 +169,15 @@ class Worker:
 
 
 def _make_error_with_traceback() -> RuntimeError:
-    """Return an error with the traceback of the present exception."""
+    """Return a RuntimeError whose message has the traceback of the present exception."""
     return RuntimeError(f"a job of the sweep ended with\n{traceback.format_exc()}")
 
 
 def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
-    """Solve the jobs that rank 0 sends, until a message with the tag END."""
+    """Solve the jobs that rank 0 sends, until an END message.
+
+    ``comm`` has all ranks of the sweep. Outcomes go back to rank 0.
+    """
     send_requests: list[MPI.Request] = []
 
     def may_continue() -> bool:
@@ -186,9 +199,10 @@ def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
 
 
 def _receive_message(comm: MPI.Comm, message_status: MPI.Status) -> Any:
-    """Wait for the next message and return it.
+    """Wait for the next message and return its content.
 
-    MPI's own wait keeps a processor busy; this one does not.
+    MPI's own wait keeps a processor busy; this one sleeps. ``message_status`` then has the sender
+    and the tag.
     """
     wait_until(lambda: comm.iprobe(status=message_status))
     message_buffer = bytearray(message_status.Get_count(MPI.BYTE))
@@ -204,7 +218,19 @@ def _receive_message(comm: MPI.Comm, message_status: MPI.Status) -> Any:
 
 
 class Manager:
-    """Owner of a sweep's jobs and file, on rank 0."""
+    """Distributor of a sweep's jobs on rank 0; writes the file.
+
+    Parameters
+    ----------
+    plan : Plan
+        Plan of the sweep.
+    sweep_file : SweepFile
+        Open file; cases already in it are not solved again.
+    n_ranks : int
+        Number of ranks that solve cases, with rank 0.
+    progress : bool
+        Show a progress bar.
+    """
 
     def __init__(self, plan: Plan, sweep_file: SweepFile, n_ranks: int, *, progress: bool) -> None:
         self._first_error: BaseException | None = None
@@ -231,9 +257,9 @@ class Manager:
             if chunk_case_numbers_by_geometry[geometry_number]
         }
         self._geometry_number_by_rank: dict[int, int] = {}
-        """Number of the present or next geometry, by rank."""
+        """Number of the shared structure in the present or next job, by rank."""
         self._n_jobs_at_other_ranks, self._n_recorded_chunks = 0, 0
-        """Jobs at the other ranks, and chunks written."""
+        """Unfinished jobs at other ranks, and chunks written to the file."""
         self._n_failed_cases = int(np.count_nonzero(sweep_file.case_states == CaseState.FAILED))
         from tqdm import tqdm
 
@@ -244,25 +270,37 @@ class Manager:
 
     @property
     def _n_finished_cases(self) -> int:
-        """Number of converged and failed cases."""
+        """Number of converged and failed cases in the file."""
         return int(np.count_nonzero(self._sweep_file.case_states != CaseState.PENDING))
 
     def progress_text(self) -> str:
-        """Return how many cases are finished, as a text."""
+        """Return the progress as text: "3 of 8 cases of the sweep"."""
         return f"{self._n_finished_cases} of {self._sweep_file.case_states.size} cases of the sweep"
 
     @property
     def sweep_header(self) -> StoredFile:
-        """Header of the finished file; raises the error that ended the sweep."""
+        """Header of the finished file.
+
+        An error that ended the sweep is raised here.
+        """
         if self._first_error is not None:
             raise self._first_error
         return self._sweep_file.sweep_header
 
     def run(self, worker: Worker, comm: MPI.Comm, stop_request: StopRequest) -> None:
-        """Have all jobs done, then close the file.
+        """Distribute and solve all jobs, then close the file.
 
-        The first error is kept for :attr:`sweep_header`. An error removes a new file without
-        results.
+        The first error is kept and raised by :attr:`sweep_header`. After an error, a new file
+        without results is removed.
+
+        Parameters
+        ----------
+        worker : Worker
+            Solver on rank 0.
+        comm : MPI.Comm
+            All ranks of the sweep.
+        stop_request : StopRequest
+            Request to stop by Ctrl-C.
         """
         other_ranks = range(1, comm.size)
 
@@ -315,7 +353,10 @@ class Manager:
             self._n_jobs_at_other_ranks += 1
 
     def _receive_outcome(self, comm: MPI.Comm) -> None:
-        """Receive a rank's message: record an outcome, or answer a finished job."""
+        """Receive a message from another rank, and act on it.
+
+        A chunk's outcome is written to the file; after a finished job the rank gets the next one.
+        """
         message_status = MPI.Status()
         case_numbers_and_outcome = _receive_message(comm, message_status)
         if case_numbers_and_outcome is not None:
@@ -327,9 +368,10 @@ class Manager:
     def _take_next_job(self, rank: int) -> Job | None:
         """Choose the next job for a rank; None if no chunk remains.
 
-        First comes the rank's geometry, then a geometry without a rank, then the geometry with most
-        chunks. A geometry is a single job with one rank, or while more geometries than ranks are
-        unassigned. Otherwise jobs shrink so that ranks finish together.
+        A rank first goes on with the structure (mesh and modes) of its last job. Otherwise it gets
+        a structure that no rank works on, or the structure with most chunks left. A job takes all
+        chunks with a structure if there is one rank, or while more structures than ranks are
+        untouched. Later, jobs shrink so that the ranks finish together.
         """
         if not self._remaining_case_numbers_by_geometry:
             return None
@@ -360,7 +402,10 @@ class Manager:
         return Job(geometry_number, tuple(chunk_case_numbers[:n_job_chunks]))
 
     def _record_outcome(self, case_numbers: np.ndarray, outcome: ChunkOutcome) -> None:
-        """Write a chunk's cases; an error ends the sweep."""
+        """Write a chunk's cases to the file.
+
+        If the outcome is an error, or writing fails, the error is kept and ends the sweep.
+        """
         if isinstance(outcome, Exception):
             self._keep_error_and_discard_jobs(outcome)
             return
@@ -382,6 +427,6 @@ class Manager:
         self._progress_bar.update(len(outcome))
 
     def _keep_error_and_discard_jobs(self, error: BaseException) -> None:
-        """Discard all remaining jobs and keep the first error."""
+        """Keep the first error, and drop all jobs not yet sent."""
         self._first_error = self._first_error or error
         self._remaining_case_numbers_by_geometry.clear()

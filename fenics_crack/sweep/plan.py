@@ -21,26 +21,29 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCE_KEYS, Contact
 
 LOAD_FREQUENCY_KEYS = ("excitation.omega", "excitation.frequency")
-"""Keys that set the load frequency directly."""
+"""Scene keys that set the load frequency directly."""
 FULL_FORCE_KEYS = {f"excitation.{name}" for name in FORCE_KEYS}
-"""Full keys of the excitation's force."""
+"""Scene keys for the excitation's force, such as "excitation.force_sin"."""
 GEOMETRY_INDEPENDENT_KEYS = {
     *LOAD_FREQUENCY_KEYS, *FULL_FORCE_KEYS,
     *map(Contact.full_key, Contact.field_by_key().keys() - {"pairs"}),
     "harmonic_balance.harmonics", "harmonic_balance.samples", "harmonic_balance.tolerance",
 }  # fmt: skip
-"""Keys that change neither mesh, matrices and modes nor the load's position."""
+"""Scene keys that change neither mesh, matrices, modes nor the load's position.
+
+Cases that differ only in these keys share a structure.
+"""
 
 
 class Chunk(NamedTuple):
-    """Neighbouring cases along one axis.
+    """Up to 16 neighbouring sweep cases, solved one from the other.
 
     Attributes
     ----------
     case_numbers : (n,) int
         Numbers of the cases, last axis fastest.
     scenes_or_reasons : tuple of Scene or str
-        Scene of each case, or the reason why the case is refused.
+        Scene of each case, or the reason why its values make no valid scene.
     """
 
     case_numbers: np.ndarray
@@ -48,7 +51,10 @@ class Chunk(NamedTuple):
 
 
 class Plan:
-    """Geometries and chunks for a scene's sweep.
+    """Division of a sweep into shared structures ("geometries") and chunks of cases.
+
+    A geometry is a combination of mesh, matrices and modes. A chunk has up to 16 neighbouring cases
+    with the same geometry.
 
     Attributes
     ----------
@@ -57,16 +63,16 @@ class Plan:
     sweeps_reduction_method : bool
         True if the sweep changes ``reduction.method``.
     has_unit_loads : bool
-        True if geometries are built with unit loads, since the sweep changes the force.
+        True if structures are built with unit forces, since the sweep changes the force.
     chunk_case_numbers_by_geometry : list of list of (n,) int
         Case numbers in each chunk of each geometry.
     n_harmonics_upper_bound : int
-        Upper bound for the harmonics in all cases.
+        Upper bound for the harmonics in all cases; at least 100 with a tolerance.
 
     Raises
     ------
     InputError
-        No combination of values is a scene.
+        No combination of the swept values is a valid scene.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -83,12 +89,12 @@ class Plan:
         self.chunk_case_numbers_by_geometry = self._split_case_numbers_into_chunks(
             geometry_independent_keys
         )
-        """Case numbers (n,) of each chunk, by geometry."""
+        """Case numbers (n,) of each chunk, by geometry (shared structure)."""
         balance_table = scene.harmonic_balance
         self.n_harmonics_upper_bound = max(
             self._swept_values_by_key.get("harmonic_balance.harmonics", (balance_table.harmonics,))
         )
-        """Upper bound for the harmonics of all cases."""
+        """Upper bound for the harmonics in all cases."""
         if (
             balance_table.tolerance is not None
             or "harmonic_balance.tolerance" in self._swept_values_by_key
@@ -104,10 +110,11 @@ class Plan:
     def _split_case_numbers_into_chunks(
         self, geometry_independent_keys: set[str]
     ) -> list[list[np.ndarray]]:
-        """Split case numbers by geometry, then into chunks with at most 16 cases.
+        """Split case numbers by geometry, then into chunks of at most 16.
 
-        Chunks follow the frequency axis if a frequency is swept. Otherwise they follow the last
-        axis without effect on the geometry.
+        A geometry is a structure shared by several cases. Chunks follow the frequency axis if a
+        frequency is swept. Otherwise they follow the last axis without effect on the geometry; if
+        each axis changes the geometry, a chunk is a single case.
         """
         swept_keys = list(self._swept_values_by_key)
         independent_axis_indices = [
@@ -153,16 +160,21 @@ class Plan:
 
     @property
     def n_gap_rows_upper_bound(self) -> int:
-        """Upper bound for the gap rows in all geometries; friction doubles them."""
+        """Upper bound for the number of gap rows in all cases.
+
+        There is a row for each contact pair; with friction there are two.
+        """
         return self._n_gap_rows_per_pair * max(
             n_pairs for n_pairs, _ in self.pair_bounds_and_crack_lengths
         )
 
     @cached_property
     def pair_bounds_and_crack_lengths(self) -> list[tuple[int, float]]:
-        """Upper bound for contact pairs and length of the first crack [m], by geometry.
+        """Upper bound for contact pairs, and first crack's length [m], by geometry.
 
-        Solids are meshed for the bound and mesh files read. Both are 0 if all cases are refused.
+        A geometry is a structure shared by several cases. Both numbers are 0 if all cases with a
+        geometry are refused. The length is 0 without a crack, or if a natural frequency stands for
+        the length. To find the bound, solids are meshed and mesh files read.
         """
         pair_bound_by_mesh: dict[Any, int] = {}
         bounds_and_lengths: list[tuple[int, float]] = []
@@ -187,7 +199,10 @@ class Plan:
         return bounds_and_lengths
 
     def scene_or_reason_at(self, index: Sequence[int]) -> Scene | str:
-        """Return the scene at an index, or the reason why it is refused."""
+        """Return a case's scene, or why its values make no valid scene.
+
+        ``index`` is the case's position on each axis.
+        """
         axes_and_value_indices = zip(self._swept_values_by_key.items(), index, strict=True)
         changes = {
             swept_key: axis_values[value_index]
@@ -199,18 +214,25 @@ class Plan:
             return str(error)
 
     def _scene_or_reason_by_number(self, case_number: int) -> Scene | str:
-        """Return the scene of a case, or the reason why it is refused."""
+        """Return a case's scene, or why its values make no valid scene.
+
+        ``case_number`` counts with the last axis fastest.
+        """
         return self.scene_or_reason_at(np.unravel_index(case_number, self.shape))
 
     def make_chunk(self, case_numbers: np.ndarray) -> Chunk:
-        """Return the chunk with the given case numbers (n,)."""
+        """Return the chunk with the given case numbers (n,).
+
+        It has the scene of each case, or the reason why its values make no valid scene.
+        """
         return Chunk(case_numbers, tuple(map(self._scene_or_reason_by_number, case_numbers)))
 
 
 def _find_pair_upper_bound(scene: Scene) -> int:
-    """Return an upper bound for the number of contact pairs in a scene.
+    """Return an upper bound for a scene's number of contact pairs.
 
-    A solid is meshed, a mesh file is read; other plates need neither.
+    A solid is meshed and a mesh file is read; other plates need no mesh. A mesh that cannot be made
+    gives 0, since its cases will fail.
     """
     if scene.structure is not None:
         return table_pair_upper_bound(scene.structure)
@@ -233,9 +255,10 @@ def _find_pair_upper_bound(scene: Scene) -> int:
 
 
 def _find_keys_sharing_geometry(scene: Scene, swept_keys: Collection[str]) -> set[str]:
-    """Return the keys whose values can share a geometry.
+    """Return the scene keys that cases with a shared structure may change.
 
-    Forces are not among them if a geometry contains other loads, harmonics or rotation.
+    Crack clearances are included. Forces are not if the structure has other loads, harmonics of the
+    force, or rotation, because the load then is no multiple of unit forces.
     """
     geometry_independent_keys = GEOMETRY_INDEPENDENT_KEYS | {
         swept_key for swept_key in swept_keys if re.fullmatch(r"crack.*\.clearance", swept_key)

@@ -82,9 +82,9 @@ from fenics_crack.sweep.jobs import Manager, Worker, serve_jobs
 from fenics_crack.sweep.plan import Plan
 
 SCENES_WITHOUT_PEAK_TEXT = "without contact, and with [rotation]"
-"""Describes scenes for which no largest response over the frequency is sought."""
+"""Description of scenes for which no largest response over the frequency is sought."""
 CASE_STATE_NAMES = np.array([state.name.lower() for state in CaseState])
-"""Names of the states, by state."""
+"""Names "pending", "converged" and "failed" of a case's state, by state (0, 1, 2)."""
 
 
 def run_sweep(
@@ -97,43 +97,43 @@ def run_sweep(
     judged: bool = True,
     natural: Collection[int] = (),
 ) -> SweepResult:
-    """Solve all cases of a scene's sweep by harmonic balance (collective).
+    """Solve all cases in a scene's sweep by harmonic balance (collective).
 
-    A case that cannot be solved is recorded with the reason. Ctrl-C stops after the present cases;
-    the same call continues with the missing cases.
+    A case is one combination of swept values. If it cannot be solved, the reason is recorded.
+    Ctrl-C stops after the present cases; the same call continues with the missing cases.
 
     Parameters
     ----------
     scene : Scene
         Scene with a table ``[sweep]``.
     path : path, optional
-        File for the results. Default: a file that lasts as long as the program.
-        An existing file must have the same scene and mesh files. All its tried cases are kept.
-        If cases are missing, ``verdicts``, ``judged`` and ``natural`` must be the same, too.
+        File for the results. Default: a file that lasts as long as the program. An existing file
+        must have the same scene and mesh files. All its tried cases are kept. If cases are missing,
+        ``verdicts``, ``judged`` and ``natural`` must be the same, too.
     comm : MPI.Comm
         Ranks that share the cases.
     progress : bool
-        Show a bar.
+        Show a progress bar.
     verdicts : bool
-        Assess the stability of each case. It takes a tenth to a third of the time if a geometry has
-        many cases. Otherwise the columns ``verdict`` and ``multiplier`` are empty.
+        Assess the stability of each case. It takes a tenth to a third of the time if many cases
+        share a structure. Otherwise the columns ``verdict`` and ``multiplier`` are empty.
     judged : bool
         Estimate the reduction error, with twice the modes. Otherwise the column ``reduction_error``
         is empty.
     natural : collection of int
         Positions on the last axis, from 0, for which only natural frequencies are computed. These
-        cases have the state of failed cases.
+        cases count as failed.
 
     Returns
     -------
     SweepResult
-        On every rank; incomplete after Ctrl-C.
+        Table of all cases, on every rank; incomplete after Ctrl-C.
 
     Raises
     ------
     InputError
-        The scene has no sweep, no combination of its values is a scene, a structure is too
-        large and not to be reduced, or the file cannot be used.
+        The scene has no sweep, no combination of its values is a scene, a structure is too large
+        and not to be reduced, or the file cannot be used.
 
     Examples
     --------
@@ -192,9 +192,9 @@ def run_sweep(
 
 
 def can_seek_resonance(scene: Scene) -> bool:
-    """Return True if the largest response over the load frequency can be sought.
+    """Return True if a scene has contact and no rotation.
 
-    Other scenes are as :data:`SCENES_WITHOUT_PEAK_TEXT` says.
+    Only then a sweep can solve each case at its resonance.
     """
     return scene.contact is not None and scene.speed == 0.0
 
@@ -202,7 +202,7 @@ def can_seek_resonance(scene: Scene) -> bool:
 # --- the result -----------------------------------------------------------------------------------
 
 VERDICTS_NOT_STABLE = "unstable", "irregular", "undecided"
-"""Verdicts of cases whose solution may not appear in reality."""
+"""Verdicts on stability with which a solution may not appear in reality."""
 
 
 @with_old_names(
@@ -211,7 +211,9 @@ VERDICTS_NOT_STABLE = "unstable", "irregular", "undecided"
 )  # fmt: skip
 @dataclass(frozen=True, repr=False)
 class SweepResult(Tabular):
-    """Table of a sweep; waves are read from the file on request.
+    """Result of a sweep: a table of cases, read from a file.
+
+    The Fourier coefficients of gaps and forces are read on request (:meth:`gap`, :meth:`solution`).
 
     Attributes
     ----------
@@ -224,7 +226,7 @@ class SweepResult(Tabular):
 
         - ``response``: half the peak-to-peak displacement at the load, in its direction [m]
         - ``mean`` to ``mean_shift``: indicators of the same displacement, as in :class:`Indicators`
-        - ``cosine_1`` to ``sine_6``: parts of its harmonics [m]
+        - ``cosine_1`` to ``sine_6``: cosine and sine parts of its harmonics [m]
         - ``tip.ux.ratio_2_1``: the same for points in ``[output.points]``
         - ``opening`` to ``closed_share``: indicators of the crack faces, as in :class:`Indicators`
         - ``omega_open`` to ``over_bilinear``: as in :meth:`BilinearFrequencies.nearest`
@@ -251,18 +253,23 @@ class SweepResult(Tabular):
     @classmethod
     @check_calls
     def load(cls, path: str | Path) -> SweepResult:
-        """Read the table of a sweep, also while it runs; nothing is computed.
+        """Read a sweep's table from its file, also while the sweep runs.
+
+        Nothing is computed.
 
         Raises
         ------
         InputError
-            The file cannot be read, is damaged, or is not one of a sweep.
+            The file cannot be read, is damaged, or is no sweep's file.
         """
         return cls.from_stored_file(read_result_file_without_numbers(Path(path)))
 
     @classmethod
     def from_stored_file(cls, sweep_header: StoredFile) -> SweepResult:
-        """Return the table from a file's header."""
+        """Read a sweep's table, with the file's header.
+
+        Raises as :meth:`load`.
+        """
         scene = scene_of_sweep(sweep_header)
         return cls(sweep_header.path, scene, read_column_by_name(sweep_header, scene))
 
@@ -271,7 +278,7 @@ class SweepResult(Tabular):
 
     @property
     def axes(self) -> tuple[Axis, ...]:
-        """Axes of the table."""
+        """Swept keys, each with its values: the axes of the table."""
         return tuple(self.scene.given("sweep").over)
 
     @property
@@ -281,40 +288,54 @@ class SweepResult(Tabular):
 
     @property
     def complete(self) -> bool:
-        """True if all cases were tried."""
+        """True if no case is pending: each was solved or failed."""
         return not np.any(self["state"] == CaseState.PENDING)
 
     @property
     def converged(self) -> np.ndarray:
-        """True for cases that were solved: bool in the shape of the axes."""
+        """True for solved cases: bool array in the shape of the axes."""
         return self["state"] == CaseState.CONVERGED
 
     @property
     def error_parts(self) -> np.ndarray:
-        """Estimated errors: (4, ...), then the shape of the axes; 0 without a value.
+        """Estimated relative errors, by part and case.
 
-        The four are truncation, reduction, sampling and residual, as in :class:`ErrorReport`.
+        The shape is (4, ...), then that of the axes. The four are truncation, reduction, sampling
+        and residual, as in :class:`ErrorReport`. A case without a solution or an estimate has 0.
         """
         return np.nan_to_num([self[f"{error_part_name}_error"] for error_part_name in ERROR_PARTS])
 
     @property
     def inexact(self) -> np.ndarray:
-        """True for cases with a large estimated error: bool in the shape of the axes."""
+        """True for solved cases with a total error above 5 %.
+
+        This bool array has the shape of the axes. The limit ``LARGE_ERROR`` holds for the sum of
+        :attr:`error_parts` in a case.
+        """
         return self.converged & (self.error_parts.sum(axis=0) > LARGE_ERROR)
 
     @property
     def not_stable(self) -> np.ndarray:
-        """True for unstable, irregular or undecided cases: bool in the shape of the axes."""
+        """True for cases with an unstable, irregular or undecided verdict.
+
+        This bool array has the shape of the axes.
+        """
         return np.isin(self["verdict"], VERDICTS_NOT_STABLE)
 
     @property
     def failed_indices_and_reasons(self) -> list[tuple[tuple[int, ...], str]]:
-        """Index and reason for each case that could not be solved."""
+        """Index and reason for each case that could not be solved.
+
+        The index is the position on each axis. Cases with natural frequencies only are included.
+        """
         return self._find_indices_and_statuses(self["state"] == CaseState.FAILED)
 
     @property
     def undecided_indices_and_reasons(self) -> list[tuple[tuple[int, ...], str]]:
-        """Index and reason for each case with undecided stability."""
+        """Index and reason for each case with undecided stability.
+
+        The index is the position on each axis.
+        """
         indices_and_statuses = self._find_indices_and_statuses(
             self.converged & (self["verdict"] == "undecided")
         )
@@ -325,11 +346,11 @@ class SweepResult(Tabular):
 
     @property
     def contradicted_indices_and_verdicts(self) -> list[tuple[tuple[int, ...], str]]:
-        """Index of each case whose verdict changes with more modes, and the verdict then.
+        """Index of each case whose verdict changes with more modes.
 
-        A step of Newton's method with twice the modes finds such cases, for crack faces without
-        mass. This step finds two in three. :func:`fenics_crack.solve` finds the orbit of a single
-        case.
+        A text with the verdict on stability by more modes follows each index (position on each
+        axis). For crack faces without mass, a Newton step with twice the modes finds about two in
+        three such cases. To check a single case, use :func:`fenics_crack.solve`.
         """
         indices_and_statuses = self._find_indices_and_statuses(
             self.converged & (self["verdict"] != "undecided")
@@ -343,19 +364,24 @@ class SweepResult(Tabular):
     def _find_indices_and_statuses(
         self, is_selected: np.ndarray
     ) -> list[tuple[tuple[int, ...], str]]:
-        """Return index and status of each selected case."""
+        """Return index (position on each axis) and ``status`` of each selected case.
+
+        ``is_selected`` is a bool array in the shape of the axes.
+        """
         return [
             (tuple(map(int, case_index)), str(self["status"][tuple(case_index)]))
             for case_index in np.argwhere(is_selected)
         ]
 
     def gap(self, index: tuple[int, ...] | int) -> np.ndarray:
-        """Return the gap coefficients of a converged case: (2H+1, n_pairs) [m].
+        """Return Fourier coefficients of a converged case's gaps: (2H+1, n_pairs) [m].
+
+        These are the normal gaps.
 
         Parameters
         ----------
         index : tuple of int, or int
-            Position on each axis, or number of the case.
+            Position on each axis, or number of the case (last axis fastest).
 
         Raises
         ------
@@ -371,10 +397,15 @@ class SweepResult(Tabular):
     def solution(self, index: tuple[int, ...] | int) -> PeriodicSolution:
         """Return the solution of a converged case; its structure is built again.
 
+        Parameters
+        ----------
+        index : tuple of int, or int
+            Position on each axis, or number of the case (last axis fastest).
+
         Raises
         ------
         InputError
-            As :meth:`gap`; or a mesh file has changed.
+            There is no such case, it was not solved, or a mesh or matrix file has changed.
         """
         case_index = self._find_converged_index(index)
         read_result_file_without_numbers(self.path).check_files(self.scene)
@@ -396,9 +427,9 @@ class SweepResult(Tabular):
     def _restore_solution(
         self, structure: Structure, case: Scene, case_index: tuple[int, ...]
     ) -> PeriodicSolution:
-        """Return the solution of a case in its structure.
+        """Return a case's stored solution, in its structure built again.
 
-        Raises InputError if the stored waves do not fit the structure.
+        InputError if the stored Fourier coefficients do not fit the structure.
         """
         omega = float(self["omega"][case_index])
         law = scene_contact_law(case, structure)
@@ -424,7 +455,10 @@ class SweepResult(Tabular):
         return rebuild_solution(value_by_field, structure, law)
 
     def _find_converged_index(self, index: tuple[int, ...] | int) -> tuple[int, ...]:
-        """Return the index of a converged case; raise InputError for other cases."""
+        """Return a converged case's position on each axis; InputError for other cases.
+
+        ``index`` is this position, or the number of the case (last axis fastest).
+        """
         try:
             raw_index = index if isinstance(index, tuple) else np.unravel_index(index, self.shape)
             case_index = tuple(map(operator.index, raw_index))
@@ -440,9 +474,9 @@ class SweepResult(Tabular):
 
     @property
     def quantities(self) -> dict[str, tuple[str, str]]:
-        """Label and unit of the columns that are drawn and printed, by name.
+        """Label and unit of the drawn and printed columns, by name.
 
-        The scene's ``[output] quantities`` chooses them; otherwise there are a few.
+        The scene's ``[output] quantities`` chooses them, by default a few.
         """
         label_by_point, label_and_unit_by_column = self.scene.label_by_point_name, {}
         for quantity_name in self.scene.quantities or observable_names(
@@ -469,7 +503,10 @@ class SweepResult(Tabular):
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """Return values by column: the swept keys first, one row for each case."""
+        """Return the table as lists by column.
+
+        The swept keys come first. Each case has a row.
+        """
         axis_columns = zip(*itertools.product(*(axis.values for axis in self.axes)), strict=True)
         values_by_column = {
             axis.key: list(axis_column)
@@ -520,7 +557,10 @@ class SweepResult(Tabular):
         }
 
     def build_conclusion(self) -> Conclusion:
-        """Return what the last printed sentence says about the sweep."""
+        """Build the sweep's closing sentence: largest response, errors, verdicts.
+
+        The command prints this sentence.
+        """
         is_converged, clause_texts = self.converged, []
         total_errors = self.error_parts.sum(axis=0)[is_converged]
         cases_text = format_count(is_converged.size, "case")
@@ -566,7 +606,10 @@ class SweepResult(Tabular):
         )
 
     def _repr_text(self) -> str:
-        """Return the numbers of values on the axes and of cases in each state."""
+        """Return a short description: values on each axis, cases in each state.
+
+        States are pending, converged and failed; those without cases are left out.
+        """
         state_names_and_case_counts = zip(
             CASE_STATE_NAMES, np.bincount(self["state"].ravel(), minlength=3), strict=True
         )
@@ -584,7 +627,12 @@ class SweepResult(Tabular):
 
 
 def has_omitted_options(sweep_header: StoredFile) -> bool:
-    """Return True for a sweep with omitted options, made by another computation."""
+    """Return True for a sweep's file without verdicts, errors or some solutions.
+
+    Other computations than the command ``sweep`` make such files, by the options ``verdicts``,
+    ``judged`` and ``natural`` of :func:`run_sweep`. ``sweep_header`` is the header of any result
+    file.
+    """
     return sweep_header.kind == KIND and bool(sweep_header.attributes.get("omitted"))
 
 
@@ -596,9 +644,19 @@ def iterate_texts_by_reason(
     indices_and_reasons: Sequence[tuple[tuple[int, ...], str]],
     outcome_text: str,
 ) -> Iterator[str]:
-    """Yield a text for each case group with a common reason.
+    """Yield a text for each group of cases with the same reason.
 
-    Differences in numbers do not count. Small groups share the last text.
+    The largest group comes first. Reasons that differ only in numbers count as the same. Four
+    groups are described; a last text counts all further cases.
+
+    Parameters
+    ----------
+    sweep_result : SweepResult
+        Source of the swept values.
+    indices_and_reasons : sequence of (index, reason)
+        Position on each axis and reason of each case, as from :attr:`SweepResult.failed`.
+    outcome_text : str
+        Outcome shared by the cases, for the text: "3 cases {outcome_text}, the first at ...".
     """
     indices_and_reasons_by_pattern: dict[str, list[tuple[tuple[int, ...], str]]] = {}
     for case_index, reason in indices_and_reasons:
@@ -622,7 +680,10 @@ def iterate_texts_by_reason(
 
 
 def describe_swept_values(axes: Sequence[Axis], index: Sequence[int]) -> str:
-    """Return the swept values of a case as a text."""
+    """Return a case's swept values as text.
+
+    An example is "omega = 1900.0, length = 0.02". ``index`` is the case's position on each axis.
+    """
     return ", ".join(
         f"{axis.key.rpartition('.')[2]} = {axis.values[value_index]}"
         for axis, value_index in zip(axes, index, strict=True)

@@ -59,7 +59,7 @@ def replaced(name: str, value: object) -> Callable[[pytest.MonkeyPatch, Path], N
 BROKEN = {
     "no compiler": ("compiler", no_compiler, "install gcc or clang"),
     "no headers": ("compiler", replaced("sysconfig.get_path", lambda _: "/no"), "python3-dev"),
-    "another MPI's mpirun": ("MPI", another_mpirun, "must be that of"),
+    "another MPI's mpirun": ("MPI", another_mpirun, "must be the mpirun of"),
     "two MPI libraries": (
         "MPI",
         replaced("fenics_crack.cli.doctor.list_loaded_libraries", lambda _: ["/a", "/b"]),
@@ -101,7 +101,7 @@ def said(program: str, **variables: str) -> str:
 def test_the_mpirun_of_another_mpi_is_refused() -> None:
     """Its ranks would be so many single runs."""
     *_, line = said("import fenics_crack.basics.ranks", OMPI_COMM_WORLD_SIZE="2").splitlines()
-    assert "mpirun = '2 programs of one rank each': must be that of" in line
+    assert "mpirun = '2 programs of one rank each': must be the mpirun of" in line
 
 
 def test_a_library_that_is_missing_is_named_with_the_ways_to_get_it() -> None:

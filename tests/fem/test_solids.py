@@ -793,7 +793,7 @@ def test_a_mesh_in_mm_is_told(tmp_path: Path) -> None:
     catch_error(
         lambda: fc.build_structure(scene.replace(rotor)),
         "rotation.speed",
-        names="3000 rpm; it measures 30 x 90 x 6 m",
+        names="3000 rpm; the mesh measures 30 x 90 x 6 m",
     )
 
 

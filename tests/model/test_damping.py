@@ -108,7 +108,7 @@ def test_message_says_which_ratios_fit() -> None:
         lambda: fc.RayleighDamping.from_ratios((0.06, 0.01), (5000.0, 1000.0)),
         "damping ratios",
         (0.06, 0.01),
-        names=r"at 1000 rad/s, from 0\.002 to 0\.05 at 5000 rad/s$",
+        names=r"at 1000 rad/s, a ratio from 0\.002 to 0\.05 at 5000 rad/s$",
     )
 
 

@@ -349,7 +349,6 @@ def test_replace_removes_an_optional_table() -> None:
         ("contract.stiffness", 1e9),
         ("stiffness", 1e9),
         ("contact", {"stiffness": 1e9}),
-        ("material", None),
         ("", 1.0),
         ("contact.", 1.0),
         ("contact.stiffness", -1.0),
@@ -359,6 +358,11 @@ def test_replace_removes_an_optional_table() -> None:
 def test_replace_refuses(key: str, value: object) -> None:
     """`replace` refuses keys that do not exist and values that a file could not give either."""
     catch_error(lambda: Scene.from_mapping(GOOD).replace({key: value}), key, value)
+
+
+def test_replace_removes_no_needed_table() -> None:
+    """`replace` shows the word for a removed table."""
+    catch_error(lambda: Scene.from_mapping(GOOD).replace({"material": None}), "material", "none")
 
 
 def test_replace_makes_a_missing_table() -> None:

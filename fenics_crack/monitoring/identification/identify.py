@@ -55,9 +55,12 @@ from fenics_crack.study.meshes import refine_scene_or_none
 from fenics_crack.sweep.result import SweepResult, iterate_texts_by_reason, run_sweep
 
 IRRELEVANT_SCENE_TABLE_NAMES = ("sweep", "curve", "integration", "identify", "tip_timing")
-"""Scene tables without effect on a sweep of the forward model."""
+"""Tables of a scene that do not change the solutions in a forward model's sweep."""
 ForwardSweeps = tuple[SweepResult, SweepResult | None, SweepResult | None]
-"""Sweeps of all cases, of a finer mesh, and halfway between the cases."""
+"""Three sweeps: all cases, a few on a finer mesh, a few halfway between all cases.
+
+The last two may be None.
+"""
 
 
 def identify(
@@ -71,49 +74,50 @@ def identify(
 ) -> Identification:
     """Find a crack, or other keys of a scene, from measurements (collective).
 
-    The scene is solved on a grid of the unknowns once, spread over the ranks, and on a finer mesh
-    at a few points. Files in ``folder`` keep both, and a killed run continues from them. A rotor's
-    natural frequencies may be at several speeds; all are solved. Under a steady load or a
-    clearance, the grid becomes denser where cracks between its points meet a resonance. If
-    interpolation is a large part of an error, the grid also becomes denser around cracks with a
-    good fit.
+    The scene is solved on a grid of the unknowns once, and on a finer mesh at a few grid points.
+    Files in ``folder`` keep both, and a killed run continues from these files. A rotor's natural
+    frequencies may be at several speeds; all are solved. Under a steady load or a clearance, the
+    grid becomes denser around cracks that meet a resonance between grid points. If interpolation
+    causes more than a fifth of a variance, the grid also becomes denser around cracks that explain
+    the measurements.
 
     Cross-validation and a few cases halfway between the grid points estimate the interpolation
-    error. The measurement error is increased by it. So is the remaining error of the mesh: if a
-    mesh finer by f changes a quantity by d, it is d / (2 f - 2). This is added to the correction d,
-    too: an error of first order leaves d / (f - 1), one of high order nothing. Least squares from
-    several starts find the estimate, and a posterior on a grid its regions. The likelihood's
-    integral over the prior, the evidence, decides between crack and no crack.
+    error, which is added to the measurement error. So is the remaining error of the mesh: if a mesh
+    finer by f changes a quantity by d, the remaining error is d / (2 f - 2). The correction d is
+    increased by the same amount: an error of first order leaves d / (f - 1), an error of high order
+    nothing. Least squares from several starts find the estimate, and a posterior on a grid gives
+    the credible regions. The likelihood's integral over the prior, the evidence, decides between
+    crack and no crack.
 
     Parameters
     ----------
     scene : Scene
-        The structure and its load; the values of the unknowns in it do not matter.
+        Structure and load; the scene's own values of the unknowns do not matter.
     measurements : Measurements or path
-        Measurements, or a file of them (:meth:`Measurements.read`).
+        Measurements, or their file (:meth:`Measurements.read`).
     unknown : mapping, optional
-        Replaces the table ``[identify.unknown]``: keys of the scene with the values at which it is
-        solved. Their ends are the bounds, between which the prior is uniform.
+        Keys of the scene with the values to solve, instead of the table ``[identify.unknown]``.
+        The prior is uniform between the first and last value.
     folder : path
         Folder of the sweeps' files.
     comm : MPI.Comm
-        Ranks over which they are spread.
+        Ranks that share the cases.
     progress : bool
-        Show bars.
+        Show progress bars.
 
     Returns
     -------
     Identification
-        On every rank.
+        Estimates, intervals and verdict, on every rank.
 
     Raises
     ------
     InputError
-        There are no unknowns, a measurement cannot be used or is not one of this scene, or as
-        :func:`run_sweep`.
+        There are no unknowns, a measurement does not fit the scene, or as :func:`run_sweep`.
     ConvergenceError
-        Ctrl-C has stopped a sweep, or too few cases were solved for any measurement of the plate
-        as it is.
+        Too few cases were solved to predict any measurement of the plate as it is.
+    StoppedError
+        Ctrl-C was pressed.
 
     Examples
     --------
@@ -183,14 +187,16 @@ def identify(
 def infer_unknowns(
     forward_models: SolvedForwardModels, measurements: Measurements
 ) -> Identification:
-    """Infer the unknowns by a forward model, solved for the measurements' loads.
+    """Infer the unknowns from measurements, with solved forward models.
+
+    Measurements without a prediction are left out, with a doubt in the result.
 
     Raises
     ------
     InputError
-        A measurement is not one of the model.
+        A measurement does not fit the scene or the solved loads.
     ConvergenceError
-        Too few cases of the model were solved for any measurement of the plate as it is.
+        Too few cases were solved to predict any measurement of the plate as it is.
     """
     measurements.check(forward_models.scene)
     measurements, doubt_texts = _select_predictable_measurements(forward_models, measurements)
@@ -243,7 +249,12 @@ def _select_predictable_measurements(
     Measurements
         Predictable measurements.
     tuple of str
-        Failed cases that were needed, and measurements that are therefore not used.
+        Doubts: failed cases at the measured loads, and measurements that are left out.
+
+    Raises
+    ------
+    ConvergenceError
+        No measurement of the plate as it is can be predicted.
     """
     models = [
         *forward_models.cracked_model_by_words.values(),
@@ -294,7 +305,11 @@ def _select_predictable_measurements(
 
 
 def list_measurement_limit_remarks(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
-    """List remarks on limits of measurements, whatever their values are."""
+    """List remarks on limits of the measured quantities, whatever their values are.
+
+    Limits are indistinguishable edges, mesh files without an error estimate, and a motion whose
+    shape depends on the load's size.
+    """
     identify_table = scene.given("identify")
     crack, measurement_rows, remark_texts = scene.crack, measurements.rows, []
     is_edge_given = not any(axis.key == "crack.edge" for axis in identify_table.unknown)
@@ -327,9 +342,10 @@ def list_measurement_limit_remarks(scene: Scene, measurements: Measurements) -> 
 def _yield_unresolved_resonance_remarks(
     forward_models: SolvedForwardModels, measurements: Measurements
 ) -> Iterator[str]:
-    """Yield remarks on loads with much larger vibration between the solved cases.
+    """Yield remarks on cracks that vibrate much more than all solved cracks.
 
-    Steady loads let the crack breathe there as in no solved case.
+    The limit is :attr:`Options.allowed_vibration_ratio` (2). A steady load lets the crack breathe
+    there as in no solved case.
     """
     if has_load_independent_motion_shape(forward_models.scene):
         return
@@ -359,14 +375,16 @@ def _yield_unresolved_resonance_remarks(
 def _find_largest_vibration_ratio_and_place(
     model: ForwardModel, load_frequency: float, point_name: str
 ) -> tuple[float, np.ndarray]:
-    """Find a point's largest vibration at a load [Hz] between the solved cases.
+    """Find the largest vibration of a point at cracks between solved ones.
+
+    The vibration is the first harmonic at a load frequency [Hz], interpolated by the model.
 
     Returns
     -------
     float
-        Vibration over that of any solved case; 0 if none is known.
+        Vibration over the largest at any solved crack; 0 if none is known.
     (d,)
-        Values of the unknowns there.
+        Values of the unknowns with the largest vibration.
     """
     first_harmonic_measurement = Measurement(
         "harmonic_1", 1.0, 1.0, frequency=load_frequency, point=point_name
@@ -394,13 +412,13 @@ class SolvedForwardModels:
     Attributes
     ----------
     scene : Scene
-        With its table ``[identify]``.
+        Scene with its table ``[identify]``.
     axes : sequence of Axis
-        The unknowns, with the solved values.
+        Unknowns with their solved values.
     cracked_model_by_words : dict of str to ForwardModel
-        A model for each combination of the unknowns that are words: "" or "right".
+        Models by the choice of text values, as "right" for crack.edge; "" without any.
     uncracked_model_by_words : dict of str to ForwardModel
-        The same without the crack; empty if that cannot be taken away.
+        Models without the crack; empty if the crack cannot be removed.
     """
 
     scene: Scene
@@ -410,7 +428,10 @@ class SolvedForwardModels:
 
 
 def _solve_uncracked_plate(scene: Scene, comm: MPI.Comm) -> UncrackedPlate:
-    """Solve the plate of a scene without its crack for every rank (collective)."""
+    """Solve the modes of the plate without its crack (collective).
+
+    Rank 0 solves for all ranks. A crack that cannot be removed is bonded.
+    """
     identify_table = scene.given("identify")
     uncracked_scene = scene.replace(
         dict.fromkeys(IRRELEVANT_SCENE_TABLE_NAMES)
@@ -431,33 +452,33 @@ def solve_forward(
     refined_axes: Sequence[Axis] = (),
     progress: bool = False,
 ) -> SolvedForwardModels:
-    """Solve, or read, the cases of the forward model (collective).
+    """Solve the cases of the forward models, or read their files (collective).
 
     Parameters
     ----------
     scene : Scene
-        With its table ``[identify]``.
+        Scene with its table ``[identify]``.
     load_frequencies : sequence of float
-        Load frequencies [Hz]; the further ones of the table are added.
+        Load frequencies [Hz] of measurements; ``identify.frequencies`` are added.
     folder : path
-        Folder of the files of the sweeps; their names depend on the scene and the frequencies.
+        Folder of the sweeps' files; file names depend on the scene and the frequencies.
     comm : MPI.Comm
-        The ranks over which the cases are spread.
+        Ranks that share the cases.
     frequency_only_loads : sequence of float
-        Loads [Hz] at whose speeds of the rotor only natural frequencies are needed.
+        Load frequencies [Hz] for rotor speeds at which only natural frequencies are needed.
     uncracked_plate : UncrackedPlate, optional
-        The plate without its crack, if it is known already.
+        Plate without its crack; default: solved here.
     refined_axes : sequence of Axis
-        Unknowns with further values, one after another.
+        Unknowns with old and added values, solved one after another.
     progress : bool
-        Show bars.
+        Show progress bars.
 
     Raises
     ------
     InputError
         As :func:`run_sweep`.
-    ConvergenceError
-        Ctrl-C has stopped a sweep.
+    StoppedError
+        Ctrl-C was pressed.
     """
     uncracked_plate = uncracked_plate or _solve_uncracked_plate(scene, comm)
     identify_table = scene.given("identify")
@@ -522,12 +543,12 @@ def solve_forward(
 
 @dataclass(frozen=True)
 class _ForwardSweeper:
-    """Runs the sweeps of a forward model over unknowns and loads, each in its own file.
+    """Sweeps of a forward model over unknowns and loads, each in a file.
 
     Attributes
     ----------
     coarse_scene, fine_scene : Scene
-        Scenes for all cases, and for a few on a finer mesh; the second is None without one.
+        Scene for all cases, and scene with a finer mesh for a few cases; None without a finer mesh.
     identify_table : Identify
         Table ``[identify]``.
     swept_loads : SweptLoads
@@ -537,9 +558,9 @@ class _ForwardSweeper:
     folder : path
         Folder of the files.
     comm : MPI.Comm
-        Ranks over which the cases are spread.
+        Ranks that share the cases.
     shows_progress : bool
-        True to show bars.
+        True to show progress bars.
     """
 
     coarse_scene: Scene
@@ -553,14 +574,22 @@ class _ForwardSweeper:
 
     @property
     def mesh_file_axes(self) -> list[Axis]:
-        """Return the axis of mesh files, if the table has meshes."""
+        """Return the axis over the files of ``[identify.meshes]``; empty without the table."""
         identify_table = self.identify_table
         return [Axis(MESH_AXIS_KEY, identify_table.mesh_files)] if identify_table.meshes else []
 
     def run_or_read_sweep(
         self, sweep_name: str, case_scene: Scene, unknown_axes: Sequence[Axis]
     ) -> SweepResult:
-        """Run, or read, the sweep of a scene over unknowns and loads (collective)."""
+        """Run a scene's sweep over unknowns and loads, or read its file (collective).
+
+        ``sweep_name`` begins the file name.
+
+        Raises
+        ------
+        StoppedError
+            Ctrl-C was pressed.
+        """
         swept_axes = (*unknown_axes, self.swept_loads.sweep_axis)
         swept_scene = replace(case_scene, sweep=Sweep(over=swept_axes))
         file_name_digest = hashlib.sha256(
@@ -589,7 +618,24 @@ class _ForwardSweeper:
         axis_index: int,
         refined_axis: Axis,
     ) -> SweepResult:
-        """Run the further values of a refined axis, and join them to a sweep (collective)."""
+        """Solve added values of an unknown, and join the sweeps (collective).
+
+        Parameters
+        ----------
+        sweep_result : SweepResult
+            Sweep with the values solved before.
+        unknown_axes : sequence of Axis
+            Unknowns with the values solved before.
+        axis_index : int
+            Index of the unknown among them.
+        refined_axis : Axis
+            Unknown with old and added values.
+
+        Returns
+        -------
+        SweepResult
+            All cases.
+        """
         values_solved_before = unknown_axes[axis_index].values
         added_axis_values = tuple(
             axis_value
@@ -609,7 +655,25 @@ class _ForwardSweeper:
         unknown_axes: Sequence[Axis],
         all_cases_sweep: SweepResult,
     ) -> ForwardSweeps:
-        """Run sweeps on the finer mesh and halfway, if any, beside all cases (collective)."""
+        """Solve a few cases on the finer mesh, and between all cases (collective).
+
+        Parameters
+        ----------
+        sweep_name : str
+            Beginning of the file names.
+        scene_changes : dict
+            Changes by key that remove the crack; empty to keep the crack.
+        unknown_axes : sequence of Axis
+            Unknowns with all solved values.
+        all_cases_sweep : SweepResult
+            Sweep of all cases, which is returned first.
+
+        Returns
+        -------
+        three SweepResult or None
+            All cases; on the finer mesh, or None without ``fine_scene``; halfway between all cases,
+            or None with mesh files.
+        """
         identify_table, axis_keys = self.identify_table, [axis.key for axis in unknown_axes]
         n_number_unknowns = sum(
             not isinstance(axis.values[0], str) for axis in identify_table.unknown
@@ -638,7 +702,7 @@ class _ForwardSweeper:
 def _join_sweeps(
     first_sweep: SweepResult, second_sweep: SweepResult, axis_index: int
 ) -> SweepResult:
-    """Join the cases of two sweeps with different values on one axis."""
+    """Join two sweeps with different values on one axis, in ascending order."""
     axis_values = [*first_sweep.axes[axis_index].values, *second_sweep.axes[axis_index].values]
     sorted_value_indices = np.argsort(axis_values)
     column_by_name = {
@@ -660,7 +724,10 @@ def _join_sweeps(
 
 
 def _count_allowed_cases(scene: Scene) -> int:
-    """Return the allowed number of solved cases."""
+    """Return the maximum number of solved cases: 8 times those in ``[identify.unknown]``.
+
+    8 is :attr:`Options.max_solved_case_ratio`.
+    """
     unknown_axes = scene.given("identify").unknown
     return OPTIONS.max_solved_case_ratio * math.prod(
         len(unknown_axis.values) for unknown_axis in unknown_axes
@@ -673,10 +740,10 @@ def _refine_axis_at_resonance_or_none(
     load_frequencies: Sequence[float],
     unknown_axes: Sequence[Axis],
 ) -> Axis | None:
-    """Refine the unknown along which the vibration changes most.
+    """Refine the unknown along which the vibration changes most between solved cracks.
 
-    None if no crack between vibrates much more than the solved ones, if that does not matter, or if
-    the cases would be too many.
+    None if no crack between solved ones vibrates more than twice as much as all of these. None also
+    if the motion is proportional to the load, or if the cases would be too many.
     """
     models_loads_points = itertools.product(
         models, load_frequencies, scene.label_by_point_name or ("",)
@@ -735,16 +802,17 @@ def _refine_axis_at_resonance_or_none(
 def _find_most_interpolated_measurement_or_none(
     identification: Identification,
 ) -> tuple[str, np.ndarray, np.ndarray] | None:
-    """Find the measurement with the largest share of interpolation in its variance.
+    """Find the measurement with the largest part of its variance by interpolation.
 
-    The share is a mean over the cracks that explain the measurements. The posterior does not serve
-    here: it falls as an interpolation error grows, and excludes some cracks.
+    The part is a mean over the cracks that explain the measurements. The posterior does not serve
+    here: a larger interpolation error lowers it, and excludes cracks.
 
     Returns
     -------
     tuple or None
-        Its name, its shares by the interpolation along each unknown (d,), and those cracks (m, d).
-        None if the share is small.
+        Name of the measurement, parts by interpolation along each unknown (d,), and cracks that
+        explain the measurements (m, d). None if the largest part is at most
+        :attr:`Options.allowed_interpolation_share` (0.2), or no crack explains the measurements.
     """
     branch_points_and_shares = [
         branch.compute_explaining_points_and_shares()
@@ -776,10 +844,11 @@ def _refine_axis_by_share_or_none(
     shares_along_unknowns: np.ndarray,
     explaining_points: np.ndarray,
 ) -> Axis | None:
-    """Refine the unknown along which interpolation adds most to an error.
+    """Refine the unknown along which interpolation adds most to a variance.
 
-    Further values are halfway between those around the cracks x (m, d) that explain the
-    measurements. None if the cases would be too many, or if no unknown has values between.
+    Added values are halfway between old ones, around the cracks (m, d) that explain the
+    measurements. ``shares_along_unknowns`` (d,) are the parts of the variance. None if the cases
+    would be too many, or if no unknown has real numbers.
     """
     axis_by_key = {unknown_axis.key: unknown_axis for unknown_axis in forward_models.axes}
     for unknown_index in np.argsort(-shares_along_unknowns):
@@ -802,9 +871,11 @@ def _refine_axis_by_share_or_none(
 
 
 def _list_coarse_and_fine_scenes(scene: Scene, mesh_ratio: float) -> tuple[Scene, Scene | None]:
-    """Return the scenes for all cases, and for a few on a finer mesh.
+    """Return the scenes with the coarse and the finer mesh.
 
-    The second is None without a finer mesh.
+    The first is for all cases, the second for a few. ``mesh_ratio`` is ``identify.finer``. Above 1
+    the scene's own mesh is the coarse one, below 1 the fine one. The second is None for a ratio of
+    1, and if mesh and harmonics cannot be refined.
     """
     finer_value_by_key: dict[str, Any] = {}
     if scene.harmonic_balance.tolerance is None and mesh_ratio > 1.0:
@@ -824,9 +895,9 @@ def _list_coarse_and_fine_scenes(scene: Scene, mesh_ratio: float) -> tuple[Scene
 
 
 def _thin_axes(unknown_axes: Sequence[Axis], n_kept_values: int) -> tuple[Axis, ...]:
-    """Thin the values of each unknown to a few, with its ends.
+    """Keep a number of values of each unknown, equally spread, with both ends.
 
-    Words are all kept.
+    All text values are kept.
     """
     thinned_axes = []
     for unknown_axis in unknown_axes:
@@ -843,16 +914,16 @@ def _thin_axes(unknown_axes: Sequence[Axis], n_kept_values: int) -> tuple[Axis, 
 
 
 def _is_divisible(unknown_axis: Axis) -> bool:
-    """Return True if an unknown has values between; not for words and whole numbers."""
+    """Return True if an unknown has real numbers, not text or whole numbers."""
     return any(isinstance(axis_value, float) for axis_value in unknown_axis.values)
 
 
 def _list_halfway_values(
     unknown_axis: Axis, lower_limit: float = -np.inf, upper_limit: float = np.inf
 ) -> tuple[float, ...]:
-    """Return values halfway between an unknown's values, within limits.
+    """Return the values halfway between an unknown's values.
 
-    Words and whole numbers have none.
+    Only intervals that overlap the two limits count. The tuple is empty for text and whole numbers.
     """
     value_pairs = itertools.pairwise(unknown_axis.values) if _is_divisible(unknown_axis) else ()
     return tuple(
@@ -869,9 +940,11 @@ def _build_models(
     cracked_sweeps: ForwardSweeps,
     uncracked_sweeps: ForwardSweeps | None = None,
 ) -> dict[str, ForwardModel]:
-    """Build a model of the sweeps for each combination of words.
+    """Build a forward model for each choice of text values, from its sweeps.
 
-    Sweeps on a finer mesh, halfway between the values, and without the crack are optional.
+    Some unknowns have text values, as crack.edge = "left". Keys are these values joined with ", ".
+    ``uncracked_sweeps`` are for the plate without the crack; None if the crack cannot be removed,
+    or if ``cracked_sweeps`` are without the crack, too.
     """
     mesh_number_axes = scene.given("identify").mesh_axes
     axes = [

@@ -59,11 +59,11 @@ from fenics_crack.sweep.result import SweepResult
 
 @dataclass(frozen=True)
 class UnknownGrid:
-    """Grid of the unknowns between their bounds.
+    """Grid of solved values of d unknowns, between their bounds.
 
     Attributes
     ----------
-    axes : tuple of arrays
+    axes : tuple of (n_i,) arrays
         Values of each unknown in ascending order; empty without unknowns.
     """
 
@@ -71,17 +71,17 @@ class UnknownGrid:
 
     @property
     def lower_bounds(self) -> np.ndarray:
-        """Return the lower bounds: (d,)."""
+        """Return the smallest value of each unknown: (d,)."""
         return np.array([axis_values[0] for axis_values in self.axes])
 
     @property
     def upper_bounds(self) -> np.ndarray:
-        """Return the upper bounds: (d,)."""
+        """Return the largest value of each unknown: (d,)."""
         return np.array([axis_values[-1] for axis_values in self.axes])
 
     @cached_property
     def nodes(self) -> np.ndarray:
-        """Return all combinations, the last unknown fastest: (n, d)."""
+        """Return all grid nodes, combinations of values, the last unknown fastest: (n, d)."""
         value_combinations = list(itertools.product(*self.axes))
         return np.array(value_combinations, dtype=float).reshape(
             len(value_combinations), len(self.axes)
@@ -89,13 +89,13 @@ class UnknownGrid:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Return the number of values on each axis."""
+        """Return the number of values of each unknown."""
         return tuple(len(axis_values) for axis_values in self.axes)
 
     def find_node_coordinates(self, x: np.ndarray) -> np.ndarray:
-        """Convert values x (m, d) to positions among the nodes (m, d).
+        """Convert values of the unknowns to positions on the axes: (m, d) each.
 
-        Nodes have whole numbers.
+        Position i is the i-th value of an axis, from 0; between two values positions are linear.
         """
         coordinate_columns = [
             np.interp(x_column, axis_values, np.arange(len(axis_values)))
@@ -107,16 +107,16 @@ class UnknownGrid:
 def _fit_spline(axis_values: np.ndarray, node_values: np.ndarray) -> Any:
     """Fit a cubic spline to values (n, ...) on an axis (n,).
 
-    With fewer than four values its degree is lower.
+    With fewer than four values the degree is n - 1.
     """
     return make_interp_spline(axis_values, node_values, k=min(3, len(axis_values) - 1))
 
 
 def compute_leave_one_out_errors(axis_values: np.ndarray, node_values: np.ndarray) -> np.ndarray:
-    """Return the spline's error at each node if that node is left out.
+    """Return a spline's error at each grid node if this node is left out.
 
-    The values (n, ...) and errors (n, ...) are on an axis (n,). The ends are never left out, and
-    take their neighbours' errors.
+    Values (n, ...) and errors (n, ...) are on an axis (n,) of an unknown. The two ends are never
+    left out, and get the errors of the nodes beside them.
     """
     node_errors = np.zeros_like(node_values)
     for node_index in range(1, len(axis_values) - 1):
@@ -129,21 +129,21 @@ def compute_leave_one_out_errors(axis_values: np.ndarray, node_values: np.ndarra
 
 
 class Interpolation:
-    """Interpolation of quantities over the unknowns, with its errors.
+    """Interpolation of q quantities over the unknowns by splines, with its errors.
 
     Parameters
     ----------
     unknown_grid : UnknownGrid
-        The grid.
+        Grid of the solved values of the unknowns.
     node_values : (n, q)
-        Values at its nodes; nan for unknown ones.
+        Quantities at all grid nodes; nan for failed cases.
 
     Attributes
     ----------
     has_enough_known_nodes : (q,) bool
-        True for a quantity known at enough nodes.
+        True for a quantity with enough known grid nodes (:func:`_fill_unknown_nodes`).
     has_only_inner_gaps : (q,) bool
-        True if every unknown node lies between two known ones on a line.
+        True if every unknown grid node lies between two known ones along an axis.
     """
 
     def __init__(self, unknown_grid: UnknownGrid, node_values: np.ndarray) -> None:
@@ -177,9 +177,9 @@ class Interpolation:
                 self._node_errors_along_axes.append(fill_errors)
 
     def interpolate(self, x: np.ndarray) -> np.ndarray:
-        """Return the quantities at x (m, d): (m, q).
+        """Interpolate the quantities to values x (m, d) of the unknowns: (m, q).
 
-        Points outside move to the border. Quantities without enough nodes are 0.
+        Values outside the bounds move to the bounds. Quantities with too many failed cases are 0.
         """
         node_weights = np.ones((len(x), 1))
         for x_column, axis_values, basis_spline in zip(
@@ -192,10 +192,11 @@ class Interpolation:
         return np.asarray(node_weights @ self._node_values)
 
     def list_weighted_node_errors(self, x: np.ndarray) -> np.ndarray:
-        """Return weighted errors of all quantities at nodes around x (m, d): (m, k, q).
+        """Return interpolation errors of q quantities: (m, k, q).
 
-        They belong to the nodes around, along each axis and at failed cases; the sum of their
-        squares is the covariance.
+        The k independent errors come from the grid nodes around the values x (m, d) of the
+        unknowns, along each axis, and from failed cases. The sum of their squares over k is the
+        variance of each quantity.
         """
         errors_along_axes = self.list_weighted_node_errors_along_axes(x)
         return (
@@ -205,9 +206,10 @@ class Interpolation:
         )
 
     def list_weighted_node_errors_along_axes(self, x: np.ndarray) -> list[np.ndarray]:
-        """Return a list of weighted errors (m, k, q), one for each axis.
+        """Return the errors of :meth:`list_weighted_node_errors` by axis: (m, k, q) each.
 
-        Failed cases, if any, add a last one.
+        A last array has the errors at failed cases, if there are any. The list is empty without
+        unknowns.
         """
         if not self.unknown_grid.axes:
             return []
@@ -231,9 +233,9 @@ class Interpolation:
 
 
 def _has_only_inner_gaps(unknown_grid: UnknownGrid, is_known: np.ndarray) -> np.ndarray:
-    """Return True for quantities whose unknown nodes lie between known ones: (q,).
+    """Return True for each quantity whose unknown grid nodes lie between known ones: (q,).
 
-    ``is_known`` (n, q) is at the nodes; a line along any axis will do.
+    ``is_known`` (n, q) marks the known nodes. Known nodes on both sides along any axis suffice.
     """
     is_known_on_grid = is_known.reshape(*unknown_grid.shape, is_known.shape[1])
     is_known_or_between = is_known_on_grid.copy()
@@ -250,15 +252,19 @@ def _has_only_inner_gaps(unknown_grid: UnknownGrid, is_known: np.ndarray) -> np.
 def _fill_unknown_nodes(
     unknown_grid: UnknownGrid, node_values: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fill unknown nodes (n, q) by a thin plate through the known ones.
+    """Fill the values of failed cases by a thin-plate spline through known ones.
+
+    At least half of the n grid nodes must be known, and one more than the (d + 1)(d + 2) / 2 terms
+    of a quadratic polynomial. ``node_values`` (n, q) has nan for failed cases.
 
     Returns
     -------
     gapless_node_values : (n, q)
-        0 for quantities without enough nodes.
+        Values without gaps; 0 for quantities without enough known nodes.
     has_enough_known_nodes : (q,) bool
+        True for a quantity with enough known nodes.
     fill_errors : (n, q)
-        Errors at filled nodes, else 0.
+        Errors at filled nodes, otherwise 0.
     """
     is_known, n_unknowns = np.isfinite(node_values), len(unknown_grid.axes)
     min_known_nodes = max((n_unknowns + 1) * (n_unknowns + 2) // 2 + 1, len(node_values) / 2)
@@ -297,9 +303,9 @@ def _fill_unknown_nodes(
 def _interpolate_thin_plate(
     nodes: np.ndarray, node_values: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """Interpolate values (n,) at nodes (n, d) by a thin plate.
+    """Interpolate values (n,) at nodes (n, d) by a thin-plate spline.
 
-    Returns values (m,) at points (m, d).
+    Return values (m,) at points (m, d).
     """
     return np.asarray(RBFInterpolator(nodes, node_values, kernel="thin_plate_spline")(points))
 
@@ -307,27 +313,28 @@ def _interpolate_thin_plate(
 # --- interpolated quantities ----------------------------------------------------------------------
 
 MESH_AXIS_KEY = "mesh.file"
-"""Key of the axis of meshes with numbers."""
+"""Key of a sweep's axis over the files of ``[identify.meshes]``."""
 
 
 class SweptLoads:
-    """Loads in the sweeps of a forward model, on their last axis.
+    """Loads at which the forward model is solved, the last axis of sweeps.
 
-    If the load is an engine order, each load has its rotor speed. The first load has the scene's
-    speed, the default for natural frequencies.
+    If the load is an engine order, each load frequency has a rotor speed. The first load has the
+    scene's speed, which is the default for natural frequencies.
 
     Attributes
     ----------
     frequencies : tuple of float
         Load frequencies [Hz].
     sweep_axis : Axis
-        Axis of load frequencies, or of rotor speeds.
+        Axis of a sweep over load frequencies [Hz], or over rotor speeds [rpm].
     """
 
     def __init__(self, scene: Scene, frequencies: Sequence[float]) -> None:
-        """Take load frequencies [Hz].
+        """Take load frequencies [Hz], each one once.
 
-        The scene's own is taken if the load follows the rotor, or if there is no other.
+        The scene's own load frequency comes first if the load is an engine order. Without an engine
+        order it is taken only if there is no other.
         """
         engine_order, sorted_frequencies = scene.excitation.order, sorted(set(frequencies))
         scene_frequency = float(
@@ -346,12 +353,15 @@ class SweptLoads:
 
     @property
     def has_rotor_speeds(self) -> bool:
-        """Return True if each load has its own rotor speed."""
+        """Return True if each load has a rotor speed, by an engine order."""
         return self.sweep_axis.key == "rotation.rpm"
 
     @property
     def rotor_speed_ratios(self) -> np.ndarray:
-        """Return the rotor speeds over the scene's (n,); 1 without own speeds."""
+        """Return each load's rotor speed over the scene's speed: (n_loads,).
+
+        All are 1 without an engine order.
+        """
         frequency_array = np.array(self.frequencies)
         return (
             frequency_array / frequency_array[0]
@@ -361,9 +371,11 @@ class SweptLoads:
 
 
 class SolvedCases:
-    """Solved cases of a sweep for one choice of words, also without the crack.
+    """Solved cases of a sweep over unknowns and loads.
 
-    The sweep's last axis has the loads.
+    Unknowns with text values, as crack.edge = "left", have one chosen value. The grid nodes are all
+    combinations of the other unknowns. ``uncracked_cases`` are the cases without the crack, or
+    None.
     """
 
     def __init__(
@@ -374,7 +386,21 @@ class SolvedCases:
         word_by_key: Mapping[str, Any],
         uncracked_cases: SolvedCases | None = None,
     ) -> None:
-        """Take a sweep, the numbers' axes for its meshes, and the chosen words."""
+        """Take the solved cases for one value of each unknown with text values.
+
+        Parameters
+        ----------
+        sweep_result : SweepResult
+            Sweep with the loads on its last axis.
+        swept_loads : SweptLoads
+            Loads of the sweep.
+        mesh_number_axes : sequence of Axis
+            Numbers that replace an axis of mesh files; empty without mesh files.
+        word_by_key : dict
+            Chosen text value by key of the unknown.
+        uncracked_cases : SolvedCases, optional
+            Cases without the crack.
+        """
         self.sweep_result = sweep_result
         self.swept_loads = swept_loads
         self.uncracked_cases = uncracked_cases
@@ -395,15 +421,16 @@ class SolvedCases:
         self.word_selection_index = tuple(word_selection)
 
     def get_column(self, column_name: str) -> np.ndarray:
-        """Return a column at all nodes and loads: (n, n_loads)."""
+        """Return a column of the sweep at all grid nodes and loads: (n, n_loads)."""
         column = self.sweep_result[column_name][self.word_selection_index]
         return np.asarray(column.reshape(-1, column.shape[-1]), dtype=float)
 
     def get_natural_frequencies(self, crack_state: str, mode: int) -> np.ndarray:
-        """Return natural frequencies of a mode at all nodes and loads [Hz]: (n, n_loads).
+        """Return natural frequencies of a mode [Hz]: (n, n_loads).
 
-        Without the crack ("uncracked") all cracks have the same; if the crack cannot be removed, a
-        bonded crack replaces the missing plate.
+        They are at all n combinations of the unknowns (grid nodes), and all loads. ``crack_state``
+        is "open", "tied" (bonded), "bilinear" or "uncracked"; ``mode`` counts from 1. If the crack
+        cannot be removed, the bonded crack replaces "uncracked". nan marks unknown frequencies.
         """
         if crack_state == "uncracked":
             if self.uncracked_cases is None:
@@ -434,9 +461,10 @@ class SolvedCases:
     def get_harmonic_amplitudes(
         self, point_name: str, load_frequency: float, harmonic_order: int
     ) -> np.ndarray:
-        """Return complex amplitudes of a harmonic at all nodes: (n,) [m].
+        """Return complex amplitudes of a harmonic at all grid nodes: (n,) [m].
 
-        It is 0 for a case with fewer harmonics, and nan for a failed case.
+        An amplitude a - i b means a cos + b sin. Cases with fewer harmonics have 0, failed cases
+        nan. ``point_name`` is as "tip.ux", or "" for the load's point; the load frequency is in Hz.
         """
         column_prefix = f"{point_name}." if point_name else ""
         cosine_amplitudes, sine_amplitudes = (
@@ -455,7 +483,10 @@ class SolvedCases:
         )
 
     def find_smallest_harmonic_count(self, load_frequency: float) -> int:
-        """Find the smallest number of harmonics in solved cases at a load; 1 without any."""
+        """Find the smallest number of harmonics in any solved case at a load.
+
+        The load frequency is in Hz. Return 1 if no case is solved.
+        """
         load_index = self.find_load_index(load_frequency)
         is_solved = self.get_column("state")[:, load_index] == CaseState.CONVERGED
         return (
@@ -463,9 +494,14 @@ class SolvedCases:
         )
 
     def find_load_index(self, load_frequency: float) -> int:
-        """Return the index of a load frequency [Hz] in the sweep; 0 for 0 Hz.
+        """Find the position of a load frequency [Hz] among the solved ones.
 
-        Raises InputError if the sweep does not have it.
+        0 Hz stands for the first load.
+
+        Raises
+        ------
+        InputError
+            The frequency is not solved.
         """
         solved_frequencies = self.swept_loads.frequencies
         if load_frequency == 0.0:
@@ -481,10 +517,16 @@ class SolvedCases:
 
     @cached_property
     def frequency_split_root_and_frequencies(self) -> np.ndarray:
-        """Collect the data of poles at all nodes and loads: (n, n_loads, 1 + 2 modes).
+        """Return data for the poles of harmonics: (n, n_loads, 1 + 2 modes).
 
-        Columns are the root of s (1 without a crack), the bilinear frequencies [Hz], and the
-        uncracked frequencies [Hz]; nan for a missing frequency.
+        At all n combinations of the unknowns and all loads, columns are sqrt(s), the bilinear
+        frequencies [Hz], and the uncracked frequencies [Hz]; nan for a missing frequency. The split
+        s measures how much the crack changes the stiffness, from bonded and open frequencies w_b,
+        w_o:
+
+            s = sum_j (w_b,j - w_o,j) / w_b,j (w_b,1 / w_b,j)^2.
+
+        sqrt(s) is 1 if s is below 1e-9, as without a crack.
         """
         bonded_frequencies, open_frequencies, bilinear_frequencies, uncracked_frequencies = (
             np.stack(
@@ -507,26 +549,27 @@ class SolvedCases:
 
 
 RESONANCE_STATE_NAMES = ("bilinear", "open", "tied")
-"""States of the crack faces at a resonance: breathing, open, closed."""
+"""Motion of the crack faces at a resonance: breathing, always open, always closed."""
 
 
 @dataclass(frozen=True)
 class Feature:
-    """An interpolated quantity: a natural frequency, or a harmonic of a point.
+    """Interpolated quantity (feature): a natural frequency, or a harmonic of a point.
 
     Attributes
     ----------
     crack_state : str
-        State of the crack in a natural frequency; empty for a harmonic.
+        "open", "tied" (bonded), "bilinear" or "uncracked" for a natural frequency; "" for a
+        harmonic.
     mode : int
         Mode number from 1; 0 for a harmonic.
     point_name : str
-        Point and direction of a harmonic.
+        Point and direction of a harmonic, as "tip.ux"; "" for the load's point.
     load_frequency : float [Hz]
-        Load frequency. A natural frequency is at the rotor speed of this load; 0 is the scene's
-        own.
+        Load frequency. A natural frequency is at the rotor speed of this load; 0 stands for the
+        scene's speed.
     harmonic_order : int
-        Order of a harmonic; 0 for a natural frequency.
+        Order of a harmonic, from 1; 0 for a natural frequency.
     """
 
     crack_state: str = ""
@@ -539,7 +582,11 @@ class Feature:
     def list_features_of_measurement(
         cls, measurement: Measurement, scene: Scene
     ) -> tuple[Feature, ...]:
-        """List the features of a measurement, of a ratio the numerator first."""
+        """List the features from which a measurement is predicted.
+
+        For a ratio of harmonics the numerator comes first. A resonance has the three frequencies of
+        :data:`RESONANCE_STATE_NAMES`, a displacement all harmonics.
+        """
         if measurement.is_natural_frequency:
             state_name = measurement.quantity.removeprefix("frequency_")
             crack_states = RESONANCE_STATE_NAMES if state_name == "resonance" else (state_name,)
@@ -559,9 +606,9 @@ class Feature:
 
     @property
     def error_group_key(self) -> tuple[float, float, float]:
-        """Return the key of features with a common error.
+        """Return the key of a group of features with a common mesh error.
 
-        They share a mode, or a harmonic at a load.
+        A group has the natural frequencies of a mode, or one harmonic at a load.
         """
         return (
             self.mode,
@@ -571,11 +618,14 @@ class Feature:
 
     @property
     def uncracked_frequency_feature(self) -> Feature:
-        """Return the same natural frequency without the crack."""
+        """Return the same mode's natural frequency without the crack."""
         return replace(self, crack_state="uncracked")
 
     def get_node_values(self, solved_cases: SolvedCases) -> np.ndarray:
-        """Return values at all nodes of a sweep: (n,), logarithms or complex amplitudes."""
+        """Return the feature's values at all grid nodes of solved cases: (n,) complex.
+
+        Values are ln(frequency [Hz]), or complex amplitudes [m].
+        """
         if self.is_natural_frequency:
             frequencies = solved_cases.get_natural_frequencies(self.crack_state, self.mode)[
                 :, solved_cases.find_load_index(self.load_frequency)
@@ -587,17 +637,21 @@ class Feature:
 
     @property
     def split_exponent(self) -> int:
-        """Return the exponent n of s^n, to which a harmonic is proportional."""
+        """Return the exponent n if the harmonic is proportional to s^n.
+
+        The split s is in :attr:`SolvedCases.frequency_split_root_and_frequencies`. n is 1 for even harmonics,
+        2 for odd ones above 1, and 0 for the first harmonic and natural frequencies.
+        """
         return 1 + self.harmonic_order % 2 if self.harmonic_order > 1 else 0
 
     @property
     def is_natural_frequency(self) -> bool:
-        """Return True for a natural frequency."""
+        """Return True for a natural frequency, False for a harmonic."""
         return bool(self.crack_state)
 
     @property
     def is_cracked_frequency(self) -> bool:
-        """Return True for a natural frequency that the crack changes."""
+        """Return True for a natural frequency of the plate with the crack."""
         return self.crack_state in ("open", "tied", "bilinear")
 
 
@@ -606,15 +660,18 @@ def compute_ratios_and_pole_factors(
     damping_ratio_of_points: np.ndarray,
     frequency_split_root_and_frequencies: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return ratios r of harmonic to mode frequencies, and pole factors 1 - r^2 + 2 i z r.
+    """Return frequency ratios r and pole factors of each mode: (m, f, modes) each.
 
-    Both are (m, f, modes) at m points. For natural frequencies and missing modes they are 0 and 1.
+    The pole factor is 1 - r^2 + 2 i z r, and r = k W / w_j. Here k is the order of a harmonic, W
+    the load frequency, w_j a bilinear frequency, and z the damping ratio. For natural frequencies
+    and missing modes, r is 0 and the factor 1.
 
     Parameters
     ----------
     features : sequence of Feature
-        f features.
+        f natural frequencies and harmonics.
     damping_ratio_of_points : (m, 1)
+        Damping ratios z at m values of the unknowns.
     frequency_split_root_and_frequencies : (m, f, 1 + 2 modes)
         :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each feature.
     """
@@ -635,9 +692,11 @@ def compute_ratios_and_pole_factors(
 def compute_log_factors_by_first_harmonic(
     first_harmonic_logs: np.ndarray, features: Sequence[Feature]
 ) -> np.ndarray:
-    """Return logarithms of the factors of features by their first harmonic (m, f, ...).
+    """Return logarithms of the factors that first harmonics add to higher harmonics.
 
-    A higher harmonic of order k has the size once and the phase k times. Other features have 0.
+    A factor p of the first harmonic becomes abs(p) exp(i k arg p) for order k.
+    ``first_harmonic_logs`` (m, f, ...) has ln p for each feature. First harmonics and natural
+    frequencies have 0.
     """
     harmonic_orders = np.array(
         [feature.harmonic_order if feature.harmonic_order > 1 else 0 for feature in features]
@@ -650,9 +709,10 @@ def compute_log_factors_by_first_harmonic(
 
 
 def replace_by_driving_first_harmonics(features: Sequence[Feature]) -> list[Feature]:
-    """List for each feature the first harmonic that drives it.
+    """List the first harmonic at the point and load of each higher harmonic.
 
-    A feature that is no higher harmonic gets order 0.
+    Natural frequencies and first harmonics get order 0, for which
+    :func:`compute_ratios_and_pole_factors` returns 0 and 1.
     """
     return [
         replace(feature, harmonic_order=int(feature.harmonic_order > 1)) for feature in features
@@ -665,9 +725,12 @@ def compute_smoothing_factors(
     frequency_split_root_and_frequencies: np.ndarray,
     relative_crack_sizes: np.ndarray,
 ) -> np.ndarray:
-    """Return factors that make features smooth: (m, f).
+    """Return factors that make features smooth functions of the unknowns: (m, f).
 
-    They follow from :func:`compute_ratios_and_pole_factors` and relative sizes of the crack (m,).
+    Features are natural frequencies and harmonics; feature times factor is interpolated. The
+    factors remove the poles of harmonics, and divide the change of frequencies by the relative
+    crack size. ``relative_crack_sizes`` is (m,), 1 for the largest; other parameters are as in
+    :func:`compute_ratios_and_pole_factors`.
     """
     split_exponents = np.array([feature.split_exponent for feature in features])
     is_cracked_frequency = np.array([feature.is_cracked_frequency for feature in features])

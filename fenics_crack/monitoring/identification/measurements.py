@@ -37,10 +37,10 @@ if TYPE_CHECKING:
     from fenics_crack.arrivals.passages import PassageFit  # SciPy
 
 NATURAL_FREQUENCY_STATE_NAMES = ("open", "tied", "bilinear", "resonance", "uncracked")
-"""States of a plate in the names of natural frequencies.
+"""States of the crack in the names of natural frequencies, "frequency_open" and so on.
 
-The crack is held open, held closed, breathing by the bilinear formula, or breathing at a measured
-resonance; or the plate is as before it had a crack.
+The crack is always open, bonded ("tied"), breathing by the bilinear formula, or breathing at a
+measured resonance. "uncracked" is the plate before it had a crack.
 """
 LOAD_QUANTITY_NAMES = (
     "harmonic_1",
@@ -50,13 +50,13 @@ LOAD_QUANTITY_NAMES = (
     "ratio_3_1",
     "displacement",
 )
-"""Quantities of a point under a harmonic load."""
+"""Measured quantities of a point under a harmonic load."""
 REQUIRED_COLUMN_NAMES = ("quantity", "value", "deviation")
-"""Columns that every table has."""
+"""Required columns in a table of measurements."""
 OPTIONAL_COLUMN_NAMES = ("mode", "frequency", "point", "phase", "rpm", "temperature")
-"""Columns that a table may have."""
+"""Optional columns in a table of measurements."""
 ALLOWED_VALUE_UNITS = "Hz", "m", "-"
-"""Allowed units of measured values: frequencies, harmonics, and ratios."""
+"""Units of measured values: frequencies, harmonics, and ratios."""
 ALLOWED_UNITS_BY_COLUMN = {
     "frequency": ALLOWED_VALUE_UNITS[:1],
     "phase": ("rad",),
@@ -65,9 +65,9 @@ ALLOWED_UNITS_BY_COLUMN = {
     "temperature": ("K", "°C", "C"),
     "rpm": ("rpm",),
 }
-"""Allowed units in the brackets of headings, after conversion, by column."""
+"""Units in the brackets of a table's headings, after conversion, by column."""
 UNIVERSAL_FILE_SUFFIXES = (".uff", ".unv")
-"""Suffixes of universal files."""
+"""Suffixes of universal files, with frequency responses."""
 
 
 @with_old_names(
@@ -81,23 +81,23 @@ class Measurement:
     Attributes
     ----------
     quantity : str
-        Natural frequencies of mode ``mode`` [Hz] are "frequency_open", "frequency_tied" and
-        "frequency_bilinear" by its formula; "frequency_resonance", at which the breathing crack
-        resonates, near that formula; and "frequency_uncracked" of the same plate before it had a
-        crack, which calibrates the others of its mode. Quantities of a point under the scene's load
-        at ``frequency`` are, as in :class:`Indicators`, "harmonic_1" to "harmonic_3" [m],
-        "ratio_2_1" and "ratio_3_1". A "displacement" [m] of the point is at ``phase``, as probes
-        see it. All displacements of a point at a frequency are compared up to the load's size, its
-        phase, and a constant.
+        Natural frequencies of mode ``mode`` [Hz] are "frequency_open" (crack always open),
+        "frequency_tied" (bonded) and "frequency_bilinear" by the bilinear formula. A measured
+        resonance of a breathing crack, near the formula, is "frequency_resonance".
+        "frequency_uncracked" is from the same plate before it had a crack, and calibrates the other
+        frequencies of the mode. Quantities of a point under the scene's load at ``frequency`` are,
+        as in :class:`Indicators`, "harmonic_1" to "harmonic_3" [m], "ratio_2_1" and "ratio_3_1". A
+        "displacement" [m] of the point is at ``phase``, as probes measure. For all displacements
+        of a point at a frequency, the load's size and phase and a constant are fitted.
     value, deviation : float
-        The number, and its standard deviation > 0, in the same unit.
+        Measured value, and its standard deviation > 0, in the same unit.
     mode : int
         Mode number from 1; 0 without a mode.
     frequency : float [Hz]
         Load frequency; nan without a load.
     point : str
-        A point and direction of ``[output.points]``, "tip.ux"; empty: the load's point in the
-        load's direction.
+        Point and direction of ``[output.points]``, as "tip.ux"; "": the load's point in the load's
+        direction.
     phase : float [rad]
         Phase of the load's period, 0 at its beginning, 2 pi at its end; nan without a phase.
     rpm : float [1/min]
@@ -175,25 +175,27 @@ class Measurement:
 
     @property
     def is_natural_frequency(self) -> bool:
-        """Return True for a natural frequency."""
+        """Return True for a natural frequency, False for a quantity under a load."""
         return self.quantity.startswith("frequency_")
 
     @property
     def is_resonant(self) -> bool:
-        """Return True for a natural frequency with the crack in its state at resonance."""
+        """Return True for "frequency_resonance", a resonance with a breathing crack."""
         return self.quantity == "frequency_resonance"
 
     @property
     def depends_on_shape_alone(self) -> bool:
-        """Return True if only the motion's shape matters, not the size."""
+        """Return True if the measurement does not depend on the load's size.
+
+        This is so for ratios and displacements, whose load is fitted.
+        """
         return not self.is_natural_frequency and not self.quantity.startswith("harmonic")
 
     @property
     def harmonic_orders(self) -> tuple[int, ...]:
-        """Return the orders of its harmonics.
+        """Return the orders of the quantity's harmonics, the numerator first.
 
-        A ratio has the numerator first. Natural frequencies have none. Displacements have all
-        harmonics, and none here.
+        The tuple is empty for natural frequencies, and for displacements, which have all harmonics.
         """
         return () if self.is_natural_frequency else tuple(map(int, self.quantity.split("_")[1:]))
 
@@ -208,9 +210,10 @@ class Measurement:
         return f"{self.quantity} at {self.frequency:g} Hz{phase_text}{point_text}"
 
     def get_load_frequency(self, scene: Scene) -> float:
-        """Return the scene's load frequency [Hz] for the measurement.
+        """Return the load frequency [Hz] to solve for this measurement.
 
-        For a natural frequency it is the load at the rotor's speed, and 0 at the scene's own speed.
+        For a natural frequency at a rotor speed, it is the engine order's frequency at this speed;
+        0 stands for the scene's own speed.
         """
         if not self.is_natural_frequency:
             return float(self.frequency)
@@ -228,7 +231,11 @@ class Measurement:
         )
 
     def check(self, scene: Scene) -> None:
-        """Raise InputError if a scene has no such measurement."""
+        """Raise InputError if the measurement does not fit the scene.
+
+        Reasons are a rotor speed without an engine order, an unknown point, a crack that cannot be
+        removed, and too few harmonics.
+        """
         if not math.isnan(self.rpm) and (scene.excitation.order is None or scene.speed == 0.0):
             allowed_text = "left out unless the scene has [rotation] and excitation.order"
             raise InputError("measurements.rpm", self.rpm, allowed_text)
@@ -256,12 +263,12 @@ class Measurement:
 
 @dataclass(frozen=True, repr=False)
 class Measurements(Tabular):
-    """Measured numbers of one crack.
+    """Measured numbers for the identification of one crack.
 
     Attributes
     ----------
     rows : tuple of Measurement
-        At least one, and 1000 at most.
+        1 to 1000 measurements, with different names except for displacements.
     """
 
     rows: tuple[Measurement, ...]
@@ -314,8 +321,8 @@ class Measurements(Tabular):
         deviations : (n,) or float
             Standard deviations, or one for all values.
         **optional_columns : (n,) each
-            ``mode`` and ``rpm``, or ``frequency`` and ``point``, and others of
-            :class:`Measurement`.
+            Other attributes of :class:`Measurement`: ``mode`` and ``rpm``, or ``frequency`` and
+            ``point``.
 
         Raises
         ------
@@ -363,26 +370,26 @@ class Measurements(Tabular):
         noise: float | None = None,
         angle_deviation: float = 0.0,
     ) -> Measurements:
-        """Take mean displacements at the probes, of a vibration of an engine order.
+        """Take the mean displacement of a blade tip at each probe, for an engine order.
 
-        Let alpha be the rotor's angle at an arrival, with the blade tip displaced by u
-        (:class:`ArrivalTimes`). The load is then at the phase p alpha of its period. No harmonic is
-        fitted here; the model has them. The means are as in :func:`fit_order`: single wrong
-        arrivals have no weight, and vibrations without an order are taken out.
+        At rotor angle alpha the load is at the phase p alpha of its period. The arrivals give the
+        displacement u there (:class:`ArrivalTimes`). No harmonic is fitted here; the forward model
+        has them. The means are as in :func:`fit_order`: single wrong arrivals have no weight, and
+        vibrations of constant frequency are subtracted.
 
         Parameters
         ----------
         arrivals : ArrivalTimes
-            Of steady vibration.
+            Arrivals of steady vibration at constant speed.
         order : int
-            p, periods of the load in a revolution (:func:`fit_order` finds it).
+            Periods p of the load in a revolution (found by :func:`fit_order`).
         point : str
-            The blade tip: as ``point`` of :class:`Measurement`.
+            Blade tip and direction, as ``point`` of :class:`Measurement`.
         against : bool
             True if the direction of the point is against the rotation.
         noise : float [s]
-            Standard deviation of an arrival; default: from the scatter between revolutions and its
-            correlation, with a larger error from few revolutions.
+            Standard deviation of an arrival time. Default: from the scatter between revolutions and
+            its correlation, with a larger error from few revolutions.
         angle_deviation : float [rad]
             Standard deviation of the probes' angles, the same in every revolution.
 
@@ -390,7 +397,7 @@ class Measurements(Tabular):
         ------
         InputError
             A value cannot be used, the speed is not constant, arrivals are not at the probes, or
-            fewer than four probes have arrivals. Or ``noise`` is missing, and passages have no
+            fewer than four probes have arrivals. Or ``noise`` is missing, and arrivals have no
             scatter or are too few for an estimate, as in one revolution alone.
         """
         from fenics_crack.arrivals.fit_order import ProbeMeans  # SciPy
@@ -452,16 +459,17 @@ class Measurements(Tabular):
         *,
         quantity: str = "frequency_resonance",
     ) -> Measurements:
-        """Take natural frequencies of resonances that a rotor passes.
+        """Take natural frequencies from the resonances in a run-up.
 
-        Each is at its speed, with its :attr:`PassageFit.deviation`.
+        Each frequency is at the rotor speed of the resonance, with the standard deviation
+        :attr:`PassageFit.deviation`.
 
         Parameters
         ----------
         passages : sequence of PassageFit
-            As :func:`find_passages` finds them.
+            Resonances from :func:`find_passages`.
         modes : sequence of int
-            Mode of each passage, from 1; 0 leaves it out.
+            Mode number of each resonance, from 1; 0 leaves the resonance out.
         quantity : str
             "frequency_resonance" of a blade as it is, or "frequency_uncracked" before it had a
             crack.
@@ -469,7 +477,7 @@ class Measurements(Tabular):
         Raises
         ------
         InputError
-            The lengths differ, no passage has a mode, or a value cannot be used.
+            The lengths differ, no resonance has a mode, or a value cannot be used.
         """
         if len(modes) != len(passages):
             raise InputError(
@@ -498,10 +506,10 @@ class Measurements(Tabular):
     def from_csv(cls, path: str | Path) -> Measurements:
         """Read a table of measurements from a CSV file.
 
-        Its columns are quantity, value, deviation, mode, frequency [Hz], point, phase [rad], rpm
-        and temperature [°C], in any order. Cells that do not apply are empty; lines that begin with
-        # are left out. Frequencies may be in kHz and phases in degrees [deg] as well. Commas,
-        semicolons or tabs separate cells.
+        Columns are quantity, value, deviation (standard deviation), mode, frequency [Hz], point,
+        phase [rad], rpm and temperature [°C], in any order; the first three are required. Cells
+        that do not apply are empty; lines that begin with # are left out. Frequencies may be in kHz
+        and phases in degrees [deg] as well. Commas, semicolons or tabs separate cells.
 
         Raises
         ------
@@ -516,16 +524,16 @@ class Measurements(Tabular):
     ) -> Measurements:
         """Fit natural frequencies to the frequency responses of a universal file.
 
-        Datasets 58 and 58b for a structure at equal frequencies (.uff, .unv), over the force or
-        another excitation, are fitted around their peaks, all together. The standard deviation
-        includes the scatter, and the change of the fit if less of a peak is fitted.
+        All responses of one structure (datasets 58 and 58b) must have the same frequencies. They
+        are fitted together around their peaks. The standard deviation includes the scatter, and the
+        change of the fit if less of a peak is fitted.
 
         Parameters
         ----------
         path : str or Path
-            The file.
+            Universal file (.uff, .unv).
         modes : sequence of int
-            Numbers of its modes, from the lowest frequency up. Default: 1, 2, ....
+            Mode numbers of the peaks, from the lowest frequency up. Default: 1, 2, ....
         quantity : str
             "frequency_resonance" of a plate as it is, or "frequency_uncracked" before it had a
             crack.
@@ -533,7 +541,7 @@ class Measurements(Tabular):
         Raises
         ------
         InputError
-            The file cannot be read or has no modes, or another number of modes.
+            The file cannot be read, has no peak, or has more or fewer peaks than ``modes``.
         """
         from fenics_crack.monitoring.identification.responses import fit_resonances, read_responses
 
@@ -556,16 +564,19 @@ class Measurements(Tabular):
     @classmethod
     @check_calls
     def read(cls, path: str | Path, modes: Sequence[int] = ()) -> Measurements:
-        """Read a universal file or a table.
+        """Read measurements from a universal file or a table.
 
-        Universal files (:meth:`from_responses`) end in .uff or .unv; others are tables
-        (:meth:`from_csv`).
+        Files that end in .uff or .unv are universal files (:meth:`from_responses`, with ``modes``);
+        others are tables (:meth:`from_csv`).
         """
         is_universal = Path(path).suffix.lower() in UNIVERSAL_FILE_SUFFIXES
         return cls.from_responses(path, modes) if is_universal else cls.from_csv(path)
 
     def check(self, scene: Scene) -> None:
-        """Raise InputError if measurements do not fit a scene, or all precede its crack."""
+        """Raise InputError if measurements do not fit a scene.
+
+        This is also raised if all are frequencies without the crack.
+        """
         if all(measurement.quantity == "frequency_uncracked" for measurement in self.rows):
             raise InputError(
                 "measurements",
@@ -583,7 +594,7 @@ class Measurements(Tabular):
         return len(self.rows)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns as :meth:`from_csv` reads them."""
+        """Return columns by name, with empty cells, as :meth:`from_csv` reads them."""
         column_names = [measurement_field.name for measurement_field in fields(Measurement)]
         values_by_column = {
             column_name: [getattr(measurement, column_name) for measurement in self.rows]
@@ -602,7 +613,11 @@ class Measurements(Tabular):
 
 
 def get_crack_removal_changes_or_none(scene: Scene) -> dict[str, Any] | None:
-    """Return scene changes by key that remove the crack; None if impossible."""
+    """Return the changes that remove the crack from a scene, by key.
+
+    None if the crack cannot be removed: from matrices, from mesh files without
+    ``identify.uncracked``, or with several cracks.
+    """
     value_by_key: dict[str, Any] = dict.fromkeys(
         ("crack", "cracks", "contact", "output.quantities")
     )
@@ -615,9 +630,12 @@ def get_crack_removal_changes_or_none(scene: Scene) -> dict[str, Any] | None:
 
 
 def _read_csv_measurements(path: str | Path) -> list[Measurement]:
-    """Read the measurements of a CSV file.
+    """Read the measurements in a CSV file.
 
-    Raises InputError.
+    Raises
+    ------
+    InputError
+        The file cannot be read, or a column, unit or line cannot be used.
     """
     with report_read_errors("measurements", path, "a CSV file"):
         (_, heading_cells), *numbered_table_rows = read_numbered_csv_rows(path) or [(0, [])]
@@ -677,9 +695,19 @@ def _read_csv_measurements(path: str | Path) -> list[Measurement]:
 def _parse_measurement(
     cell_text_by_column: Mapping[str, str], factor_by_column: Mapping[str, float]
 ) -> Measurement:
-    """Parse a measurement from a table's line, each cell times its column's factor.
+    """Parse the measurement in a table's line.
 
-    Raises InputError.
+    Parameters
+    ----------
+    cell_text_by_column : dict of str to str
+        Cells of the line; empty cells are left out.
+    factor_by_column : dict of str to float
+        Factor to SI units for the numbers in each column.
+
+    Raises
+    ------
+    InputError
+        A cell cannot be used, or a required cell is missing.
     """
     value_by_column: dict[str, Any] = {
         column_name: cell for column_name, cell in cell_text_by_column.items() if cell

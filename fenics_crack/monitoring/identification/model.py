@@ -46,26 +46,27 @@ from fenics_crack.sweep.file import KEPT_MODE_NUMBERS
 
 
 class ProbeDisplacements:
-    """Displacements of a point under a load with unknown size and phase.
+    """Displacements of a point at phases of the load's period, as probes measure.
 
-    Under a steady load the blade tip is, at a phase theta of the load's period,
+    The load's size and phase are unknown. Under a steady load the point's displacement is, at a
+    phase theta of the load's period,
 
         u = A Re sum_k U_k exp(i k (theta - psi)) + c,
 
-    with the harmonics U_k of the model and three unknowns of a blade in operation. These are the
-    load's size A and phase psi, and a constant c due to probe angles and steady forces. For each
-    value of the unknowns the three are fitted to the displacements, by all harmonics of the model.
-    The predictions are the fit; the likelihood gets their derivatives by the three as common errors
-    of all displacements.
+    with the harmonics U_k of the model, the load's size A and phase psi, and a constant c due to
+    probe angles and steady forces. A, psi and c are fitted to the measured displacements, for each
+    value of the crack's unknowns. The fit is the prediction. Its derivatives by A, psi and c are
+    common errors of all displacements.
 
     Parameters
     ----------
     row_indices : sequence of int
-        Indices of the displacements among all measurements, the measured ones first.
+        Indices of these displacements among all measurements and candidates, the measured ones
+        first.
     measured_rows : sequence of Measurement
-        All measurements made.
+        All measurements.
     candidate_rows : sequence of Measurement
-        Possible further measurements.
+        Candidates for further measurements.
     """
 
     def __init__(
@@ -91,7 +92,10 @@ class ProbeDisplacements:
     def group_displacements(
         cls, measured_rows: Sequence[Measurement], candidate_rows: Sequence[Measurement]
     ) -> list[ProbeDisplacements]:
-        """Group the displacements among measurements by load and point."""
+        """Group the displacements among measurements and candidates by load and point.
+
+        Return an object for each load frequency and point; an empty list without displacements.
+        """
         indices_by_load_and_point: dict[tuple[float, str], list[int]] = {}
         for row_index, measurement in enumerate((*measured_rows, *candidate_rows)):
             if measurement.quantity == "displacement":
@@ -106,7 +110,8 @@ class ProbeDisplacements:
     def compute_displacement_covariances(self, harmonic_orders: np.ndarray) -> np.ndarray:
         """Return covariances of displacements by harmonics of random phase: (k, n, n).
 
-        Each of the orders (k,) has mean square 1.
+        Each of the k ``harmonic_orders`` has an amplitude with mean square 1; n is the number of
+        displacements.
         """
         phase_differences = self._probe_phases[:, None] - self._probe_phases
         return np.asarray(0.5 * np.cos(np.multiply.outer(harmonic_orders, phase_differences)))
@@ -114,18 +119,21 @@ class ProbeDisplacements:
     def fit_load_to_displacements(
         self, model_harmonics: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Fit the load to the measured displacements, with harmonics U_k (m, K) [m].
+        """Fit the load's size and phase, and a constant, to measured displacements.
+
+        A is the size, psi the phase and c the constant. ``model_harmonics`` (m, K) [m] has the
+        harmonics U_k at m values of the unknowns.
 
         Returns
         -------
         displacements : (m, n) [m]
-            All displacements, those of candidates, too.
+            Predicted displacements, with those of candidates.
         displacement_slopes : (m, n, K)
-            Their slopes t by the harmonics: u = Re sum_k t_k U_k + c.
+            Slopes t_k by the harmonics: u = Re sum_k t_k U_k + c.
         load_induced_changes : (m, n, 3) [m]
-            Their changes by a standard deviation of A, psi and c.
+            Changes of the displacements by one prior standard deviation of A, psi and c.
         load_sizes : (m,)
-            A.
+            A; 1 without measured displacements.
         """
         harmonic_orders = np.arange(1, model_harmonics.shape[1] + 1)
         phase_factors = np.exp(1j * np.multiply.outer(self._probe_phases, harmonic_orders))
@@ -164,9 +172,19 @@ class ProbeDisplacements:
     def _fit_load_and_constant(
         self, model_harmonics: np.ndarray, phase_factors: np.ndarray, harmonic_orders: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Fit A > 0, psi and c by least squares: (m,) each, all m at once.
+        """Fit A > 0, psi [rad] and c [m] by least squares: (m,) each.
 
-        The best of 64 phases is refined by four damped steps of Gauss and Newton.
+        The best of 64 phases is refined by four damped Gauss-Newton steps, for all m values of the
+        unknowns at once.
+
+        Parameters
+        ----------
+        model_harmonics : (m, K) [m]
+            Harmonics U_k.
+        phase_factors : (n, K)
+            exp(i k theta) at the n measured phases.
+        harmonic_orders : (K,)
+            Orders k.
         """
         tried_phases = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
         shifted_harmonics = model_harmonics[:, None, :] * np.exp(
@@ -231,16 +249,16 @@ class ProbeDisplacements:
 
 
 class CrackFaceState(NamedTuple):
-    """State of the crack faces at resonances: they breathe, stay open or stay closed.
+    """Motion of the crack faces at resonances: breathing, always open or always closed.
 
     Attributes
     ----------
     resonance_state : str
-        One of RESONANCE_STATE_NAMES.
+        One of :data:`RESONANCE_STATE_NAMES`: "bilinear" (breathing), "open", "tied" (closed).
     common_deviation, independent_deviation : float
-        Standard deviation of resonances from the frequency of that state, relative to the
-        difference between frequencies with the crack bonded and open. The first is common to all
-        resonances, the second independent. For breathing faces those of each mode are added.
+        Standard deviations of resonances from the frequency of this state, relative to the
+        difference between bonded and open frequency. The first is common to all resonances, the
+        second independent. For breathing faces, those in ``[identify]`` for each mode are added.
     prior_weight : float
         Prior probability, up to a common factor.
     """
@@ -252,23 +270,23 @@ class CrackFaceState(NamedTuple):
 
 
 BREATHING_STATE = CrackFaceState("bilinear")
-"""Crack faces that are open for half of the period."""
+"""Crack faces that are open for half of the period: bilinear frequencies."""
 
 
 class ForwardModel:
-    """Predictions of measurements, with their covariance.
+    """Forward model: measurements predicted from values of the unknowns, with covariance.
 
     Parameters
     ----------
     scene : Scene
         Scene with the damping and the table ``[identify]``.
     uncracked_plate : UncrackedPlate
-        The plate without its crack.
-    coarse_finer_halfway_cases : (coarse, finer, halfway)
-        Solved cases of the sweep; of the finer mesh, or None; and halfway between the nodes, or
-        None.
-    word_by_key : mapping of str to object
-        Values of the unknowns that are words.
+        Plate without its crack.
+    coarse_finer_halfway_cases : three SolvedCases or None
+        Solved cases on the grid of the unknowns, on a finer mesh, and halfway between the values of
+        the grid. The last two may be None.
+    word_by_key : dict of str to object
+        Values of the unknowns with text values, such as "left" for crack.edge.
     """
 
     def __init__(
@@ -292,11 +310,15 @@ class ForwardModel:
     def make_predictor(
         self, measured_rows: Sequence[Measurement], candidate_rows: Sequence[Measurement] = ()
     ) -> MeasurementPredictor:
-        """Make a predictor for measurements, and for candidates."""
+        """Make a predictor for measurements, and for candidates for further measurements."""
         return MeasurementPredictor(self, measured_rows, candidate_rows)
 
     def get_damping_ratio_of_points(self, x: np.ndarray) -> np.ndarray:
-        """Return the damping ratio at values x (m, d) of the unknowns: (m, 1)."""
+        """Return the damping ratio at values x (m, d) of the unknowns: (m, 1).
+
+        An unknown damping ratio is in x. Otherwise all are equal: the scene's ratio, the mean of
+        the scene's ratios, or 0.01 without either.
+        """
         if "damping.ratio" in self.unknown_keys:
             return x[:, [self.unknown_keys.index("damping.ratio")]]
         scene_damping_ratios, damping_table = None, self.scene.damping
@@ -309,9 +331,10 @@ class ForwardModel:
         )  # of a matrix
 
     def compute_crack_sizes_relative_to_largest(self, x: np.ndarray) -> np.ndarray:
-        """Return relative crack sizes at values x (m, d): (m,), 1 for the largest.
+        """Return crack sizes at values x (m, d), relative to the largest: (m,).
 
-        It is the product of relative length and depth; 1 if neither is an unknown.
+        A size is the product of length and depth, each over its upper bound; 1 if neither is an
+        unknown.
         """
         size_unknown_indices = [
             unknown_index
@@ -326,16 +349,17 @@ class ForwardModel:
         )
 
     def compute_deviations_from_equivalent_crack(self, x: np.ndarray) -> np.ndarray:
-        """Return standard deviations (m, d) of a crack from the equivalent one.
+        """Return standard deviations of a real crack from the equivalent straight, sharp one.
 
-        They are for values x (m, d) of the unknowns.
+        Shape (m, d), at values x (m, d) of the unknowns.
         """
         return compute_deviations_from_equivalent_crack(x, self.unknown_keys, self.scene)
 
     def list_candidates(self) -> tuple[Measurement, ...]:
-        """List possible measurements: natural frequencies, and ratios of harmonics.
+        """List candidates for further measurements.
 
-        The ratios are at all points and load frequencies of the sweep.
+        Candidates are natural frequencies of all modes, and the ratios of harmonics "ratio_2_1" and
+        "ratio_3_1" at all points and solved load frequencies.
         """
         quantity_names = ["frequency_open", "frequency_tied", "frequency_resonance"]
         if self.coarse_cases.uncracked_cases is not None:
@@ -364,13 +388,14 @@ class MeasurementPrediction:
     Attributes
     ----------
     values : (m, q)
-        Predicted values.
+        Predicted values; nan without a prediction.
     covariance : (m, q, q)
-        Covariance of their errors.
+        Covariance of the errors of the values.
     load_induced_changes : (m, q, s)
-        Their changes by a standard deviation of each unknown of the load and the probes.
+        Changes of the values by one standard deviation of each unknown load size, load phase and
+        constant (:class:`ProbeDisplacements`).
     is_predictable : (q,) bool
-        True for a measurement that can be predicted.
+        True for a measurement with a prediction.
     """
 
     values: np.ndarray
@@ -380,21 +405,22 @@ class MeasurementPrediction:
 
 
 class FeaturePrediction(NamedTuple):
-    """Features at m values of the unknowns.
+    """Prediction of f features at m values of the unknowns.
 
     Attributes
     ----------
     damping_ratio_of_points : (m, 1)
+        Damping ratios.
     frequency_split_root_and_frequencies : (m, f, 1 + 2 modes)
-        :attr:`SolvedCases.frequency_split_root_and_frequencies` there at the load of each feature.
+        :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each feature.
     smoothing_factors : (m, f)
-        Factors that make features smooth.
+        Factors that make features smooth (:func:`compute_smoothing_factors`).
     feature_values : (m, f)
-        The features: logarithms of natural frequencies, and complex harmonics.
+        Features: logarithms of natural frequencies [Hz], and complex harmonics [m].
     interpolation_variances : (m, f)
-        Mean squares of their errors by the interpolation.
+        Mean squares of the features' interpolation errors.
     smooth_form_covariance : (m, 2f, 2f)
-        Covariance of their smooth forms, real and imaginary parts in turn.
+        Covariance of smooth forms (feature times factor), real and imaginary parts in turn.
     """
 
     damping_ratio_of_points: np.ndarray
@@ -406,14 +432,16 @@ class FeaturePrediction(NamedTuple):
 
 
 class MeasurementPredictor:
-    """Predictions of measurements, and of candidates for further measurements, by a model.
+    """Predictor of measurements, and of candidates for further measurements.
 
     Attributes
     ----------
+    rows : tuple of Measurement
+        q measurements, then candidates.
     is_predictable : (q,) bool
-        True for a measurement that can be predicted.
+        True for a measurement or candidate that the solved cases can predict.
     baseline_changes : BaselineChanges
-        Possible changes since there was no crack.
+        Possible changes of the plate since it was measured without the crack.
     """
 
     def __init__(
@@ -475,7 +503,12 @@ class MeasurementPredictor:
         self._set_up_feature_interpolations()
 
     def _set_up_features_and_indices(self) -> None:
-        """Set up the features, their indices in each row, and pairs with and without a crack."""
+        """Set the features of all measurements, and indices of features.
+
+        Features are natural frequencies and harmonics, from which measurements are predicted.
+        Indices are for each measurement, and for pairs of a mode's frequency with the crack and
+        without.
+        """
         features_by_row = [
             Feature.list_features_of_measurement(measurement, self.model.scene)
             for measurement in self.rows
@@ -506,7 +539,10 @@ class MeasurementPredictor:
         )
 
     def _set_up_feature_interpolations(self) -> None:
-        """Set up interpolations of features, and of the correction by the finer mesh."""
+        """Set interpolations of all features, and of corrections by the finer mesh.
+
+        Features are natural frequencies and harmonics. This also sets ``is_predictable``.
+        """
         model = self.model
         self._coarse_interpolation = Interpolation(
             model.unknown_grid, self._evaluate_smooth_features(model.coarse_cases)
@@ -544,9 +580,10 @@ class MeasurementPredictor:
     def with_change_factors(
         self, *, clamp_factor: float, temperature_factor: float
     ) -> MeasurementPredictor:
-        """Return a copy with the priors of changes since the baseline multiplied.
+        """Return a copy with other prior changes of the plate.
 
-        The factors are for the clamp and for an unknown temperature.
+        The factors multiply the changes by the clamp and by an unknown temperature difference,
+        since the plate was measured without the crack.
         """
         changed_predictor = copy(self)
         changed_predictor.baseline_changes = self.baseline_changes.with_change_factors(
@@ -557,22 +594,28 @@ class MeasurementPredictor:
     def iterate_face_state_predictions(
         self, x: np.ndarray
     ) -> Iterator[tuple[np.ndarray, np.ndarray, MeasurementPrediction]]:
-        """Iterate over predictions in possible states of the crack faces at x (m, d).
+        """Yield predictions for each possible motion of the crack faces.
 
-        Under a steady load, a preload or a clearance a crack may stay open or closed. The motion
-        then has no higher harmonics. Between a node with such a motion and one without, both are
-        possible.
+        Under a steady load, a preload or a clearance a crack may always stay open or closed. The
+        motion then has no higher harmonics. Between a solved crack with such a motion and one
+        without, both are possible.
 
         At a resonance four cases have the same probability: the crack stays open, stays closed,
-        breathes for half of the period, or breathes for another part of it. The last is split
-        equally: the same part at all resonances, or another at each.
+        breathes for half of the period, or breathes for another part of the period. In the last
+        case the part is the same at all resonances, or different at each, with half of the
+        probability each.
+
+        Parameters
+        ----------
+        x : (m, d)
+            Values of the unknowns.
 
         Yields
         ------
         point_indices : (n,)
-            Points among x at which the state is possible.
+            Indices of the values in x for which this motion is possible.
         probabilities : (n,)
-            Its probability there.
+            Probability of the motion there.
         MeasurementPrediction
             Predictions there.
         """
@@ -607,9 +650,10 @@ class MeasurementPredictor:
                     )
 
     def _evaluate_smooth_features(self, solved_cases: SolvedCases) -> np.ndarray:
-        """Return smooth forms of all features at the nodes of a sweep: (n, 2f).
+        """Return smooth forms of all features at the grid nodes of solved cases: (n, 2f).
 
-        Real and imaginary parts alternate.
+        Features are natural frequencies and harmonics. A smooth form is feature times factor
+        (:func:`compute_smoothing_factors`); real and imaginary parts alternate.
         """
         feature_values = np.stack(
             [feature.get_node_values(solved_cases) for feature in self._features], axis=1
@@ -624,9 +668,10 @@ class MeasurementPredictor:
         )
 
     def _estimate_interpolation_error_scales(self) -> np.ndarray:
-        """Return factors (2f,), at least 1, by which interpolation errors are understated.
+        """Return factors (>= 1) on the estimated interpolation errors: (2f,).
 
-        They compare the errors halfway between nodes with the estimated errors. Features with more
+        A factor is the root-mean-square error at cases halfway between grid nodes over the
+        estimated error, for each of f features. All are 1 without such cases. Features with more
         waves than nodes look smooth, as higher modes along the height do.
         """
         halfway_cases = self.model.halfway_cases
@@ -655,9 +700,10 @@ class MeasurementPredictor:
     def _compute_smoothing_factors(
         self, x: np.ndarray, frequency_split_root_and_frequencies: np.ndarray
     ) -> np.ndarray:
-        """Return factors (m, f) that make features smooth.
+        """Return factors that make features smooth, at values x (m, d): (m, f).
 
-        Both meshes take them from the coarse one.
+        x are values of the unknowns. Both meshes get the factors of the coarse mesh
+        (:func:`compute_smoothing_factors`).
         """
         return compute_smoothing_factors(
             self._features,
@@ -667,10 +713,9 @@ class MeasurementPredictor:
         )
 
     def _interpolate_frequency_split_and_frequencies(self, x: np.ndarray) -> np.ndarray:
-        """Interpolate the root of the frequency split, and frequencies: (m, f, 1 + 2 modes).
+        """Interpolate :attr:`SolvedCases.frequency_split_root_and_frequencies` to values x (m, d).
 
-        They are :attr:`SolvedCases.frequency_split_root_and_frequencies` at x (m, d), at the load
-        of each feature.
+        Shape (m, f, 1 + 2 modes), at the load of each feature; nan without enough solved cases.
         """
         frequency_split_root_and_frequencies = np.where(
             self._split_root_and_frequency_interpolation.has_enough_known_nodes,
@@ -682,21 +727,24 @@ class MeasurementPredictor:
         )[:, self._load_index_of_features]
 
     def __call__(self, x: np.ndarray) -> MeasurementPrediction:
-        """Return predictions at x (m, d) in the first state of the faces.
+        """Return predictions at values x (m, d) of the unknowns.
 
-        If several states are possible at resonances, that is the least certain one.
+        At resonances several motions of the crack faces may be possible. The predictions are for
+        the first (:func:`_list_face_states`), with the largest standard deviation.
         """
         return self._predict_measurements(self._predict_features(x), None, self._face_states[0])
 
     def compute_interpolation_and_total_variances(
         self, x: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return variances of predictions at x (m, d): by interpolation, and total.
+        """Return variances of predictions by interpolation, and in total.
+
+        ``x`` (m, d) are values of the unknowns.
 
         Returns
         -------
         (m, d, q)
-            Variances by interpolation along each unknown.
+            Variances of q predictions by interpolation along each of the d unknowns.
         (m, q)
             Total variances.
         """
@@ -729,7 +777,10 @@ class MeasurementPredictor:
         )
 
     def _predict_features(self, x: np.ndarray) -> FeaturePrediction:
-        """Return the features at x (m, d)."""
+        """Predict natural frequencies and harmonics at values x (m, d) of the unknowns.
+
+        The covariance has the errors by interpolation, mesh, contact and priors.
+        """
         smooth_features = self._coarse_interpolation.interpolate(x)
         interpolation_errors = [
             self._interpolation_error_scales
@@ -794,9 +845,10 @@ class MeasurementPredictor:
         is_zero_feature: np.ndarray | None,
         face_state: CrackFaceState,
     ) -> MeasurementPrediction:
-        """Predict all measurements from features and a state of the crack faces.
+        """Predict all measurements from features, for a motion of the crack faces.
 
-        Features with ``is_zero_feature`` (f,) are 0.
+        Features are natural frequencies and harmonics. Those marked in ``is_zero_feature`` (f,) are
+        0; None marks no feature.
         """
         smoothing_factors = feature_prediction.smoothing_factors
         feature_values = feature_prediction.feature_values
@@ -870,28 +922,31 @@ class MeasurementPredictor:
         damping_ratio_of_points: np.ndarray,
         frequency_split_root_and_frequencies: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Estimate the harmonics that not all cases have, as far as modes resonate there.
+        """Estimate the harmonics above those of the solved cases, at resonances of modes.
 
         Harmonics of the contact force fall like 1 / k. They act on modes with static compliances 1
         / w_j^2: |U_k|^2 = c^2 sum_j |w_j^2 - (k W)^2 + 2 i z w_j k W|^-2 / k^2. Here c^2 is the
-        mean over the upper half of the known harmonics. For 150 cracks under loads of 120 to 1500
-        Hz, what twelve and six of 30 harmonics omit is 1.0 and 1.3 times this, in root mean square.
+        mean over the upper half of the known harmonics. A test had 150 cracks under loads of 120 to
+        1500 Hz, with 30 harmonics. Harmonics omitted above twelve and six are 1.0 and 1.3 times
+        this estimate, in root mean square.
 
         Parameters
         ----------
         first_harmonic_feature : Feature
             First harmonic of a point.
         mean_squares : (m, K) [m^2]
-            Mean squares of its known harmonics.
+            Mean squares of the known harmonics of this point.
         damping_ratio_of_points : (m, 1)
+            Damping ratios z.
         frequency_split_root_and_frequencies : (m, 1, 1 + 2 modes)
+            :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load.
 
         Returns
         -------
         (k,)
             Omitted orders.
         (m, k) [m^2]
-            Mean squares of these harmonics.
+            Mean squares of the omitted harmonics.
         """
         n_known_harmonics = self.model.coarse_cases.find_smallest_harmonic_count(
             first_harmonic_feature.load_frequency
@@ -943,16 +998,27 @@ class MeasurementPredictor:
         smoothing_factors: np.ndarray,
         face_state: CrackFaceState,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Predict all measurements but displacements, with errors of the state of the crack faces.
+        """Predict all measurements but displacements, for a motion of the crack faces.
+
+        Parameters
+        ----------
+        damping_ratios : (m, 1)
+            Damping ratios.
+        feature_values, smoothing_factors : (m, f)
+            As in :class:`FeaturePrediction`.
+        face_state : CrackFaceState
+            Motion of the crack faces.
 
         Returns
         -------
         predictions : (m, q)
+            Predicted values; 0 for displacements and without a prediction.
         complex_slopes : (m, q, f)
             Slopes t by the smooth forms S: the change of a value is Re sum t dS.
         common_errors : (m, q, 1 + modes)
-            Errors that are common to all resonances, and to each mode.
+            Errors common to all resonances (column 0), and to the resonances of each mode.
         independent_variances : (m, q)
+            Variances of independent errors.
         """
         is_natural_frequency = np.array(
             [feature.is_natural_frequency for feature in self._features]
@@ -1024,18 +1090,19 @@ class MeasurementPredictor:
         remaining_mesh_errors: np.ndarray,
         interpolation_errors: list[np.ndarray],
     ) -> np.ndarray:
-        """Stack independent errors of the smooth forms: (m, 2f, r).
+        """Stack independent errors of the smooth forms of features: (m, 2f, r).
 
-        Half of each variance is common to several forms.
+        Each of the r columns is an error in all smooth forms; the sum of the columns' outer
+        products is the covariance. Half of each variance is common to several forms.
 
         Parameters
         ----------
         smooth_features : (m, 2f)
-            Smooth forms as pairs of columns.
+            Smooth forms, real and imaginary parts in turn.
         remaining_mesh_errors : (m, 2f)
-            Remaining errors of the mesh.
+            Errors of the mesh after its correction.
         interpolation_errors : list of (m, k, 2f)
-            Errors at the nodes around, for each sweep.
+            Errors at nodes (:meth:`Interpolation.list_weighted_node_errors`), for each mesh.
         """
         root_of_half = np.sqrt(0.5)
         all_interpolation_errors = np.concatenate(interpolation_errors, axis=1)
@@ -1069,16 +1136,26 @@ class MeasurementPredictor:
 def _find_harmonic_masks_and_motionless_nodes(
     solved_cases: SolvedCases, features: Sequence[Feature], load_index_of_features: Sequence[int]
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Find nodes at which the crack faces neither touch nor part under a load.
+    """Find solved cracks whose faces stay open or closed.
 
-    Only loads with both kinds of nodes count.
+    Higher harmonics are then zero. Only loads with such cracks and with breathing cracks count.
+
+    Parameters
+    ----------
+    solved_cases : SolvedCases
+        Cases on the grid of the unknowns.
+    features : sequence of Feature
+        f natural frequencies and harmonics.
+    load_index_of_features : (f,)
+        Load of each feature.
 
     Returns
     -------
     harmonic_masks : list of (f,) bool
-        Higher harmonics of each such load.
+        Features that are higher harmonics of such a load, for each of n loads.
     motionless_grids : (..., n)
-        1 at nodes without these harmonics, on the grid; empty without such loads.
+        1 on the grid of the unknowns for cracks without higher harmonics, otherwise 0; an empty
+        array without such loads.
     """
     harmonic_masks, motionless_grids = [], []
     is_higher_harmonic = np.array([feature.harmonic_order > 1 for feature in features], dtype=bool)
@@ -1099,9 +1176,9 @@ def _find_harmonic_masks_and_motionless_nodes(
 
 
 def _build_error_group_matrix(features: Sequence[Feature]) -> np.ndarray:
-    """Return the matrix of columns with a common mesh error: (2f, groups).
+    """Return which smooth forms share a mesh error: (2f, groups).
 
-    A member has 1, others 0.
+    1 for a member of a group (:attr:`Feature.error_group_key`), otherwise 0.
     """
     group_keys = list(dict.fromkeys(feature.error_group_key for feature in features))
     group_memberships = [
@@ -1112,18 +1189,18 @@ def _build_error_group_matrix(features: Sequence[Feature]) -> np.ndarray:
 
 
 def _split_complex_columns(complex_columns: np.ndarray) -> np.ndarray:
-    """Split complex columns (..., f) into alternating real and imaginary ones (..., 2f)."""
+    """Split complex columns (..., f) into real and imaginary ones in turn: (..., 2f)."""
     return np.stack([complex_columns.real, complex_columns.imag], axis=-1).reshape(
         *complex_columns.shape[:-1], -1
     )
 
 
 def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
-    """List possible states of the crack faces at resonances, with weights that sum to 1.
+    """List the possible motions of the crack faces at resonances, with prior weights.
 
-    The faces breathe. If the motion's shape depends on the load's size, they breathe for any part
-    of the period. They may stay open if any solved case is ever open, and closed if any is ever
-    closed.
+    The weights sum to 1. The faces breathe for half of the period. If the motion's shape depends on
+    the load's size, they may breathe for any part of the period. They may then also stay open if
+    any solved crack is open for some time, and stay closed if any is closed for some time.
     """
     if has_load_independent_motion_shape(model.scene):
         return (BREATHING_STATE,)
@@ -1153,17 +1230,35 @@ def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
 
 
 def has_load_independent_motion_shape(scene: Scene) -> bool:
-    """Return True if a motion's shape does not depend on the load's size."""
+    """Return True if the motion is proportional to the load's size.
+
+    This holds for unilateral contact without rotation, clearance, preload and steady load
+    (``excitation.force_mean``).
+    """
     return is_response_proportional_to_load(scene) and not any(scene.excitation.force_mean)
 
 
 def _combine_features_with_slopes(
     measurement: Measurement, feature_sizes: np.ndarray, state_index: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Combine feature sizes (m, k) to a measured quantity, with its slopes.
+    """Compute a measured quantity from features, with slopes.
 
-    Returns the quantity (m,) and its slopes (m, k) by the sizes. A resonance is near the frequency
-    with the state's index.
+    Parameters
+    ----------
+    measurement : Measurement
+        Natural frequency, harmonic, or ratio of two harmonics.
+    feature_sizes : (m, k)
+        Natural frequencies [Hz], or amplitudes [m], from
+        :meth:`Feature.list_features_of_measurement`.
+    state_index : int
+        Index in :data:`RESONANCE_STATE_NAMES` for a resonance, otherwise 0.
+
+    Returns
+    -------
+    (m,)
+        Measured quantity.
+    (m, k)
+        Slopes by the sizes.
     """
     if measurement.is_natural_frequency or feature_sizes.shape[1] == 1:
         return feature_sizes[:, state_index], np.eye(1, feature_sizes.shape[1], state_index).repeat(

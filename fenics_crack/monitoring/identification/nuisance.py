@@ -68,29 +68,31 @@ from fenics_crack.scene.tables import Identify
 from fenics_crack.study.prepare import prepare
 
 CRACK_SIZE_KEYS = ("crack.length", "crack.depth")
-"""Keys of a crack's size."""
+"""Keys of the crack's size in a scene."""
 FACTOR_FROM_HZ_BY_UNIT = {"rad/s": 2.0 * np.pi, "kHz": 1e-3, "mHz": 1e3}
-"""Factor from Hz to each unit, by unit."""
+"""Factor from Hz to each unit that a frequency might have by mistake."""
 
 
 class UncrackedPlate:
-    """The plate without a crack, or with a bonded crack, and the sensitivities to the priors.
+    """Plate without its crack, and how its frequencies change with the priors.
 
-    It is solved on this rank alone.
+    A crack that cannot be removed is bonded. The plate is solved on this rank alone. Priors are the
+    standard deviations in ``[identify]``: material, thickness, clamp, model error, and rotation.
 
     Attributes
     ----------
     rotor_speed : float [rad/s]
-        Speed of the rotor.
+        Rotor speed of the scene.
     elastic_and_rotation_stiffness : (2, r, r) [1/s^2]
-        Stiffness at rest, and the addition by rotation at that speed, in r mass-normalised motions.
+        Stiffness at rest, and the addition by rotation at the rotor speed, in r mass-normalised
+        motions.
     clamp_reactions : (r, d)
         Forces and moments at the clamp by these motions, relative to a clamp of uniform compliance;
         d = 0 if the clamped nodes are unknown.
     n_reaction_forces : int
-        Number of forces among the reactions; they precede the moments.
+        Number of forces among the d reactions; they precede the moments.
     identify_table : Identify
-        Table ``[identify]`` with the widths of the priors.
+        Table ``[identify]`` with the priors.
     """
 
     def __init__(self, scene: Scene, identify_table: Identify) -> None:
@@ -135,18 +137,22 @@ class UncrackedPlate:
 
     @cached_property
     def natural_frequencies_hz(self) -> np.ndarray:
-        """Return natural frequencies (n,) [Hz], with a bonded crack if it cannot be removed."""
+        """Return the plate's natural frequencies at the scene's speed: (n,) [Hz]."""
         return self.solve_modes_at(1.0)[0] / RAD_PER_TURN
 
     def solve_modes_at(
         self, speed_ratio: float, modulus_ratio: float = 1.0
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Solve modes at another speed and Young's modulus, both relative to the scene's.
+        """Solve the plate's modes at another speed and Young's modulus.
+
+        Both ratios are relative to the scene's values.
 
         Returns
         -------
         omega : (n,) [rad/s]
+            Natural frequencies in ascending order.
         mode_vectors : (r, n)
+            Modes in the r mass-normalised motions.
         """
         squared_omega, mode_vectors = eigh(
             modulus_ratio * self.elastic_and_rotation_stiffness[0]
@@ -156,7 +162,10 @@ class UncrackedPlate:
         return np.sqrt(np.maximum(squared_omega[:n_modes], 0.0)), mode_vectors[:, :n_modes]
 
     def compute_elastic_fractions(self, speed_ratio: float) -> np.ndarray:
-        """Return the elastic fraction of squared frequencies at a relative speed: (n,)."""
+        """Return the elastic part e_j of each squared natural frequency: (n,).
+
+        The rest, 1 - e_j, comes from rotation. ``speed_ratio`` is the rotor speed over the scene's.
+        """
         natural_omega, mode_vectors = self.solve_modes_at(speed_ratio)
         return np.asarray(
             np.sum(mode_vectors * (self.elastic_and_rotation_stiffness[0] @ mode_vectors), axis=0)
@@ -166,20 +175,21 @@ class UncrackedPlate:
     def compute_frequency_factors_by_modulus(
         self, speed_ratio: float, modulus_ratio: float
     ) -> np.ndarray:
-        """Return factors (n,) of frequencies by a factor of Young's modulus.
+        """Return factors on natural frequencies by a factor on Young's modulus: (n,).
 
-        The speed is relative to the scene's.
+        ``modulus_ratio`` is this factor, ``speed_ratio`` the rotor speed over the scene's.
         """
         return (
             self.solve_modes_at(speed_ratio, modulus_ratio)[0] / self.solve_modes_at(speed_ratio)[0]
         )
 
     def compute_clamp_sensitivities(self, speed_ratio: float) -> np.ndarray:
-        """Return relative changes of natural frequencies by a soft clamp.
+        """Return relative changes of natural frequencies by a soft clamp: (n, 2).
 
-        (n, 2) at a speed relative to the rotor's: by a turning clamp and by a moving clamp, over
-        the change of the first frequency at the rotor's speed by both. If the clamp is unknown,
-        they are the same for all modes and by turning only, as of a slender beam.
+        The columns are for a turning clamp and a moving clamp. They are relative to the change of
+        the first frequency by both, root sum square, at the scene's speed. Without known clamped
+        nodes the first column has the elastic parts, the second 0. ``speed_ratio`` is the rotor
+        speed over the scene's.
         """
         if not self.clamp_reactions.shape[1]:
             return np.outer(self.compute_elastic_fractions(speed_ratio), [1.0, 0.0])
@@ -199,9 +209,11 @@ class UncrackedPlate:
         )
 
     def compute_prior_sensitivities(self, speed_ratio: float) -> np.ndarray:
-        """Return relative changes of frequencies by a standard deviation of each prior: (n, s).
+        """Return relative changes of natural frequencies by the priors: (n, s).
 
-        They are at a speed relative to the rotor's.
+        Each column is for one standard deviation: Young's modulus, density, thickness, clamp (2),
+        model error (n) and stiffening by rotation (n). ``speed_ratio`` is the rotor speed over the
+        scene's.
         """
         young_deviation, density_deviation, _ = self._young_density_thickness_deviations
         elastic_fractions = self.compute_elastic_fractions(speed_ratio)
@@ -226,20 +238,21 @@ class UncrackedPlate:
         frequency_split_root_and_frequencies: np.ndarray,
         mode_sensitivities: np.ndarray,
     ) -> np.ndarray:
-        """Return relative changes of features by a standard deviation of each prior, (m, f, s).
+        """Return relative changes of features by the priors: (m, f, s).
 
-        Features are natural frequencies without the crack, its additions to their logarithms, and
-        harmonics.
+        Each of the s columns is for one standard deviation. A natural frequency of the cracked
+        plate stands here for the change of ln(frequency) by the crack.
 
         Parameters
         ----------
         features : sequence of Feature
-            f features.
+            f features: natural frequencies and harmonics.
         damping_ratio_of_points : (m, 1)
+            Damping ratios at m values of the unknowns.
         frequency_split_root_and_frequencies : (m, f, 1 + 2 n)
             :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each feature.
         mode_sensitivities : (f, n, s)
-            :meth:`compute_prior_sensitivities` at the speed of each feature.
+            :meth:`compute_prior_sensitivities` at the rotor speed of each feature.
         """
         identify_table, n_modes = self.identify_table, mode_sensitivities.shape[1]
         is_natural_frequency, is_cracked_frequency = (
@@ -302,7 +315,7 @@ class UncrackedPlate:
     def _young_density_thickness_deviations(self) -> list[float]:
         """Return relative standard deviations of Young's modulus, density and thickness.
 
-        That of an unknown is 0.
+        0 for a quantity that is an unknown.
         """
         identify_table = self.identify_table
         unknown_keys = {unknown_axis.key for unknown_axis in self.identify_table.unknown}
@@ -321,17 +334,17 @@ class UncrackedPlate:
     def compute_clamp_and_temperature_sensitivities(
         self, speed_ratio: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return relative changes between the plate before it had a crack and now.
+        """Return relative changes of frequencies since the plate had no crack.
 
-        They are at a speed relative to the rotor's, a standard deviation each.
+        ``speed_ratio`` is the rotor speed over the scene's.
 
         Returns
         -------
         (n, 3 + n)
-            Changes by a turning clamp, by a moving clamp, by the stiffening of all modes, and of
-            each mode by itself.
+            Changes of n frequencies by one standard deviation each: a turning clamp, a moving
+            clamp, the stiffening of all modes by rotation, and each mode by itself.
         (n, 1 + n)
-            Changes by a kelvin, and their uncertainty due to rotation.
+            Change by 1 K [1/K], and its uncertainty [1/K] for each mode by rotation.
         """
         identify_table = self.identify_table
         elastic_fractions = self.compute_elastic_fractions(speed_ratio)
@@ -361,12 +374,15 @@ class UncrackedPlate:
         *,
         may_be_other_plate: bool,
     ) -> None:
-        """Raise InputError for frequencies that seem to have another unit or mode.
+        """Raise InputError for frequencies that seem to have a wrong unit or mode.
 
-        Load frequencies must not seem to be in kHz or mHz by those of the scene [Hz]. Natural
-        frequencies must not seem to be in rad/s, kHz or mHz. If the plate may be another one, rad/s
-        is refused only for all of them together. Otherwise a frequency without the crack must be
-        nearest to its own mode.
+        Load frequencies are compared with ``load_frequencies`` [Hz] of the scene, natural
+        frequencies with those of this plate. Measured values must not seem to be in kHz, mHz or,
+        for natural frequencies, rad/s.
+
+        With ``may_be_other_plate`` unknowns change more than the crack, and rad/s is refused only
+        if all natural frequencies seem to be in rad/s. Otherwise a frequency without the crack must
+        be nearest to this plate's frequency of the same mode.
         """
         for row in [
             row for row in measurements.rows if load_frequencies and not row.is_natural_frequency
@@ -426,9 +442,9 @@ class UncrackedPlate:
 
 
 def _guess_frequency_unit_or_empty(frequency_ratio: float) -> str:
-    """Guess a number's unit by its ratio to the number in Hz.
+    """Guess a frequency's unit from its ratio to the expected value in Hz.
 
-    Empty for Hz or no match.
+    Return "rad/s", "kHz" or "mHz" if the ratio fits within a factor exp(0.3), otherwise "".
     """
     # No crack changes a frequency by a factor of exp(0.3).
     matching_unit_names = (
@@ -440,18 +456,20 @@ def _guess_frequency_unit_or_empty(frequency_ratio: float) -> str:
 
 
 class BaselineChanges:
-    """Changes in q measurements between the record before the crack and the record since.
+    """Changes of the plate since it was measured without the crack (baseline).
 
-    They are 0 for measurements other than natural frequencies, and for unknown modes.
+    Changes are in q predicted measurements. They are 0 for measurements other than natural
+    frequencies, and for modes above those of the plate.
 
     Attributes
     ----------
     temperature_frequency_factors : (q,)
-        Factors of predictions by known temperatures.
+        Factors on predictions by known temperatures.
     clamp_frequency_changes : (q, s)
-        Relative changes by the clamp, a standard deviation each.
+        Relative changes by one standard deviation of each change at the clamp.
     unknown_temperature_frequency_changes : (q, s)
-        Relative changes by an unknown temperature, in the first column, and its uncertainty.
+        Relative changes by one standard deviation of an unknown temperature difference (column 0),
+        and their uncertainties.
     temperature_error_frequency_changes : (q, s)
         Relative changes by errors of known temperatures: by the coefficient, the thermometer and
         rotation.
@@ -463,10 +481,10 @@ class BaselineChanges:
         speed_ratios: Sequence[float],
         uncracked_plate: UncrackedPlate,
     ) -> None:
-        """Take measurements, each at a speed relative to the rotor's.
+        """Take measurements, and the rotor speed of each over the scene's.
 
-        Records since the crack are at the mean of their stated temperatures, if any is stated.
-        Records before it are at the stated temperature, or at an unknown one.
+        The present temperature is the mean of temperatures stated for measurements since the crack.
+        Without a temperature before and since, the difference is unknown.
         """
         identify_table = uncracked_plate.identify_table
         n_modes = len(uncracked_plate.natural_frequencies_hz)
@@ -527,7 +545,11 @@ class BaselineChanges:
 
     @property
     def frequency_changes(self) -> np.ndarray:
-        """Return all relative changes of frequencies: (q, s)."""
+        """Return all relative changes of q predicted measurements: (q, s).
+
+        Each of the s columns is for one standard deviation of a change since the plate was measured
+        without the crack: temperature, clamp, and errors of temperatures.
+        """
         return np.hstack(
             [
                 self.unknown_temperature_frequency_changes,
@@ -549,20 +571,20 @@ class BaselineChanges:
 
 
 def _solve_plate_modes(scene: Scene) -> Modes:
-    """Solve the first modes of a scene on this rank, with a bonded crack."""
+    """Solve a scene's lowest modes on this rank, with any crack bonded."""
     structure = prepare(scene, MPI.COMM_SELF, whole=True).structure
     n_modes = min(N_LOWEST_MODES, structure.n_dofs - structure.n_pairs)
     return solve_modes(structure, n_modes, lips="tied" if structure.n_pairs else "open")
 
 
 def _build_rigid_clamp_motions(modes: Modes) -> tuple[np.ndarray, int]:
-    """Build rigid motions about the clamp's middle, translations first.
+    """Build rigid motions of the plate about the clamp's middle.
 
     Returns
     -------
     motion_columns : (n, d)
-        Translations are times the clamp's radius of gyration. d = 0 if no node is clamped or the
-        nodes are unknown.
+        Translations times the clamp's radius of gyration, then rotations, as displacements of n
+        dofs. d = 0 if fewer than two nodes are clamped, or the nodes are unknown.
     n_translations : int
         Number of translations.
     """
@@ -588,9 +610,10 @@ def _differentiate_harmonic_logs(
     damping_ratio_of_points: np.ndarray,
     frequency_split_root_and_frequencies: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Differentiate logarithms of harmonics through their poles: (m, f, modes) each.
+    """Return derivatives of ln(harmonic) through the poles: two arrays (m, f, modes).
 
-    The first slopes are by ln w_j, the second by the logarithm of the damping ratio.
+    The first is by ln w_j, with the natural frequency w_j of each mode; the second by ln z, with
+    the damping ratio z. Parameters are as in :func:`compute_ratios_and_pole_factors`.
     """
     harmonic_to_mode_ratios, pole_factors = compute_ratios_and_pole_factors(
         features, damping_ratio_of_points, frequency_split_root_and_frequencies
@@ -604,9 +627,11 @@ def _differentiate_harmonic_logs(
 def compute_deviations_from_equivalent_crack(
     x: np.ndarray, unknown_keys: Sequence[str], scene: Scene
 ) -> np.ndarray:
-    """Return standard deviations (m, d) of a crack from the equivalent one.
+    """Return standard deviations between a real crack and the equivalent crack: (m, d).
 
-    The equivalent crack is straight and sharp. They are for values x (m, d) of the unknowns.
+    The equivalent crack is straight and sharp, with the same effect on vibration. ``x`` (m, d) are
+    values of the unknowns. Size and height of the crack have a standard deviation, other unknowns
+    0.
     """
     identify_table = scene.given("identify")
     equivalence_deviations = np.zeros_like(x)

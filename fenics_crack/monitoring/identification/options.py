@@ -7,52 +7,63 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Options:
-    """Numerical settings: results depend on them less than on any prior."""
+    """Numerical settings of an identification.
+
+    The results depend less on these settings than on any prior in ``[identify]``.
+    """
 
     max_measurements: int = 1000
-    """Maximum number of measurements: each grid point factorises their covariance."""
+    """Maximum number of measurements, since each grid point factorises their covariance."""
 
     # Cases of the forward model.
     allowed_vibration_ratio: float = 2.0
-    """Allowed vibration between solved cases, relative to the largest at any case.
+    """Maximum vibration between solved cracks, over the largest at any solved crack.
 
-    Above it cases are added if a steady load or a clearance makes the motion depend on it.
+    Above the ratio more cracks are solved, unless the motion is proportional to the load
+    (:func:`has_load_independent_motion_shape`).
     """
     allowed_interpolation_share: float = 0.2
-    """Allowed share of interpolation in a measurement's variance (1.12 times its deviation).
+    """Maximum part of a measurement's variance that interpolation between cases may cause.
 
-    Above it cases are added.
+    Above this part more cases are solved. A part of 0.2 raises the standard deviation 1.12 times.
     """
     max_solved_case_ratio: int = 8
-    """Maximum number of solved cases over the number in ``[identify.unknown]``."""
+    """Maximum number of solved cases over the number of cases in ``[identify.unknown]``."""
 
     # Interpolation.
     error_per_leave_one_out_error: float = 0.3
-    """Interpolation error relative to the leave-one-out error, at twice the spacing.
+    """Interpolation error over the error with a solved value left out.
 
-    The ratio is 1/16 for smooth quantities, and 3/4 if meshes make them uneven.
+    Without the value the spacing is doubled: the ratio is 1/16 for smooth quantities, and 3/4 if
+    meshes make quantities uneven.
     """
     error_averaging_width_in_nodes: float = 1.25
-    """Width of the Gaussian weights that average errors at nodes [node spacings]."""
+    """Width of the Gaussian weights in averages of errors over grid nodes [node spacings]."""
     max_averaged_nodes: int = 16
-    """Maximum number of nodes in an average of errors."""
+    """Maximum number of grid nodes in an average of interpolation errors."""
 
     # Posterior.
     max_least_squares_starts: int = 8
-    """Maximum number of starts of least squares."""
+    """Maximum number of start points for least squares."""
     refined_half_width_in_deviations: float = 5.0
-    """Half width [standard deviations] for the refined grid around an optimum."""
+    """Half width of the refined grid around an optimum [standard deviations]."""
     allowed_optimum_log_drop: float = 8.0
-    """Optima further below the maximum of log L are neglected."""
+    """Maximum distance of log L below the best optimum; lower optima are neglected."""
     allowed_grid_log_drop: float = 300.0
-    """Grid points further below the maximum of log L are not evaluated again."""
+    """Maximum distance of log L below the best optimum for points on the refined grid.
+
+    Lower points keep values that are interpolated on the first grid.
+    """
     points_per_batch: int = 500
-    """Number of points per evaluation of the likelihood, to bound memory."""
+    """Number of grid points in one evaluation of the likelihood, to limit the memory."""
     min_part_probability: float = 0.03
-    """Minimum probability of a separate part of the region in reports."""
+    """Minimum probability of a separate part of the credible region in reports.
+
+    A larger probability that the grid does not resolve causes a warning.
+    """
     advised_frequency_deviation: float = 1e-3
-    """Relative standard deviation of natural frequencies in advice."""
+    """Relative standard deviation of natural frequencies in advice on measurements."""
 
 
 OPTIONS = Options()
-"""The settings of all identifications."""
+"""Settings of every identification."""

@@ -38,15 +38,16 @@ from fenics_crack.monitoring.identification.model import MeasurementPrediction, 
 from fenics_crack.monitoring.identification.options import OPTIONS
 
 FIRST_GRID_COUNT_BY_DIMENSION = {1: 200, 2: 45, 3: 17}
-"""Values per unknown in the first grid, by the number of unknowns; 9 for more."""
+"""Values per unknown in the posterior's first grid, by number of unknowns; else 9."""
 REFINED_GRID_COUNT_BY_DIMENSION = {1: 101, 2: 31, 3: 13}
-"""Further values around each optimum, by the number of unknowns; 7 for more."""
+"""Values per unknown added around an optimum, by number of unknowns; else 7."""
 
 
 def add_uniform_prior_information(fisher_information: np.ndarray) -> np.ndarray:
     """Add the information of a uniform prior to the Fisher information (d, d).
 
-    The unknowns are relative to their ranges.
+    The unknowns are divided by their ranges; a uniform distribution on (0, 1) has variance 1/12,
+    which adds 12 on the diagonal.
     """
     return np.asarray(
         fisher_information + 12.0 * np.eye(len(fisher_information))
@@ -55,14 +56,14 @@ def add_uniform_prior_information(fisher_information: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Likelihood:
-    """Likelihood of the unknowns.
+    """Likelihood L of the unknowns, given q measurements.
 
     Attributes
     ----------
     measurement_values, measurement_deviations : (q,)
-        Measured values and their standard deviations.
+        Measured values, and their standard deviations.
     predictor : MeasurementPredictor
-        Their predictions.
+        Predictor of the measurements.
     """
 
     measurement_values: np.ndarray
@@ -70,11 +71,12 @@ class Likelihood:
     predictor: MeasurementPredictor
 
     def compute_residuals(self, x: np.ndarray) -> np.ndarray:
-        """Return residuals at x (m, d): (m, q + 1).
+        """Return residuals at values x (m, d) of the unknowns: (m, q + 1).
 
-        The first q are L^-1 (m - s) / e with V = diag(e) L L^T diag(e); their squares sum to chi^2.
-        The last is the root of log(det L L^T / p^2). All are in the most probable state of the
-        crack faces, with its probability p.
+        The first q are L^-1 (m - s) / e, with measured values m, their standard deviations e, and
+        predictions s. The squares sum to chi^2. V = diag(e) L L^T diag(e) is the covariance of
+        measurements and predictions. The last residual is the root of log(det L L^T / p^2). All are
+        for the most probable motion of the crack faces, with its probability p.
         """
         residual_rows = np.full((len(x), len(self.measurement_values) + 1), np.inf)
         for point_indices, state_residuals, _ in self._iterate_state_residuals(x):
@@ -85,7 +87,10 @@ class Likelihood:
         return residual_rows
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Return log L at x (m, d): (m,), up to a constant."""
+        """Return the log-likelihood at values x (m, d) of the unknowns: (m,).
+
+        A constant is left out.
+        """
         log_likelihoods = np.full(len(x), -np.inf)
         for point_indices, state_residuals, _ in self._iterate_state_residuals(x):
             log_likelihoods[point_indices] = np.logaddexp(
@@ -94,7 +99,10 @@ class Likelihood:
         return log_likelihoods
 
     def predict_most_probable(self, x: np.ndarray) -> MeasurementPrediction:
-        """Return predictions at x (d,) in the most probable state of the crack faces."""
+        """Return predictions at values x (d,) of the unknowns.
+
+        They are for the most probable motion of the crack faces: breathing, open or closed.
+        """
         states_with_residuals = self._iterate_state_residuals(x[None])
         return min(
             states_with_residuals,
@@ -104,14 +112,14 @@ class Likelihood:
     def _iterate_state_residuals(
         self, x: np.ndarray
     ) -> Iterator[tuple[np.ndarray, np.ndarray, MeasurementPrediction]]:
-        """Iterate over the possible states of the crack faces.
+        """Yield residuals for each possible motion of the crack faces.
 
         Yields
         ------
         (n,)
-            Points among x at which the state is possible.
+            Indices of the values in x (m, d) for which the motion is possible.
         (n, q + 1)
-            Residuals there.
+            Residuals there, as in :meth:`compute_residuals`.
         MeasurementPrediction
             Predictions there.
         """
@@ -144,9 +152,10 @@ class Likelihood:
             )
 
     def compute_normalised_temperature_change(self, x: np.ndarray) -> float:
-        """Return the normalised temperature change since the baseline at x (d,).
+        """Return the posterior mean of the unknown temperature change.
 
-        It is the posterior mean of the unknown change, in standard deviations of the prior.
+        The change is since the plate was measured without the crack, in standard deviations of the
+        prior. x (d,) are values of the unknowns.
         """
         prediction = self.predict_most_probable(x)
         temperature_slopes = (
@@ -163,16 +172,21 @@ class Likelihood:
         return float(temperature_slopes @ np.linalg.solve(covariance, scaled_differences))
 
     def explains_measurements(self, x: np.ndarray) -> np.ndarray:
-        """Return True for x (m, d) that explain the measurements if chosen before measuring."""
+        """Return True for values x (m, d) that explain the measurements: (m,).
+
+        The p-value of chi^2 must be at least 1 - ``identify.confidence``; no unknown counts as
+        fitted.
+        """
         return np.asarray(
             self._compute_chi_squares_and_p_values(x, 0)[1]
             >= 1.0 - self.predictor.model.identify_table.confidence
         )
 
     def compute_chi_square_and_p_value(self, x: np.ndarray) -> tuple[float, float]:
-        """Return chi^2 at the best x (d,), and its p-value.
+        """Return chi^2 and its p-value at the best values x (d,).
 
-        The degrees of freedom are the measurements less the fitted numbers.
+        Degrees of freedom are the measurements less the d unknowns, and less 3 for each group of
+        displacements (load's size, phase and a constant); at least 1.
         """
         chi_squares, p_values = self._compute_chi_squares_and_p_values(x[None], len(x))
         return float(chi_squares[0]), float(p_values[0])
@@ -180,9 +194,9 @@ class Likelihood:
     def _compute_chi_squares_and_p_values(
         self, x: np.ndarray, n_fitted_unknowns: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return chi^2 at x (m, d) and its p-value: (m,) each.
+        """Return chi^2 and its p-value at values x (m, d): (m,) each.
 
-        ``n_fitted_unknowns`` of the unknowns are fitted.
+        ``n_fitted_unknowns`` reduces the degrees of freedom.
         """
         chi_squares = np.sum(self.compute_residuals(x)[:, :-1] ** 2, axis=1)
         degrees_of_freedom = (
@@ -193,7 +207,7 @@ class Likelihood:
         return chi_squares, np.asarray(chdtrc(max(degrees_of_freedom, 1), chi_squares))
 
     def without_measurement(self, omitted_row_index: int) -> Likelihood:
-        """Return the likelihood of all measurements but one."""
+        """Return the likelihood of all measurements but the one with an index."""
         is_kept = np.arange(len(self.measurement_values)) != omitted_row_index
         kept_rows = [
             measurement
@@ -211,9 +225,10 @@ def compute_scaled_covariance(
     measurement_values: np.ndarray,
     measurement_deviations: np.ndarray,
 ) -> np.ndarray:
-    """Return V over the products of standard deviations (q,): (m, q, q).
+    """Return the covariance V of measurements and predictions, scaled: (m, q, q).
 
-    Measured values (q,) without a prediction get a standard deviation of ten times the value.
+    V is divided by products of the measurements' standard deviations (q,). Measurements without a
+    prediction get a prediction error of ten times the sum of value and standard deviation.
     """
     is_predictable_pair = np.outer(prediction.is_predictable, prediction.is_predictable)
     prediction_covariance = (
@@ -234,14 +249,16 @@ def compute_scaled_covariance(
 
 @dataclass(frozen=True)
 class Optimum:
-    """End of least squares.
+    """Maximum of the likelihood, found by least squares.
 
     Attributes
     ----------
     x : (d,)
         Values of the unknowns.
     log_likelihood : float
+        log L.
     covariance : (d, d)
+        Covariance of the unknowns, from the slopes of the residuals and the prior.
     """
 
     x: np.ndarray
@@ -250,19 +267,24 @@ class Optimum:
 
 
 class PosteriorBranch:
-    """The posterior for a choice of words, on a grid with more points around optima.
+    """Posterior on a grid of the unknowns, for one choice of text values.
+
+    The grid has more points around the best optima. An unknown with text values is, for instance,
+    crack.edge.
 
     Attributes
     ----------
     likelihood : Likelihood
+        Likelihood of the unknowns.
     optima : list of Optimum
-        Optima of the likelihood, best first.
+        Distinct maxima of the likelihood, best first.
     axes : tuple of arrays
         Values of each unknown in the grid.
     grid_log_likelihood : array
-        log L on the grid, convolved with the difference from the equivalent crack.
+        Log-likelihood on the grid, convolved with the distribution of a real crack about the
+        equivalent crack.
     prior_masses : array
-        Prior mass of each grid point; their sum is 1.
+        Prior probability of each grid point; the sum is 1.
     """
 
     def __init__(self, likelihood: Likelihood) -> None:
@@ -337,16 +359,22 @@ class PosteriorBranch:
 
     @property
     def log_evidence(self) -> float:
-        """Return the log of the integral of L over the prior."""
+        """Return the log of the evidence, the integral of the likelihood over the prior."""
         return float(logsumexp(self.grid_log_likelihood, b=self.prior_masses))
 
     def get_unknown_values_by_key(self, x: np.ndarray) -> dict[str, Any]:
-        """Return all unknowns by key, words and numbers x (d,)."""
+        """Return values of all unknowns by key: numbers x (d,), and text values.
+
+        Text values are, for instance, "left" for crack.edge.
+        """
         model = self.likelihood.predictor.model
         return model.word_by_key | dict(zip(model.unknown_keys, x.tolist(), strict=True))
 
     def interpolate_log_likelihood(self, x: np.ndarray) -> float:
-        """Interpolate the convolved log L to x (d,)."""
+        """Interpolate the log-likelihood on the grid to values x (d,).
+
+        Values outside the bounds move to the bounds.
+        """
         if not self.axes:
             return float(self.grid_log_likelihood)
         bounded_x = np.clip(
@@ -357,16 +385,16 @@ class PosteriorBranch:
         return float(RegularGridInterpolator(self.axes, self.grid_log_likelihood)(bounded_x)[0])
 
     def compute_explaining_points_and_shares(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return points that explain the measurements, and shares of interpolation.
-
-        A share is that of a measurement's variance.
+        """Return cracks that explain the measurements, and variance shares by interpolation.
 
         Returns
         -------
         (m, d)
-            Points of the first grid, and optima, that would explain the measurements.
+            Values of the unknowns, among the first grid and the optima, that explain the
+            measurements (:meth:`Likelihood.explains_measurements`).
         (m, d, q)
-            Share of the interpolation along each unknown there.
+            Part of the variance of each measurement, prediction included, by interpolation along
+            each unknown.
         """
         likelihood, explaining_point_arrays = self.likelihood, [np.zeros((0, len(self.axes)))]
         share_arrays = [np.zeros((0, len(self.axes), len(likelihood.measurement_values)))]
@@ -395,9 +423,23 @@ def _convolve_with_crack_deviations(
     axis_weights: list[np.ndarray],
     crack_deviations: np.ndarray,
 ) -> np.ndarray:
-    """Return log L on a grid, convolved along the axes with normal distributions.
+    """Convolve the likelihood on a grid with normal distributions along the axes.
 
-    The standard deviations (n, d) describe the crack's difference from the equivalent crack.
+    Parameters
+    ----------
+    log_likelihood : (n_1, ..., n_d)
+        log L on the grid.
+    axes : list of (n_i,)
+        Values of each unknown.
+    axis_weights : list of (n_i,)
+        Integration weights of these values.
+    crack_deviations : (n, d)
+        Standard deviations at all n grid points (:func:`compute_deviations_from_equivalent_crack`).
+
+    Returns
+    -------
+    (n_1, ..., n_d)
+        Log of the convolved likelihood.
     """
     largest_log_likelihood = log_likelihood.max()
     relative_likelihood = np.exp(log_likelihood - largest_log_likelihood)
@@ -428,7 +470,10 @@ def _convolve_with_crack_deviations(
 
 
 def _build_first_axes(unknown_grid: UnknownGrid) -> list[np.ndarray]:
-    """Return equally spaced values of each unknown for the first grid."""
+    """Return equally spaced values of each unknown for the first grid.
+
+    Their number is in :data:`FIRST_GRID_COUNT_BY_DIMENSION`.
+    """
     n_values = FIRST_GRID_COUNT_BY_DIMENSION.get(len(unknown_grid.axes), 9)
     return [
         np.linspace(axis_values[0], axis_values[-1], n_values) for axis_values in unknown_grid.axes
@@ -436,33 +481,35 @@ def _build_first_axes(unknown_grid: UnknownGrid) -> list[np.ndarray]:
 
 
 def build_first_grid_points(unknown_grid: UnknownGrid) -> np.ndarray:
-    """Return the points of the first grid: (n, d)."""
+    """Return all points of the posterior's first grid: (n, d)."""
     return _build_grid_points(_build_first_axes(unknown_grid))
 
 
 def _build_grid_points(axes: list[np.ndarray]) -> np.ndarray:
-    """Return the points of a grid, the last unknown fastest: (n, d)."""
+    """Return all combinations of axis values, the last unknown fastest: (n, d)."""
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
 
 def _evaluate_log_likelihood(likelihood: Likelihood, points: np.ndarray) -> np.ndarray:
-    """Return log L at many points (n, d): (n,)."""
+    """Return the log-likelihood at points (n, d): (n,), evaluated in batches."""
     return np.concatenate(
         [likelihood(point_batch) for point_batch in _split_points_into_batches(points)]
     )
 
 
 def _split_points_into_batches(points: np.ndarray) -> list[np.ndarray]:
-    """Split points (n, d) into batches."""
+    """Split points (n, d) into batches of at most ``OPTIONS.points_per_batch``."""
     return np.array_split(points, -(-len(points) // OPTIONS.points_per_batch))
 
 
 def _find_optima(
     likelihood: Likelihood, axes: list[np.ndarray], log_likelihood: np.ndarray
 ) -> list[Optimum]:
-    """Find optima by least squares from the highest points of a grid.
+    """Find maxima of the likelihood by least squares.
 
-    Duplicates and much worse ones are left out.
+    The best 8 local maxima of ``log_likelihood`` on the grid of ``axes`` are starts. Left out are
+    optima within one standard deviation of a better one in every unknown, and optima with a
+    log-likelihood more than 8 below the best.
     """
     local_maximum_indices = np.argwhere(
         log_likelihood == maximum_filter(log_likelihood, size=3, mode="nearest")
@@ -530,12 +577,14 @@ def _find_optima(
 
 
 class Posterior:
-    """The posterior of all branches together, each of the same prior probability.
+    """Posterior of all unknowns, with text values of equal prior probability.
+
+    An unknown with text values is, for instance, crack.edge.
 
     Parameters
     ----------
-    branch_by_words : mapping of str to Branch
-        Branches by their values of the unknowns that are words.
+    branch_by_words : dict of str to PosteriorBranch
+        Posterior for each choice of text values, by these values joined with ", "; "" without any.
     """
 
     def __init__(self, branch_by_words: Mapping[str, PosteriorBranch]) -> None:
@@ -547,7 +596,7 @@ class Posterior:
             words_text: np.exp(branch.grid_log_likelihood - log_evidence_sum) * branch.prior_masses
             for words_text, branch in self.branch_by_words.items()
         }
-        """Probability of each grid point; the sum is 1."""
+        """Probability of each grid point, by text values; the sum over all is 1."""
         self._log_likelihood_of_points = np.concatenate(
             [branch.grid_log_likelihood.ravel() for branch in self.branch_by_words.values()]
         )
@@ -557,7 +606,10 @@ class Posterior:
 
     @property
     def best_words_and_unknowns(self) -> tuple[str, np.ndarray]:
-        """Return the words and the unknowns (d,) with the largest L."""
+        """Return the text values, and unknowns (d,), with the largest likelihood.
+
+        Text values are joined with ", ", as "left" for crack.edge; "" without any.
+        """
         words_text = max(
             self.branch_by_words,
             key=lambda words_text: self.branch_by_words[words_text].optima[0].log_likelihood,
@@ -566,19 +618,22 @@ class Posterior:
 
     @property
     def _best_likelihood_and_unknowns(self) -> tuple[Likelihood, np.ndarray]:
-        """Return the likelihood and the unknowns (d,) with the largest L."""
+        """Return the likelihood, and the unknowns (d,) at its maximum."""
         words_text, x = self.best_words_and_unknowns
         return self.branch_by_words[words_text].likelihood, x
 
     @cached_property
     def misfit(self) -> tuple[float, float]:
-        """Return chi^2 and its p-value at the largest L."""
+        """Return chi^2 and its p-value at the maximum of the likelihood."""
         likelihood, x = self._best_likelihood_and_unknowns
         return likelihood.compute_chi_square_and_p_value(x)
 
     @cached_property
     def misfits_without_each_measurement(self) -> list[tuple[float, float]]:
-        """Return chi^2 and its p-value at the same x without each of the measurements."""
+        """Return chi^2 and its p-value without each of the measurements in turn.
+
+        The unknowns are those at the maximum of the likelihood for all measurements.
+        """
         likelihood, x = self._best_likelihood_and_unknowns
         return [
             likelihood.without_measurement(row_index).compute_chi_square_and_p_value(x)
@@ -588,10 +643,11 @@ class Posterior:
     def compute_misfit_with_change_factors(
         self, *, clamp_factor: float = 1.0, temperature_factor: float = 1.0
     ) -> tuple[float, float]:
-        """Return chi^2 and its p-value with other prior changes since the baseline.
+        """Return chi^2 and its p-value with other prior changes of the plate.
 
-        They are at the same x. The factors multiply the prior changes by the clamp and by an
-        unknown temperature.
+        The factors multiply the changes by the clamp and by an unknown temperature, since the plate
+        was measured without the crack. The unknowns are those at the maximum of the likelihood
+        without factors.
         """
         likelihood, x = self._best_likelihood_and_unknowns
         predictor = likelihood.predictor.with_change_factors(
@@ -601,19 +657,20 @@ class Posterior:
 
     @cached_property
     def mean_normalised_temperature_change(self) -> float:
-        """Return the normalised temperature change since the baseline at the largest L.
+        """Return the posterior mean of the unknown temperature change.
 
-        It is the mean of the posterior, in standard deviations of the prior.
+        The change is since the plate was measured without the crack, in standard deviations of the
+        prior, at the maximum of the likelihood.
         """
         likelihood, x = self._best_likelihood_and_unknowns
         return likelihood.compute_normalised_temperature_change(x)
 
     @cached_property
     def unresolved_probability(self) -> float:
-        """Return the probability that the grid does not resolve.
+        """Return the probability at points that the grid does not resolve.
 
-        At such points log L falls by more than 2, two standard deviations, to both neighbours along
-        an unknown, as on a thin ridge.
+        At such points the log-likelihood falls by more than 2 to both neighbouring points along an
+        unknown, as on a thin ridge.
         """
         unresolved_sum = 0.0
         for words_text, branch in self.branch_by_words.items():
@@ -628,7 +685,10 @@ class Posterior:
         return unresolved_sum
 
     def find_region_border_log_likelihood(self, probability: float) -> float:
-        """Return log L at the border of the region with a probability."""
+        """Return the log-likelihood at the border of a credible region.
+
+        The region has a given probability, and the points with the largest likelihood.
+        """
         indices_most_likely_first = np.argsort(-self._log_likelihood_of_points)
         cumulative_masses = np.cumsum(self._mass_of_points[indices_most_likely_first])
         border_index = min(
@@ -637,16 +697,16 @@ class Posterior:
         return float(self._log_likelihood_of_points[indices_most_likely_first[border_index]])
 
     def iterate_reached_bounds(self, probability: float) -> Iterator[tuple[int, str, float]]:
-        """Iterate over bounds that the region with a probability reaches.
+        """Yield the bounds that the credible region with a probability reaches.
 
         Yields
         ------
         int
             Index of the unknown.
         str
-            "below" or "above".
+            "below" for a lower bound, "above" for an upper bound.
         float
-            The bound.
+            Value of the bound.
         """
         border_log_likelihood = self.find_region_border_log_likelihood(probability)
         branches = [*self.branch_by_words.values()]
@@ -667,7 +727,7 @@ class Posterior:
     def compute_marginal_values_and_masses(
         self, unknown_index: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the values of an unknown and their probabilities: (n,) each."""
+        """Return an unknown's grid values in ascending order, with probabilities: (n,) each."""
         value_arrays, mass_arrays = [], []
         for words_text, branch in self.branch_by_words.items():
             other_axes = tuple(
@@ -681,7 +741,7 @@ class Posterior:
         ]
 
     def compute_interval(self, unknown_index: int, probability: float) -> tuple[float, float]:
-        """Return the equal-tailed interval of an unknown with a probability."""
+        """Return the equal-tailed credible interval of an unknown with a probability."""
         unknown_values, value_masses = self.compute_marginal_values_and_masses(unknown_index)
         cumulative_masses = np.cumsum(value_masses) - 0.5 * value_masses
         tail_probability = 0.5 * (1.0 - probability)
@@ -693,11 +753,11 @@ class Posterior:
     def find_region_parts(
         self, probability: float, min_probability: float
     ) -> list[tuple[str, np.ndarray, float]]:
-        """Return the separate parts of the region with a probability, largest first.
+        """Return the separate parts of the credible region with a probability, largest first.
 
-        Each part is a tuple of words, middle (d,) and mass. Parts with less mass than
-        ``min_probability`` are left out. The middle is the mean or, if a bent part does not hold
-        its mean, the part's nearest point.
+        Each part is a tuple of text values, middle (d,) and probability. Parts with less than
+        ``min_probability`` are left out. The middle is the mean; if a bent part does not contain
+        the mean, the part's nearest grid point.
         """
         border_log_likelihood = self.find_region_border_log_likelihood(probability)
         region_parts = []
@@ -730,14 +790,18 @@ class Posterior:
         return sorted(region_parts, key=lambda part: -part[2])
 
     def compute_deviation(self, unknown_index: int) -> float:
-        """Return the standard deviation of an unknown."""
+        """Return the posterior standard deviation of an unknown."""
         unknown_values, value_masses = self.compute_marginal_values_and_masses(unknown_index)
         return float(np.sqrt(np.cov(unknown_values, aweights=value_masses, ddof=0)))
 
     def compute_pair_mass_and_density(
         self, words_text: str, first_unknown_index: int, second_unknown_index: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return a branch's mass over two unknowns, and its density: (n_first, n_second) each."""
+        """Return probability and density over two unknowns: (n_first, n_second) each.
+
+        They are for one choice of text values, ``words_text``. The density is the probability over
+        the prior's.
+        """
         mass_and_prior = (
             self.grid_masses_by_words[words_text],
             self.branch_by_words[words_text].prior_masses,

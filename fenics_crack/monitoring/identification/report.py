@@ -18,25 +18,30 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import key_in_words, value_in_words
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-"""Beginning of a PNG file."""
+"""First bytes of a PNG file."""
 
 
 @dataclass(frozen=True)
 class IdentificationOutput:
-    """Result of ``identify`` with the written files."""
+    """Result of ``fenics-crack identify``, as read from the written files."""
 
     KIND: ClassVar[str] = IDENTIFICATION_KIND
     scene: Scene
     summary_by_key: Mapping[str, Any]
-    """Contents of ``identify.json``."""
+    """Contents of ``identify.json`` (:meth:`Identification.summary`)."""
     picture_path: Path
-    """Picture of the posterior, a PNG file and no link."""
+    """Path of the picture of the posterior, a PNG file and no symbolic link."""
 
     @classmethod
     def from_stored_file(cls, stored_file: StoredFile) -> IdentificationOutput:
-        """Take a stored result, and the picture beside its file.
+        """Read a result file, and find posterior.png in the same folder.
 
-        Raises LookupError for files of older versions, and InputError without the picture.
+        Raises
+        ------
+        LookupError
+            The file is of an older version.
+        InputError
+            The picture is missing, is a link, or is no PNG file.
         """
         picture_path = stored_file.path.with_name("posterior.png")
         with stored_file.yield_checked_datasets() as data_by_name:
@@ -58,7 +63,7 @@ class IdentificationOutput:
 
 
 def report_of_identification(identify_output: IdentificationOutput) -> Report:
-    """Return the report: verdict, estimates with their intervals, and the fit."""
+    """Return the report of ``fenics-crack identify``: verdict, estimates, intervals and fit."""
     from fenics_crack.monitoring.identification.result import (
         FIT_COLUMN_NAMES,  # SciPy's optimize, interpolate
     )

@@ -36,25 +36,33 @@ from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.basics.untrusted_files import MAX_FILE_BYTES, read_regular_file
 
 DATASET_BORDER_LINE = b"-1"
-"""Line at the beginning and the end of each dataset."""
+"""Line at the beginning and the end of each dataset in a universal file."""
 NUMPY_TYPE_TEXT_BY_CODE = {5: "f4", 6: "f8"}
-"""NumPy types for the parts of complex numbers, single and double, by code."""
+"""NumPy type of real and imaginary parts, by the file's code for complex numbers.
+
+5: single precision, 6: double precision.
+"""
 FORTRAN_NUMBER_PATTERN = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+|[+-]\d{3}(?![\d.]))?")
-"""Number in text; Fortran leaves out the E of an exponent with three digits."""
+"""Pattern of a number in text; Fortran leaves out the E before exponents of three digits."""
 DERIVATIVE_ORDER_BY_CODE = {8: 0, 11: 1, 12: 2}
-"""Derivative order of displacement, velocity and acceleration, by code."""
+"""Time derivatives of the displacement by the file's code for the motion.
+
+8: displacement, 11: velocity, 12: acceleration.
+"""
 
 
 @dataclass(frozen=True)
 class FrequencyResponse:
-    """A motion over the force that makes it.
+    """Measured motion over the exciting force, at rising frequencies.
 
     Attributes
     ----------
     frequencies : (n,) [Hz]
+        Frequencies in ascending order.
     response_values : (n,) complex
+        Motion over force.
     derivative_order : int
-        0 for a displacement over a force, 1 for a velocity, 2 for an acceleration.
+        Kind of motion: 0 for a displacement, 1 for a velocity, 2 for an acceleration.
     """
 
     frequencies: np.ndarray
@@ -63,12 +71,12 @@ class FrequencyResponse:
 
 
 def read_responses(path: Path) -> list[FrequencyResponse]:
-    """Read the frequency responses of a universal file.
+    """Read the frequency responses in a universal file (datasets 58 and 58b).
 
     Raises
     ------
     OSError, ValueError
-        The file cannot be read, contradicts itself, or has none.
+        The file cannot be read, is damaged, or has no frequency response.
     """
     responses = []
     for heading_lines, number_bytes, byte_order in _iterate_response_datasets(
@@ -83,16 +91,16 @@ def read_responses(path: Path) -> list[FrequencyResponse]:
 
 
 def _iterate_response_datasets(universal_file: BytesIO) -> Iterator[tuple[list[bytes], bytes, str]]:
-    """Iterate over datasets 58 of a file.
+    """Yield the datasets 58 and 58b of a universal file.
 
     Yields
     ------
     heading_lines : list of bytes
-        The line with the dataset's number, and eleven more.
+        Line with the dataset's number, and the eleven heading lines.
     number_bytes : bytes
-        Its numbers, as text or binary.
+        Numbers of the dataset, as text or binary.
     byte_order : str
-        "<" or ">"; empty for text.
+        Byte order of binary numbers, "<" or ">"; "" for text.
     """
     while file_line := universal_file.readline():
         if file_line.strip() != DATASET_BORDER_LINE:
@@ -132,7 +140,7 @@ def _iterate_response_datasets(universal_file: BytesIO) -> Iterator[tuple[list[b
 
 
 def _parse_fixed_width_numbers(number_bytes: bytes) -> np.ndarray:
-    """Read numbers of fixed width, perhaps without blanks between them."""
+    """Parse text with numbers of fixed width, with or without blanks between: (n,)."""
     if invalid_words := FORTRAN_NUMBER_PATTERN.sub(b" ", number_bytes).split():
         raise ValueError(f"it has {invalid_words[0][:20].decode('latin-1')!r} instead of a number")
     number_words = [
@@ -145,7 +153,11 @@ def _parse_fixed_width_numbers(number_bytes: bytes) -> np.ndarray:
 def _parse_response(
     heading_texts: list[str], number_bytes: bytes, byte_order: str
 ) -> FrequencyResponse:
-    """Read a frequency response from its heading, the dataset's number first, and its numbers."""
+    """Parse a frequency response from a dataset 58 or 58b.
+
+    Parameters are as yielded by :func:`_iterate_response_datasets`, with the heading decoded.
+    Raises ValueError for invalid data, such as real numbers or a wrong count.
+    """
     number_type_code, n_spectral_lines, is_equally_spaced = (
         int(heading_texts[7][start_column : start_column + 10]) for start_column in (0, 10, 20)
     )
@@ -191,17 +203,21 @@ def _parse_response(
 
 
 def fit_resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
-    """Fit the modes of frequency responses around their peaks.
+    """Fit natural frequencies and damping ratios to the peaks of frequency responses.
+
+    Responses at the same frequencies are fitted together. A peak counts if its power falls to half
+    on both sides, and the fit gives the frequency to a tenth of the peak's width.
 
     Returns
     -------
     (n, 3)
-        Frequency [Hz], its standard deviation [Hz], and damping ratio, in ascending order.
+        Frequency [Hz], its standard deviation [Hz], and damping ratio of each mode, in ascending
+        order.
 
     Raises
     ------
     InputError
-        The responses have different lines, or no peak that falls to half its power on both sides.
+        The responses have different frequencies, or no such peak.
     """
     frequencies = responses[0].frequencies
     if any(not np.array_equal(response.frequencies, frequencies) for response in responses):
@@ -256,9 +272,16 @@ def fit_resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
 def _find_line_slice_around_peak(
     response_power: np.ndarray, peak_index: int, min_power: float
 ) -> slice:
-    """Return the slice of lines around a peak with a minimum power.
+    """Find the frequencies around a peak at which the power is large enough.
 
-    Lines with more power than the peak end it, too.
+    Parameters
+    ----------
+    response_power : (n,)
+        Power at all frequencies.
+    peak_index : int
+        Index of the peak.
+    min_power : float
+        Minimum power. The slice also ends before a frequency with more power than the peak.
     """
     excluded_indices = np.flatnonzero(
         (response_power < min_power) | (response_power > response_power[peak_index])
@@ -274,13 +297,24 @@ def _find_line_slice_around_peak(
 def _fit_mode_or_none(
     omega: np.ndarray, receptances: np.ndarray, peak_index: int, line_slice: slice
 ) -> tuple[float, float, float] | None:
-    """Fit a mode by ten iterations of Sanathanan and Koerner.
+    """Fit one mode to a peak, by ten iterations of Sanathanan and Koerner.
+
+    Parameters
+    ----------
+    omega : (n,) [rad/s]
+        Frequencies.
+    receptances : (responses, n) complex
+        Displacements over the force.
+    peak_index : int
+        Index of the peak.
+    line_slice : slice
+        Frequencies to fit.
 
     Returns
     -------
     tuple or None
-        Frequency [Hz], its standard deviation [Hz] and damping ratio. None with too few lines or
-        without a stable mode.
+        Frequency [Hz], its standard deviation [Hz] and damping ratio. None with too few frequencies
+        or without a stable mode.
     """
     r, receptances_in_slice = omega[line_slice] / omega[peak_index], receptances[:, line_slice]
     n_responses, n_spectral_lines = receptances_in_slice.shape

@@ -51,7 +51,10 @@ from fenics_crack.scene.words import key_in_words, value_in_words
 # --- where to measure -----------------------------------------------------------------------------
 
 FIT_COLUMN_NAMES = "measurement", "value", "deviation", "predicted", "of the model", "residual"
-"""Column names of the table of measurements and predictions."""
+"""Columns of the table that compares measurements with predictions.
+
+"of the model" is the standard deviation of a prediction.
+"""
 
 
 @with_old_names(
@@ -60,18 +63,19 @@ FIT_COLUMN_NAMES = "measurement", "value", "deviation", "predicted", "of the mod
 )  # fmt: skip
 @dataclass(frozen=True, repr=False)
 class Worth(Tabular):
-    """Possible measurements, most informative first.
+    """Result of :meth:`Identification.where_to_measure`: candidates, most informative first.
 
     Attributes
     ----------
     measurements : tuple of Measurement
-        With the predicted values and the assumed standard deviations.
+        n candidates for one more measurement, with predicted values and assumed standard
+        deviations.
     information_gains : (n,)
-        Information gained by each [nats].
+        Information that each adds [nats].
     improved_deviations_by_key : dict of str to (n,)
-        Standard deviation of each unknown with it.
+        Standard deviation of each unknown with the candidate, by key.
     current_deviation_by_key : dict of str to float
-        Standard deviation of each unknown without it.
+        Standard deviation of each unknown without a further measurement, by key.
     """
 
     measurements: tuple[Measurement, ...]
@@ -80,7 +84,7 @@ class Worth(Tabular):
     current_deviation_by_key: dict[str, float]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns with a row for every measurement."""
+        """Return columns by name, with a row for every candidate."""
         rows = self.measurements
         values_by_column: dict[str, Any] = {
             "measurement": [measurement.name for measurement in rows],
@@ -111,14 +115,24 @@ def rank_measurements_by_information(
     measurements: Sequence[Measurement] | None,
     default_relative_deviations: tuple[float, float],
 ) -> Worth:
-    """Rank further measurements by their information at an estimate x (d,).
+    """Rank candidates for one more measurement by the information that each adds.
 
-    The deviations are relative, for frequencies and for harmonics, of default candidates.
+    Parameters
+    ----------
+    likelihood : Likelihood
+        Measurements made, and their predictor.
+    x : (d,)
+        Estimate of the unknowns.
+    measurements : sequence of Measurement, optional
+        Candidates; None for the default ones: natural frequencies, ratios of harmonics, and
+        displacements at further probes.
+    default_relative_deviations : (float, float)
+        Relative standard deviations of default candidates: frequencies, and ratios of harmonics.
 
     Raises
     ------
     InputError
-        A standard deviation is not > 0, or a measurement is not one of the forward model.
+        A standard deviation is not > 0, or a measurement does not fit the forward model.
     """
     argument_names = ("frequency_deviation", "harmonic_deviation")
     for argument_name, deviation in zip(argument_names, default_relative_deviations, strict=True):
@@ -190,9 +204,10 @@ def _assume_candidate_deviations(
     predictions: np.ndarray,
     relative_deviations: tuple[float, float],
 ) -> np.ndarray:
-    """Return the deviations assumed for default candidates (n,).
+    """Return the standard deviations of default candidates: (n,).
 
-    Displacements keep their own. Others have relative ones, of frequencies and of harmonics.
+    Displacements keep the median of measured ones. Others have the relative standard deviation of
+    frequencies or of ratios, times the ``predictions`` (n,).
     """
     own_deviations = np.array([measurement.deviation for measurement in candidate_rows])
     is_at_probe = np.array(
@@ -205,10 +220,11 @@ def _assume_candidate_deviations(
 
 
 def list_advice_texts(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> list[str]:
-    """List advice on the next measurements in words.
+    """List advice on the next measurements, as sentences.
 
-    They are missing frequencies of the plate before it had a crack, and the most informative
-    measurement. Advice that changes no printed digit is left out.
+    Advised are frequencies of the uncracked plate that are missing, and the most informative
+    candidate in ``worth``. Advice that changes no printed digit is left out. ``x`` (d,) is the
+    estimate.
     """
     model, measured_rows = likelihood.predictor.model, likelihood.predictor.rows
     measured_modes = {
@@ -262,9 +278,10 @@ def list_advice_texts(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> li
 def _describe_gain_or_empty(
     current_deviation_by_key: Mapping[str, float], improved_deviation_by_key: Mapping[str, float]
 ) -> str:
-    """Describe the gain of a measurement: "crack length then ± 0.2 mm instead of ± 1 mm".
+    """Describe how a measurement reduces the standard deviations of the unknowns.
 
-    Only unknowns with a change in the printed standard deviation are named.
+    An example is "crack length then ± 0.2 mm instead of ± 1 mm". Unknowns whose printed value stays
+    the same are left out; "" if all do.
     """
     keys_and_deviation_texts = (
         (
@@ -284,7 +301,10 @@ def _describe_gain_or_empty(
 def _compute_deviation_by_key_with(
     likelihood: Likelihood, x: np.ndarray, further_measurements: Sequence[Measurement]
 ) -> dict[str, float]:
-    """Return the standard deviation of each unknown with all further measurements."""
+    """Return the standard deviation of each unknown by key, with all further measurements.
+
+    ``x`` (d,) is the estimate.
+    """
     model = likelihood.predictor.model
     predictor = model.make_predictor(likelihood.predictor.rows, further_measurements)
     all_deviations = np.concatenate(
@@ -307,9 +327,25 @@ def _compute_information_and_deviations(
     covariance_and_slopes: tuple[np.ndarray, np.ndarray],
     row_indices: np.ndarray,
 ) -> tuple[float, dict[str, float]]:
-    """Compute log det F for rows (n,), and the standard deviation of each unknown.
+    """Return log det of the Fisher information, and standard deviations.
 
-    The covariance and the slopes are those of all measurements.
+    Parameters
+    ----------
+    model : ForwardModel
+        Model with the unknowns.
+    x : (d,)
+        Estimate of the unknowns.
+    covariance_and_slopes : (q, q), (q, d)
+        As from :func:`_compute_scaled_covariance_and_slopes`.
+    row_indices : (n,)
+        Measurements to take into account.
+
+    Returns
+    -------
+    float
+        log det F of the Fisher information F, prior included.
+    dict of str to float
+        Standard deviation of each unknown by key.
     """
     selected_covariance = covariance_and_slopes[0][np.ix_(row_indices, row_indices)]
     selected_slopes = covariance_and_slopes[1][row_indices]
@@ -329,7 +365,10 @@ def _compute_information_and_deviations(
 
 
 def _list_probe_candidates(measured_rows: Sequence[Measurement]) -> list[Measurement]:
-    """List displacements for a further probe, at 24 phases of the period."""
+    """List displacements for a further probe, at 24 phases of the load's period.
+
+    The list is empty without measured displacements. Standard deviations are the median of those.
+    """
     phases, candidates = 2.0 * np.pi * np.arange(24) / 24, []
     for probe_group in ProbeDisplacements.group_displacements(measured_rows, ()):
         group_rows = [measured_rows[row_index] for row_index in probe_group.row_indices]
@@ -342,12 +381,12 @@ def _list_probe_candidates(measured_rows: Sequence[Measurement]) -> list[Measure
 def _compute_scaled_covariance_and_slopes(
     predictor: MeasurementPredictor, x: np.ndarray, deviations: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the covariance of measurements and their slopes by the unknowns at x (d,).
+    """Return the covariance of measurements, and slopes of predictions, at values x (d,).
 
     Returns
     -------
     covariance : (q, q)
-        Over products of the standard deviations (q,).
+        Covariance V over products of the standard deviations (q,).
     slopes : (q, d)
         Derivatives of predictions over their standard deviations, by the unknowns over their
         ranges; 0 without a prediction.
@@ -371,27 +410,27 @@ def _compute_scaled_covariance_and_slopes(
 # --- the result -----------------------------------------------------------------------------------
 
 NO_CRACK_VERDICT = "no crack"
-"""Verdict on a plate without a crack."""
+"""Verdict that the plate has no crack."""
 
 
 @dataclass(frozen=True, repr=False)
 class Identification(Tabular):
-    """Unknowns with their intervals, and the verdict on whether there is a crack.
+    """Result of :func:`identify`: unknowns with intervals, and whether there is a crack.
 
     Attributes
     ----------
     scene : Scene
-        The scene with its table ``[identify]``.
+        Scene with its table ``[identify]``.
     measurements : Measurements
-        The measurements that the forward model predicts.
+        Measurements that the forward model predicts; others are left out.
     posterior : Posterior
-        The probability of the unknowns, on a grid.
+        Posterior of the unknowns, on a grid.
     plain : Posterior, optional
-        The posterior of the plate without its crack; None if there is no such plate.
+        Posterior for the plate without its crack; None if the crack cannot be removed.
     remarks : tuple of str
         Limits of these measurements.
     doubts : tuple of str
-        Failed cases of the forward model, and measurements that are not used for that reason.
+        Failed cases of the forward model, and measurements left out for that reason.
     """
 
     scene: Scene
@@ -403,31 +442,40 @@ class Identification(Tabular):
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Return the keys of the unknowns that are numbers."""
+        """Return the keys of the unknowns with numbers, such as "crack.length"."""
         return self._branch_and_unknowns_of_estimate[0].likelihood.predictor.model.unknown_keys
 
     @property
     def priors(self) -> dict[str, float]:
-        """Return priors and confidence levels by their keys in ``[identify]``."""
+        """Return prior standard deviations and confidence levels by key of ``[identify]``."""
         return self._identify_table.inference_setting_by_key
 
     @property
     def _identify_table(self) -> Identify:
-        """Return the table ``[identify]`` with the standard deviation of the temperature."""
+        """Return the table ``[identify]``, with the default of temperature_deviation filled in."""
         return next(
             iter(self.posterior.branch_by_words.values())
         ).likelihood.predictor.model.uncracked_plate.identify_table
 
     @cached_property
     def _region_parts(self) -> list[tuple[str, np.ndarray, float]]:
-        """List the region's separate parts: words, middle (d,) and probability, largest first."""
+        """Return separate parts of the credible region, most probable first.
+
+        Each has text values (as "left" for crack.edge), middle (d,) and probability. Parts with
+        less than 0.03 (:attr:`Options.min_part_probability`) are left out.
+        """
         return self.posterior.find_region_parts(
             self._identify_table.confidence, OPTIONS.min_part_probability
         )
 
     @cached_property
     def _branch_and_unknowns_of_estimate(self) -> tuple[PosteriorBranch, np.ndarray]:
-        """Return the branch and the unknowns (d,) of the estimate."""
+        """Return the posterior branch with the estimate, and the estimate (d,).
+
+        A branch is the posterior for one choice of text values, as crack.edge = "left". The
+        estimate is the middle of the most probable part of the credible region. If all parts are
+        too improbable, the estimate is the maximum of the likelihood.
+        """
         words_text, x = (
             self._region_parts[0][:2]
             if self._region_parts
@@ -437,16 +485,20 @@ class Identification(Tabular):
 
     @property
     def estimate(self) -> dict[str, Any]:
-        """Return the unknowns' mean over the most probable part of the region.
+        """Return the estimate of all unknowns by key.
 
-        Words have their values there.
+        Numbers are the mean over the most probable part of the credible region. Text values, as
+        "left" for crack.edge, are those of this part.
         """
         branch, x = self._branch_and_unknowns_of_estimate
         return branch.get_unknown_values_by_key(x)
 
     @property
     def intervals(self) -> dict[str, tuple[float, float]]:
-        """Return the interval of each unknown with the probability ``identify.confidence``."""
+        """Return the credible interval of each unknown with numbers, by key.
+
+        The probability is ``identify.confidence``.
+        """
         compute_interval = self.posterior.compute_interval
         probability = self._identify_table.confidence
         return {
@@ -456,27 +508,28 @@ class Identification(Tabular):
 
     @property
     def log_bayes_factor(self) -> float:
-        """Return the log ratio of the evidences, crack over no crack.
+        """Return ln(evidence with a crack / evidence without a crack).
 
-        nan without a plate without a crack.
+        nan if the crack cannot be removed from the scene.
         """
         uncracked_log_evidence = np.nan if self.plain is None else self.plain.log_evidence
         return self.posterior.log_evidence - uncracked_log_evidence
 
     @property
     def verdict(self) -> str:
-        """Return "crack" or "no crack" if the evidence prefers it, otherwise "undecided".
+        """Return the verdict: "crack", "no crack" or "undecided".
 
-        The evidence must exceed ``identify.log_bayes_factor``; :attr:`reason` says why.
+        The absolute value of :attr:`log_bayes_factor` must exceed ``identify.log_bayes_factor`` for
+        one of the first two. :attr:`reason` explains the verdict.
         """
         return self._verdict_and_reason[0]
 
     @property
     def conclusion(self) -> str:
-        """Return the verdict in words.
+        """Return the verdict with its limit, as text.
 
-        "No crack" comes with the sizes, upper ends of :attr:`intervals`, up to which a crack may
-        exist all the same.
+        "no crack" comes with the sizes up to which a crack may exist all the same: the upper ends
+        of :attr:`intervals`.
         """
         keys_and_upper_ends = [
             (key, upper_end)
@@ -492,14 +545,15 @@ class Identification(Tabular):
 
     @property
     def reason(self) -> str:
-        """Return the reason for the verdict, in words."""
+        """Return the reason for the verdict, as text."""
         return self._verdict_and_reason[1]
 
     @cached_property
     def _verdict_and_reason(self) -> tuple[str, str]:
         """Return verdict and reason.
 
-        They follow from both hypotheses' misfits, the log Bayes factor, and the intervals.
+        Both follow from the p-values with and without a crack, the log Bayes factor, and the
+        intervals.
         """
         undecided_verdict, prior_by_key = "undecided", self.priors
         if self.plain is None:
@@ -555,18 +609,18 @@ class Identification(Tabular):
 
     @property
     def misfit(self) -> tuple[float, float]:
-        """Return chi^2 at the largest likelihood, and its p-value.
+        """Return chi^2 and its p-value at the largest likelihood.
 
-        The degrees of freedom are the measurements less the unknowns (and three for the load behind
-        displacements).
+        Degrees of freedom are the measurements less the unknowns, and less three for each load with
+        displacements; at least 1.
         """
         return self.posterior.misfit
 
     @property
     def advice(self) -> list[str]:
-        """Return the next measurements in words.
+        """Return advice on the next measurements, as sentences.
 
-        They are missing frequencies of the plate before it had a crack, and the most informative
+        Advised are missing frequencies of the plate before it had a crack, and the most informative
         measurement.
         """
         branch, x = self._branch_and_unknowns_of_estimate
@@ -574,9 +628,10 @@ class Identification(Tabular):
 
     @property
     def alternatives(self) -> list[tuple[dict[str, Any], float]]:
-        """Return separate cracks that explain the measurements, best first, with probabilities.
+        """Return separate cracks that explain the measurements, with probabilities.
 
-        Several cannot be distinguished.
+        Each has the values of the unknowns by key; the most probable comes first. Several cannot be
+        distinguished by these measurements.
         """
         branch_by_words = self.posterior.branch_by_words
         return [
@@ -585,9 +640,14 @@ class Identification(Tabular):
         ]
 
     def contains(self, values: Mapping[str, Any], share: float | None = None) -> bool:
-        """Return True if values of all unknowns lie in the region with a probability.
+        """Return True if given values lie in the credible region.
 
-        The probability is by default ``identify.confidence``.
+        Parameters
+        ----------
+        values : mapping of str to number or str
+            Values of all unknowns by key.
+        share : float, optional
+            Probability of the region; default: ``identify.confidence``.
 
         Raises
         ------
@@ -619,28 +679,33 @@ class Identification(Tabular):
         frequency_deviation: float = OPTIONS.advised_frequency_deviation,
         harmonic_deviation: float = 0.05,
     ) -> Worth:
-        """Return the worth of one more measurement, by the Fisher information at the estimate.
+        """Rank candidates for one more measurement by the information that each adds.
+
+        The information is that of Fisher, at the estimate.
 
         Parameters
         ----------
         measurements : sequence of Measurement, optional
-            Possible measurements; the values do not matter. Default: natural frequencies, and
-            ratios of harmonics at all load frequencies and points of the forward model, with the
-            two deviations below.
+            Candidates; their values do not matter. Default: natural frequencies, ratios of
+            harmonics at all load frequencies and points of the forward model, and displacements at
+            24 phases if displacements were measured.
         frequency_deviation, harmonic_deviation : float
-            Standard deviations over the value.
+            Relative standard deviations of default candidates: frequencies, and ratios of
+            harmonics.
 
         Raises
         ------
         InputError
-            A measurement is not one of the forward model.
+            A measurement does not fit the forward model, or a standard deviation is not > 0.
         """
         deviations = frequency_deviation, harmonic_deviation
         branch, x = self._branch_and_unknowns_of_estimate
         return rank_measurements_by_information(branch.likelihood, x, measurements, deviations)
 
     def save(self, folder: str | Path) -> None:
-        """Write ``identify.json``, and ``identify.h5`` with it and the posterior (collective).
+        """Write ``identify.json`` and ``identify.h5`` to a folder, on this rank alone.
+
+        Both have the :meth:`summary`; the second has the scene and the posterior, too.
 
         Raises
         ------
@@ -668,7 +733,7 @@ class Identification(Tabular):
     # --- shown ------------------------------------------------------------------------------------
 
     def summary(self) -> dict[str, Any]:
-        """Return everything in words and numbers, as in ``identify.json``."""
+        """Return the whole result in words and numbers by key, as in ``identify.json``."""
         log_bayes_factor = self.log_bayes_factor
         chi_square, p_value = self.misfit
         return {
@@ -694,7 +759,7 @@ class Identification(Tabular):
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns with a row for every unknown that is a number."""
+        """Return columns by name, with a row for every unknown with numbers."""
         estimate, intervals = self.estimate, self.intervals
         return {
             "unknown": list(self.unknown),
@@ -709,9 +774,10 @@ class Identification(Tabular):
         }
 
     def fit_table(self) -> Table:
-        """Return each measurement with its prediction at the estimate.
+        """Return a table of measurements with their predictions at the estimate.
 
-        It has both standard deviations, and the residual over both together.
+        Columns are :data:`FIT_COLUMN_NAMES`. A residual is the difference over the standard
+        deviations of measurement and prediction together.
         """
         branch, x = self._branch_and_unknowns_of_estimate
         likelihood = branch.likelihood
@@ -743,10 +809,10 @@ class Identification(Tabular):
 
     @property
     def warnings(self) -> list[str]:
-        """Return warnings in words.
+        """Return warnings about the result, as sentences.
 
-        Reasons are failed cases, several possible cracks, a misfit, a crack by a single
-        measurement, and an interval up to the bounds.
+        Reasons are failed cases, tiny standard deviations, several possible cracks, a misfit, a
+        crack by a single measurement, and a credible region that reaches the bounds.
         """
         warning_texts = [*self.doubts, *_list_small_deviation_warnings(self.measurements)]
         alternatives = self.alternatives
@@ -798,9 +864,10 @@ class Identification(Tabular):
 
 
 def _list_small_deviation_warnings(measurements: Measurements) -> list[str]:
-    """List a warning of a natural frequency with too small a deviation.
+    """Return a warning of a natural frequency with a tiny standard deviation.
 
-    It is below the change by 0.1 K.
+    The first one below 1e-5 of the frequency counts, as 0.1 K changes more. The list is empty
+    without any.
     """
     rows = [
         measurement
@@ -816,11 +883,10 @@ def _list_small_deviation_warnings(measurements: Measurements) -> list[str]:
 
 
 def _list_misfit_warnings(identification: Identification) -> list[str]:
-    """List warnings of the fit.
+    """List warnings about the fit of the measurements.
 
-    One warns if the grid does not resolve the posterior. One warns if no crack explains the
-    measurements, and names the worst measurement by chi^2. One warns if single measurements alone
-    contradict a plate without a crack.
+    Reasons are a posterior that the grid does not resolve, measurements that no crack explains
+    (with the worst one), and single measurements that alone contradict a plate without a crack.
     """
     (chi_square, p_value) = identification.misfit
     rows = identification.measurements.rows
@@ -870,10 +936,10 @@ def _list_misfit_warnings(identification: Identification) -> list[str]:
 
 
 def _describe_single_crack_condition_or_empty(identification: Identification) -> str:
-    """Return the condition of a single crack in words; else empty.
+    """Return the condition that there is a single crack, as text.
 
-    The condition applies if two cracks have at least as many unknowns as modes were measured: then
-    no misfit excludes two cracks.
+    The text follows if only natural frequencies were measured, in no more modes than two cracks
+    have unknowns: no misfit can then exclude two cracks. Otherwise return "".
     """
     identify_table, rows = identification._identify_table, identification.measurements.rows
     number_unknown_keys = [
@@ -903,11 +969,11 @@ def _describe_single_crack_condition_or_empty(identification: Identification) ->
 
 
 def _describe_unchanged_plate_condition_or_empty(identification: Identification) -> str:
-    """Return the condition of an unchanged plate in words; else empty.
+    """Return the condition that the plate has not changed otherwise, as text.
 
-    The condition applies if a plate without a crack does not explain the measurements, but would
-    with changes since the baseline as large as a clamp can make. It also applies if the plate does
-    explain them, but only by the prior of changes.
+    The text follows in two cases. A plate without a crack explains the measurements only with
+    changes of clamp or temperature since the baseline. Or it does not, but would with changes as
+    large as a clamp can make. Otherwise, and without frequencies before the crack, return "".
     """
     identify_table, rows = identification._identify_table, identification.measurements.rows
     uncracked_posterior = identification.plain
@@ -962,9 +1028,9 @@ def _describe_unchanged_plate_condition_or_empty(identification: Identification)
 
 
 def _describe_warming_condition_or_empty(identification: Identification) -> str:
-    """Return the change of Young's modulus that a crack needs, in words; else empty.
+    """Describe the change of Young's modulus that a crack needs to fit.
 
-    Without the change the crack does not explain the measurements.
+    Return "" if the crack explains the measurements without a change of temperature.
     """
     if (
         identification.posterior.compute_misfit_with_change_factors(temperature_factor=0.0)[1]
@@ -978,7 +1044,7 @@ def _describe_warming_condition_or_empty(identification: Identification) -> str:
 
 
 def _describe_modulus_change(identification: Identification, posterior: Posterior) -> str:
-    """Return the posterior mean of the change of Young's modulus, in words.
+    """Describe the posterior mean of the change in Young's modulus.
 
     An example: "a Young's modulus 1 % lower than before, as about 25 K more cause".
     """
@@ -996,7 +1062,10 @@ def _describe_modulus_change(identification: Identification, posterior: Posterio
 
 
 def _describe_intervals(identification: Identification) -> str:
-    """Return the unknowns' intervals in words, and sizes below the bounds."""
+    """Describe the credible intervals of all unknowns.
+
+    Sizes of the crack may also be below the bounds of the search.
+    """
     unknown_grid = identification.posterior.branch_by_words[
         identification.posterior.best_words_and_unknowns[0]
     ].likelihood.predictor.model.unknown_grid
