@@ -236,7 +236,8 @@ def _yield_further_errors(
 def _check_option_numbers(arguments: Namespace, scene: Scene) -> None:
     """Check the numbers of --count, --patterns and --deviation.
 
-    Raises InputError below 1 mode, outside 0 to :data:`MAX_VALUES_OF_AXIS` patterns, or outside 0 to 0.1.
+    Raises InputError below 1 mode, outside 0 to :data:`MAX_VALUES_OF_AXIS` patterns, or outside 0
+    to 0.1.
     """
     if (mode_count := vars(arguments).get("count")) is not None:
         check_count("--count", mode_count, 1)

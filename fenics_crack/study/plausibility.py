@@ -347,7 +347,7 @@ def _static_displacements(stiffness_factor: Factor, modes: Modes, forces: np.nda
 
     Parameters
     ----------
-    factor : Factor
+    stiffness_factor : Factor
         Factor of the stiffness.
     modes : Modes
         Modes with open crack, rigid-body motions first.

@@ -639,8 +639,8 @@ class Feature:
     def split_exponent(self) -> int:
         """Return the exponent n if the harmonic is proportional to s^n.
 
-        The split s is in :attr:`SolvedCases.frequency_split_root_and_frequencies`. n is 1 for even harmonics,
-        2 for odd ones above 1, and 0 for the first harmonic and natural frequencies.
+        The split s is in :attr:`SolvedCases.frequency_split_root_and_frequencies`. n is 1 for even
+        harmonics, 2 for odd ones above 1, and 0 for the first harmonic and natural frequencies.
         """
         return 1 + self.harmonic_order % 2 if self.harmonic_order > 1 else 0
 
