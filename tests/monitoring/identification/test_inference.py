@@ -459,7 +459,7 @@ def test_modes_of_resonances(
     used."""
     fit = replace(PASSED, **changes)
     frequencies = 1500.0 * np.array([opened, tied])
-    diagram: Any = SimpleNamespace(between=lambda speed: frequencies)
+    diagram: Any = SimpleNamespace(interpolate_open_and_tied=lambda speed: frequencies)
     mode, said = match_mode_or_give_reason(fit, diagram)
     assert mode == (not why) and said.startswith(why) and bool(said) == bool(why)
     words = describe_passage(fit, mode, said)
