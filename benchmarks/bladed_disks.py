@@ -204,7 +204,7 @@ def breathing(arguments: common.Arguments) -> None:
     balance = {"harmonic_balance.tolerance": 0.01}
     scene = RING.replace(over | balance)
     sweep, spent = timed(lambda: fc.run_sweep(scene, arguments.folder / "bladed_disk_sweep.h5"))
-    response, stated_errors = sweep["response"], sweep.errors
+    response, stated_errors = sweep["response"], sweep.error_parts
     row = [
         count, spent, response.min(), np.median(response), response.max(), np.nanmax(stated_errors),
         int(np.sum(sweep.converged)), int(np.sum(sweep["verdict"] == "stable")),

@@ -49,7 +49,7 @@ FILLED = "is filled in while it exists"
 EXCEPTIONS = {
     "fenics_crack": "reads its own names",
     "fenics_crack.version read_packaged_text": "reads a text of the package",
-    "fenics_crack.cli.command_line _discard_rank_output": "/dev/null",
+    "fenics_crack.cli.command_line _discard_output_of_this_rank": "/dev/null",
     "fenics_crack.cli.command_line _redirect_stdout_to_null": "/dev/null",
     "fenics_crack.draw.figure Picture.save_with_title.write_file": "draws into memory",
     "fenics_crack.fem.plate write_msh": "gmsh writes to the hidden place of whole_file",

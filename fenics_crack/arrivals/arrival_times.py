@@ -19,6 +19,7 @@ from typing import Any, Self
 import numpy as np
 
 from fenics_crack.basics.errors import InputError, check_count, check_number, report_read_errors
+from fenics_crack.basics.suggestions import with_old_names
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN, Table, Tabular, format_count
 from fenics_crack.basics.untrusted_files import (
     SI_UNIT_AND_FACTOR_BY_UNIT,
@@ -40,6 +41,7 @@ MIN_REQUIRED_REVOLUTIONS = 10
 """Minimum number of revolutions for a smoothed speed, and for a passage through a resonance."""
 
 
+@with_old_names(rounding="displacement_rounding")
 @dataclass(frozen=True, repr=False)
 class ArrivalTimes(Tabular):
     """Hold the times at which one blade's tip passed stationary probes.
@@ -100,10 +102,10 @@ class ArrivalTimes(Tabular):
         check_revolution_durations("marks", np.diff(self.marks), self.first)
         required_shape = (len(self.marks) - 1, len(self.probes))
         if self.time.shape != required_shape:
-            requirement = (
+            requirement_text = (
                 f"of shape {required_shape}: a row for each revolution, a column for each probe"
             )
-            raise InputError("time", f"of shape {self.time.shape}", requirement)
+            raise InputError("time", f"of shape {self.time.shape}", requirement_text)
         if not np.any(np.isfinite(self.time)):
             raise InputError(
                 "time", "no finite number", "an array with at least one arrival time [s]"
@@ -114,10 +116,10 @@ class ArrivalTimes(Tabular):
             delays_after_mark > 2.0 * revolution_durations
         )
         if np.any(is_misplaced):
-            requirement = (
+            requirement_text = (
                 "a time [s] in the revolution of its row, or in the one before or after it; or nan"
             )
-            raise InputError("time", float(self.time[is_misplaced][0]), requirement)
+            raise InputError("time", float(self.time[is_misplaced][0]), requirement_text)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -168,7 +170,7 @@ class ArrivalTimes(Tabular):
         return np.asarray(self.tip_radius * (self.nominal_angle - self.angle))
 
     @cached_property
-    def rounding(self) -> float:
+    def displacement_rounding(self) -> float:
         """Rounding of displacements [m]: by rounded angles, and 1e-9 of the motion."""
         largest_angle, largest_displacement = (
             float(np.nanmax(np.abs(quantity))) for quantity in (self.angle, self.displacement)
@@ -198,8 +200,8 @@ class ArrivalTimes(Tabular):
                 f"{far_probe_text} belong to the revolution "
                 f"{'before' if angle_shifts[far_probe_indices[0]] > 0.0 else 'after'} their row"
             )
-            requirement = "arrivals in the row of their revolution; move this probe's column"
-            raise InputError("time", problem_text, requirement)
+            requirement_text = "arrivals in the row of their revolution; move this probe's column"
+            raise InputError("time", problem_text, requirement_text)
         angle_distances = np.abs(
             self.probes - angle_shifts - self.probes[:, None]
         )  # [stated, passed]
@@ -219,10 +221,10 @@ class ArrivalTimes(Tabular):
                 f"arrivals of the probe at {stated_degrees:g} degrees "
                 f"fit the angle of the probe at {passed_degrees:g} degrees"
             )
-            requirement = (
+            requirement_text = (
                 "the angles of the arrivals; correct swapped probes, or measure finer times"
             )
-            raise InputError("probes", problem_text, requirement)
+            raise InputError("probes", problem_text, requirement_text)
 
     def zeroed(self, begin: int, end: int) -> Self:
         """Return these arrivals with displacements from quiet revolutions.
@@ -295,10 +297,10 @@ class ArrivalTimes(Tabular):
             len(set(zip(row_indices, probe_indices, strict=True))) == len(row_indices),
         ]
         if not all(map(np.all, check_results)):
-            requirement = (
+            requirement_text = (
                 "a file with one row per revolution and probe, in which next_mark is the mark of "
             )
-            raise InputError("path", str(path), requirement + "the next revolution")
+            raise InputError("path", str(path), requirement_text + "the next revolution")
         return cls(
             time,
             np.append(begin_times, end_times[-1]),
@@ -386,11 +388,13 @@ def check_revolution_durations(key: str, durations: np.ndarray, first_revolution
             f"{durations[outlier_index] / median_durations[outlier_index]:.3g} times "
             "as long as the revolutions"
         )
-        requirement = (
+        requirement_text = (
             "marks of which none was missed or counted twice; remove the rows of such revolutions, "
         )
         raise InputError(
-            key, f"{problem_text} around it", f"{requirement}and keep the other revolution numbers"
+            key,
+            f"{problem_text} around it",
+            f"{requirement_text}and keep the other revolution numbers",
         )
 
 
@@ -415,21 +419,21 @@ def choose_tip_radius(
     """
     if file_radii is None:
         if given_radius is None:
-            requirement = (
+            requirement_text = (
                 "given: the distance from the axis to the blade tips [m], for which "
                 f"{path} has no column '{RADIUS_COLUMN_NAME}'; {RADIUS_HINT_TEXT}"
             )
-            raise InputError("tip_radius", None, requirement)
+            raise InputError("tip_radius", None, requirement_text)
         return given_radius
     distinct_radii = np.unique(
         np.append(file_radii, file_radii[0] if given_radius is None else given_radius)
     )
     if len(distinct_radii) > 1:
-        requirement = "the same radius in all rows" + (
+        requirement_text = "the same radius in all rows" + (
             "" if given_radius is None else f", equal to the given tip_radius = {given_radius:g} m"
         )
         raise InputError(
-            "path", f"{path}, {RADIUS_COLUMN_NAME} = {distinct_radii.tolist()}", requirement
+            "path", f"{path}, {RADIUS_COLUMN_NAME} = {distinct_radii.tolist()}", requirement_text
         )
     return float(distinct_radii[0])
 
@@ -450,11 +454,11 @@ def _read_headings_and_number_table(path: str | Path) -> tuple[list[str], list[i
         (_, original_headings), *numbered_rows = read_numbered_csv_rows(path) or [(0, [])]
         for line_number, cells in numbered_rows:
             if len(cells) < len(original_headings):
-                requirement = (
+                requirement_text = (
                     f"a row with a cell for each of the {len(original_headings)} headings; "
                     f"it has {len(cells)}"
                 )
-                raise InputError("path", f"{path}, line {line_number}", requirement)
+                raise InputError("path", f"{path}, line {line_number}", requirement_text)
     heading_factor_pairs = [convert_heading_to_si(heading) for heading in original_headings]
     number_columns = [
         [factor * _parse_number_or_nan(cells[column_index]) for _, cells in numbered_rows]
@@ -497,11 +501,11 @@ def _read_passages_and_radii(path: str | Path) -> tuple[np.ndarray, np.ndarray |
         & (revolution_numbers % 1.0 == 0.0)
         & (np.abs(revolution_numbers) < 2**53)
     ):
-        requirement = (
+        requirement_text = (
             "a row of finite numbers, with a whole revolution number; only the arrival may be empty"
         )
         raise InputError(
-            "path", f"{path}, line {line_numbers[int(np.argmin(is_valid))]}", requirement
+            "path", f"{path}, line {line_numbers[int(np.argmin(is_valid))]}", requirement_text
         )
     return passages, number_columns[
         headings.index(RADIUS_COLUMN_NAME)
@@ -742,8 +746,10 @@ def _read_mark_times(
             )
             durations = RAD_PER_TURN / smooth_series(speeds)
             return np.concatenate([[0.0], np.cumsum(durations)])
-    requirement = "a file with a column 'speed [rpm]' (or rad/s, Hz) or 'mark [s]'"
-    raise InputError("path", str(path), f"{requirement}; it has {', '.join(column_by_heading)}")
+    requirement_text = "a file with a column 'speed [rpm]' (or rad/s, Hz) or 'mark [s]'"
+    raise InputError(
+        "path", str(path), f"{requirement_text}; it has {', '.join(column_by_heading)}"
+    )
 
 
 def _read_arrival_angles(
@@ -757,10 +763,12 @@ def _read_arrival_angles(
     if "[s]" not in heading:
         angles = column * _find_unit_factor(path, heading, RAD_BY_ANGLE_UNIT)
         if np.nanmedian(np.abs(angles)) > 2.0 * RAD_PER_TURN:
-            requirement = (
+            requirement_text = (
                 "an angle of at most 2 revolutions; for degrees, write [deg] in the heading"
             )
-            raise InputError("path", f"{path}: {heading} = {np.nanmedian(column):g}", requirement)
+            raise InputError(
+                "path", f"{path}: {heading} = {np.nanmedian(column):g}", requirement_text
+            )
         return angles
     mark_revolution_numbers = np.arange(revolution_numbers[0], revolution_numbers[0] + len(marks))
     return RAD_PER_TURN * (

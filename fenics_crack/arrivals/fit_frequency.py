@@ -103,24 +103,27 @@ def fit_frequency(
     n_arrivals = int(has_arrival.sum())
     n_constants = int(has_arrival.any(axis=0).sum()) if angle_deviation else 1
     if n_arrivals <= (n_unknowns := 2 * harmonics + 1 + n_constants):
-        requirement = f"more than {n_unknowns}, the unknowns of the fit; fit fewer harmonics"
-        raise InputError("arrivals", f"{n_arrivals} arrivals", requirement)
+        requirement_text = f"more than {n_unknowns}, the unknowns of the fit; fit fewer harmonics"
+        raise InputError("arrivals", f"{n_arrivals} arrivals", requirement_text)
     arrivals_shape = arrivals.time.shape
     constant_numbers = (
         np.arange(arrivals_shape[1]) * bool(angle_deviation) * np.ones(arrivals_shape, dtype=int)
     )
     displacements, omega_bounds = arrivals.displacement, (low, high)
-    fit, chance = _FrequencySearch(
+    fit, noise_probability = _FrequencySearch(
         arrivals, displacements, constant_numbers, harmonics, angle_deviation, omega_bounds
-    ).find_best_fit_and_chance()
-    if len(arrivals.probes) == 1 and chance > CONFIDENCE_LEVELS.vibration_significance_level:
+    ).find_best_fit_and_noise_probability()
+    if (
+        len(arrivals.probes) == 1
+        and noise_probability > CONFIDENCE_LEVELS.vibration_significance_level
+    ):
         probe_text = (
             f"one at {np.degrees(arrivals.probes[0]):g} degrees, whose arrivals do not vary"
         )
-        requirement = (
+        requirement_text = (
             "two or more probes: one probe sees a vibration of a whole order as a constant"
         )
-        raise InputError("probes", probe_text, requirement)
+        raise InputError("probes", probe_text, requirement_text)
     return fit
 
 
@@ -162,10 +165,10 @@ def find_lines_and_residuals(
     residuals = np.array(displacements)
     n_constants = len(np.unique(constant_numbers[np.isfinite(displacements)]))
     while len(line_fits) < max_lines and np.isfinite(residuals).sum() > 2 * (n_constants + 3):
-        fit, chance = _FrequencySearch(
+        fit, noise_probability = _FrequencySearch(
             arrivals, residuals, constant_numbers, 1, np.inf, omega_bounds
-        ).find_best_fit_and_chance()
-        if chance > CONFIDENCE_LEVELS.vibration_significance_level:
+        ).find_best_fit_and_noise_probability()
+        if noise_probability > CONFIDENCE_LEVELS.vibration_significance_level:
             break
         line_fits.append(fit)
         residuals -= fit.displacement(fit.phases(arrivals)) - fit.coefficients[0]
@@ -223,7 +226,7 @@ class _FrequencySearch:
             constant_numbers[has_arrival][:, None] == np.unique(constant_numbers[has_arrival])
         ).astype(float)
         self._n_unknowns = 2 * n_harmonics + 1 + self._constant_columns.shape[1]
-        self._rounding = arrivals.rounding
+        self._displacement_rounding = arrivals.displacement_rounding
         self._constants_deviation = constants_deviation * arrivals.tip_radius
         self._constants_stiffness = 0.0
         self._set_constants_stiffness(
@@ -235,7 +238,8 @@ class _FrequencySearch:
         )
         self._null_noise = fit_noise_by_reweighting(
             lambda weights: self._subtract_constants(self._displacements, weights),
-            np.ones(len(revolution_indices)), self._constant_columns.shape[1], self._rounding,
+            np.ones(len(revolution_indices)), self._constant_columns.shape[1],
+            self._displacement_rounding,
         )  # fmt: skip
 
     def _set_constants_stiffness(self, displacement_scatter: float) -> None:
@@ -299,11 +303,11 @@ class _FrequencySearch:
         def evaluate(unit_step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             nonlocal best_omega, fit
             best_omega = omega + omega_unit * float(unit_step[0])
-            _, residuals, columns = fit = self._fit_harmonics(
+            _, residuals, harmonic_columns = fit = self._fit_harmonics(
                 best_omega, weights, self._displacements, self._times
             )
-            weighted_columns = sqrt_weights * columns[:, :-1]
-            omega_slopes = -omega_unit * sqrt_weights * columns[:, -1:]
+            weighted_columns = sqrt_weights * harmonic_columns[:, :-1]
+            omega_slopes = -omega_unit * sqrt_weights * harmonic_columns[:, -1:]
             omega_slopes -= (
                 weighted_columns @ np.linalg.lstsq(weighted_columns, omega_slopes, rcond=1e-10)[0]
             )
@@ -317,7 +321,7 @@ class _FrequencySearch:
         )  # peaks are compared by their sums
         return best_omega, fit
 
-    def find_best_fit_and_chance(self) -> tuple[TipFit, float]:
+    def find_best_fit_and_noise_probability(self) -> tuple[TipFit, float]:
         """Return the best vibration, and the probability of its size in noise.
 
         Among vibrations that explain the displacements equally well, the smallest is the best.
@@ -325,9 +329,15 @@ class _FrequencySearch:
         refined_peaks: list[tuple[bool, float, float]] = []
         weights = self._null_noise.weights
         for initial_omega in self._find_peak_omegas().tolist():
-            omega, (_, residuals, columns) = self._refine_omega_and_fit(initial_omega, weights)
+            omega, (_, residuals, harmonic_columns) = self._refine_omega_and_fit(
+                initial_omega, weights
+            )
             refined_peaks.append(
-                (self._constants_absorb_vibration(columns), float(weights @ residuals**2), omega)
+                (
+                    self._constants_absorb_vibration(harmonic_columns),
+                    float(weights @ residuals**2),
+                    omega,
+                )
             )
         separate_omegas: list[float] = []
         for _, _, omega in sorted(refined_peaks):  # nearer to a higher one they are its side lobes
@@ -374,11 +384,11 @@ class _FrequencySearch:
         first_step = int(np.ceil(min_omega / omega_step))
         end_step = int(np.floor(max_omega / omega_step)) + 1
         if not 0 < end_step - first_step < MAX_SCANNED_FREQUENCIES:
-            requirement = (
+            requirement_text = (
                 f"between {omega_step:.3g} and {MAX_SCANNED_FREQUENCIES * omega_step:.3g} rad/s "
                 "for a record of this duration"
             )
-            raise InputError("high - low", max_omega - min_omega, requirement)
+            raise InputError("high - low", max_omega - min_omega, requirement_text)
         noise_psi = self._null_noise.psi
         step_numbers = np.arange(first_step, end_step)
         power = np.zeros(end_step - first_step)
@@ -418,7 +428,7 @@ class _FrequencySearch:
             return np.asarray(residuals)
 
         self.noise = fit_noise_by_reweighting(
-            solve, np.ones(len(self._displacements)), self._n_unknowns, self._rounding
+            solve, np.ones(len(self._displacements)), self._n_unknowns, self._displacement_rounding
         )
         self._set_constants_stiffness(self.noise.scale)
 
@@ -429,21 +439,32 @@ class _FrequencySearch:
         """
         weights = self.noise.weights
         allowed_difference = CONFIDENCE_LEVELS.allowed_cost_difference * self.noise.scale**2
-        fits = [
+        harmonic_fits = [
             self._fit_harmonics(omega, weights, self._displacements, self._times)
             for omega in omegas
         ]
-        residual_square_sums = np.array([weights @ residuals**2 for _, residuals, _ in fits])
-        vibration_sizes = np.array([np.linalg.norm(coefficients) for coefficients, _, _ in fits])
-        condition_numbers = np.array([condition_number(columns[:, :-1]) for _, _, columns in fits])
-        is_hidden = np.array([self._constants_absorb_vibration(columns) for _, _, columns in fits])
+        residual_square_sums = np.array(
+            [weights @ residuals**2 for _, residuals, _ in harmonic_fits]
+        )
+        vibration_sizes = np.array(
+            [np.linalg.norm(coefficients) for coefficients, _, _ in harmonic_fits]
+        )
+        condition_numbers = np.array(
+            [condition_number(harmonic_columns[:, :-1]) for _, _, harmonic_columns in harmonic_fits]
+        )
+        is_hidden = np.array(
+            [
+                self._constants_absorb_vibration(harmonic_columns)
+                for _, _, harmonic_columns in harmonic_fits
+            ]
+        )
         is_equivalent, best_index = select_candidate(
             residual_square_sums, vibration_sizes, allowed_difference, ~is_hidden
         )
         # Arrivals that are not where they were expected distinguish aliases, but not reliably.
         expected_wave = (
             fourier_basis(omegas[best_index] * self._expected_times, self._multiples)[:, 1:]
-            @ fits[best_index][0]
+            @ harmonic_fits[best_index][0]
         )
         wave_residuals = [
             self._fit_harmonics(omega, weights, expected_wave, self._expected_times)[1]

@@ -57,7 +57,7 @@ from fenics_crack.basics.tables import (
 )
 from fenics_crack.numerics.fourier import fourier_basis
 
-N_FOLDED_HARMONICS = 3
+N_OMITTED_HARMONICS_TO_FOLD = 3
 """Number of omitted harmonics, next above the fitted ones, that may be folded onto them."""
 FOLDED_SIZE_RATIOS = np.array([0.0, *2.0 ** -np.arange(0.5, 8.0)])
 """Trial sizes of an omitted harmonic, relative to the last fitted harmonic.
@@ -146,9 +146,9 @@ def _fit_best_order(
         raise_too_few_probes(arrivals, n_unknowns)
     is_hidden = np.full(len(orders), True)
     residual_square_sums, vibration_sizes, costs = np.full((3, len(orders)), np.inf)
-    for index, fit in fit_by_index.items():
-        is_hidden[index], residual_square_sums[index] = False, fit.sum_of_squares
-        vibration_sizes[index] = np.linalg.norm(fit.coefficients[1:])
+    for order_index, fit in fit_by_index.items():
+        is_hidden[order_index], residual_square_sums[order_index] = False, fit.sum_of_squares
+        vibration_sizes[order_index] = np.linalg.norm(fit.coefficients[1:])
     variance_ratio, misfit, freedom = means.run_misfit_f_test(
         float(residual_square_sums.min()), n_unknowns
     )
@@ -171,8 +171,10 @@ def _fit_best_order(
     covariance_factor = finite_ratio = variance_ratio if np.isfinite(variance_ratio) else np.nan
     if means.freedom_within_groups > 0 and len(means.displacements) > n_unknowns + 1:
         # Nor do harmonics that are left out make another order less likely.
-        for index, fit in fit_by_index.items():
-            costs[index], fit_by_index[index] = means.find_cost_and_fit_with_omitted(fit)
+        for order_index, fit in fit_by_index.items():
+            costs[order_index], fit_by_index[order_index] = means.find_cost_and_fit_with_omitted(
+                fit
+            )
         is_equivalent |= costs - costs.min() < CONFIDENCE_LEVELS.allowed_cost_difference
         best_fit = fit_by_index[best_index]
         covariance_factor, _, freedom = means.run_misfit_f_test(best_fit.sum_of_squares, n_unknowns)
@@ -222,10 +224,10 @@ def _find_period_in_revolutions(orders: np.ndarray, multiples: np.ndarray) -> in
         np.abs([float(order_fraction) for order_fraction in order_fractions] - response_orders)
         > 1e-9
     ):
-        requirement = (
+        requirement_text = (
             f"whole numbers, or fractions that repeat within {max_allowed_period} revolutions"
         )
-        raise InputError("orders", orders.tolist(), f"{requirement}; else use fit_frequency")
+        raise InputError("orders", orders.tolist(), f"{requirement_text}; else use fit_frequency")
     return period_in_revolutions
 
 
@@ -305,20 +307,21 @@ class _Sample:
         Return None if the probes cannot measure the order, or if the blade tip would move
         backwards.
         """
-        columns = fourier_basis(order * self.angles, multiples)
+        wave_columns = fourier_basis(order * self.angles, multiples)
         nominal_columns = fourier_basis(order * self.nominal_angles, multiples)
-        if np.isinf(condition_number(nominal_columns)) or np.isinf(condition_number(columns)):
+        if np.isinf(condition_number(nominal_columns)) or np.isinf(condition_number(wave_columns)):
             return None
-        residual_per_error = np.ones(len(columns))
+        residual_per_error = np.ones(len(wave_columns))
         # An arrival that is late by e leaves R W e (1 + u' / R): it is elsewhere, too.
         for _ in range(2):
             fitted_residual_per_error = residual_per_error
             (whitened_columns, whitened_displacements) = self._whiten_columns_and_values(
-                columns, self.displacements, residual_per_error
+                wave_columns, self.displacements, residual_per_error
             )
             coefficients = np.linalg.lstsq(whitened_columns, whitened_displacements, rcond=None)[0]
             quadrature_waves = (
-                columns[:, 1::2] * coefficients[2::2] - columns[:, 2::2] * coefficients[1::2]
+                wave_columns[:, 1::2] * coefficients[2::2]
+                - wave_columns[:, 2::2] * coefficients[1::2]
             )
             residual_per_error = 1.0 + order * quadrature_waves @ multiples / self._radius
             if np.any(residual_per_error <= 0.0):
@@ -349,9 +352,9 @@ class _Sample:
     def find_cost_and_fit_with_omitted(self, fit: _OrderFit) -> tuple[float, _OrderFit]:
         """Return the restricted -2 log likelihood and the fit with omitted harmonics.
 
-        The next :data:`N_FOLDED_HARMONICS` harmonics are normal random numbers, with the most
-        likely variance for the displacements. If they are significant, the errors include their
-        folding onto the fitted harmonics.
+        The next :data:`N_OMITTED_HARMONICS_TO_FOLD` harmonics are normal random numbers, with the
+        most likely variance for the displacements. If they are significant, the errors include
+        their folding onto the fitted harmonics.
         """
         costs, fits = self.list_costs_and_fits_by_omitted_size(
             fit, self._list_omitted_harmonic_sizes(fit)
@@ -367,7 +370,7 @@ class _Sample:
         Sizes are standard deviations (n,) [m]. Costs are restricted -2 log likelihoods.
         """
         costs, *estimate_arrays = self._solve_with_omitted_harmonics(
-            fit, np.repeat(omitted_sizes[:, None], N_FOLDED_HARMONICS, axis=1)
+            fit, np.repeat(omitted_sizes[:, None], N_OMITTED_HARMONICS_TO_FOLD, axis=1)
         )
         return costs, [
             replace(
@@ -388,17 +391,19 @@ class _Sample:
         if self.freedom_within_groups < 1:
             return np.nan
         omitted_size_rows = np.array(
-            list(product(self._list_omitted_harmonic_sizes(fit), repeat=N_FOLDED_HARMONICS))
+            list(
+                product(self._list_omitted_harmonic_sizes(fit), repeat=N_OMITTED_HARMONICS_TO_FOLD)
+            )
         )
         costs, *estimate_arrays, _ = self._solve_with_omitted_harmonics(fit, omitted_size_rows)
         likelihood_weights = np.exp(0.5 * (costs.min() - costs))
         fitted_amplitudes, fitted_errors = compute_amplitudes_and_errors(
             fit.coefficients, fit.covariance
         )
-        amplitudes, errors = compute_amplitudes_and_errors(*estimate_arrays)
+        amplitudes, amplitude_errors = compute_amplitudes_and_errors(*estimate_arrays)
         allowed_deviations = CONFIDENCE_LEVELS.allowed_standard_errors * fitted_errors
         upper_cdf, lower_cdf = (
-            ndtr((fitted_amplitudes + interval_end - amplitudes) / errors)
+            ndtr((fitted_amplitudes + interval_end - amplitudes) / amplitude_errors)
             for interval_end in (allowed_deviations, -allowed_deviations)
         )
         return 1.0 - float(
@@ -424,7 +429,7 @@ class _Sample:
         """Repeat a fit with omitted harmonics as further unknowns.
 
         Their values are 0 within standard deviations ``omitted_size_rows`` [m], of shape
-        (n, N_FOLDED_HARMONICS).
+        (n, N_OMITTED_HARMONICS_TO_FOLD).
 
         Returns
         -------
@@ -438,7 +443,9 @@ class _Sample:
             Sums of squares, in variances.
         """
         n_unknowns, multiples = len(fit.coefficients), fit.multiples
-        omitted_multiples = multiples[-1] + multiples[0] * np.arange(1.0, N_FOLDED_HARMONICS + 1.0)
+        omitted_multiples = multiples[-1] + multiples[0] * np.arange(
+            1.0, N_OMITTED_HARMONICS_TO_FOLD + 1.0
+        )
         wave_columns = fourier_basis(
             fit.order * self.angles, np.append(multiples, omitted_multiples)
         )
@@ -558,15 +565,17 @@ class ProbeMeans(_Sample):
             ) / np.bincount(group_indices, weights)
             return self._arrival_displacements - self.displacements[group_indices]
 
-        noise = fit_noise_by_reweighting(
-            solve, np.ones(len(group_indices)), len(group_numbers), arrivals.rounding
+        student_noise = fit_noise_by_reweighting(
+            solve, np.ones(len(group_indices)), len(group_numbers), arrivals.displacement_rounding
         )
         group_columns = np.eye(len(group_numbers))[group_indices]
         self.scatter, covariance = 1.0, np.diag(1.0 / np.bincount(group_indices))
         if freedom_within_groups > 0:
-            self.scatter = max(float(np.sqrt(noise.variance)), arrivals.rounding)
-            covariance = noise.coefficient_covariance(group_columns, places)
-            covariance += np.eye(len(group_numbers)) * arrivals.rounding**2
+            self.scatter = max(
+                float(np.sqrt(student_noise.variance)), arrivals.displacement_rounding
+            )
+            covariance = student_noise.coefficient_covariance(group_columns, places)
+            covariance += np.eye(len(group_numbers)) * arrivals.displacement_rounding**2
             probe_indices = group_numbers % n_probes
             angle_variance = (arrivals.tip_radius * angle_deviation) ** 2
             covariance += angle_variance * (probe_indices[:, None] == probe_indices)
@@ -615,9 +624,9 @@ class ProbeMeans(_Sample):
 
     def compute_rms_residual(self, order: float, multiples: np.ndarray) -> float:
         """Return the root mean square residual of an order [m]."""
-        columns = fourier_basis(order * self.angles, multiples)
-        coefficients = np.linalg.lstsq(columns, self.displacements, rcond=1e-10)[0]
-        residuals = self._arrival_displacements - (columns @ coefficients)[self._group_indices]
+        wave_columns = fourier_basis(order * self.angles, multiples)
+        coefficients = np.linalg.lstsq(wave_columns, self.displacements, rcond=1e-10)[0]
+        residuals = self._arrival_displacements - (wave_columns @ coefficients)[self._group_indices]
         return float(np.sqrt(np.mean(residuals**2)))
 
 
@@ -780,7 +789,7 @@ def track_order(
     variance, freedom = _estimate_variance_and_freedom(
         residuals, has_arrival, np.where(has_fit, n_arrivals - n_unknowns, 0)
     )
-    variance = max(variance, arrivals.rounding**2)
+    variance = max(variance, arrivals.displacement_rounding**2)
     sample_fit_by_group = _fit_samples_by_group(
         arrivals, order, multiples, nominal_angles, displacements, has_arrival,
         np.flatnonzero(has_fit), variance, freedom, angle_deviation,
@@ -832,21 +841,21 @@ def _fit_samples_by_group(
         Variance of a displacement, and its degrees of freedom.
     """
     probe_indices = np.arange(has_arrival.shape[1]) % len(arrivals.probes)
-    is_same_probe = probe_indices[:, None] == probe_indices
+    shares_probe_matrix = probe_indices[:, None] == probe_indices
     covariance = variance * np.eye(len(probe_indices))
-    covariance += (arrivals.tip_radius * angle_deviation) ** 2 * is_same_probe
+    covariance += (arrivals.tip_radius * angle_deviation) ** 2 * shares_probe_matrix
     sample_fit_by_group = {}
-    for group in fitted_groups.tolist():
-        is_used = has_arrival[group]
+    for group_index in fitted_groups.tolist():
+        is_used = has_arrival[group_index]
         sample = _Sample(
-            nominal_angles[group, is_used],
-            displacements[group, is_used],
+            nominal_angles[group_index, is_used],
+            displacements[group_index, is_used],
             covariance[np.ix_(is_used, is_used)],
             freedom,
             arrivals.tip_radius,
         )
         if (fit := sample.fit_order_or_none(order, multiples)) is not None:
-            sample_fit_by_group[group] = sample, fit
+            sample_fit_by_group[group_index] = sample, fit
     return sample_fit_by_group
 
 
@@ -877,13 +886,17 @@ def _find_coefficients_and_covariances(
     coefficients = np.full(coefficient_changes.shape, np.nan)
     n_unknowns = coefficient_changes.shape[1]
     covariances = np.full((len(n_arrivals), n_unknowns, n_unknowns), np.nan)
-    for group, (sample, fit) in sample_fit_by_group.items():
-        coefficients[group] = fit.coefficients
-        if n_arrivals[group] > n_unknowns:
+    for group_index, (sample, fit) in sample_fit_by_group.items():
+        coefficients[group_index] = fit.coefficients
+        if n_arrivals[group_index] > n_unknowns:
             factor, _, total_freedom = sample.run_misfit_f_test(fit.sum_of_squares, n_unknowns)
             factor = max(factor, 1.0) if freedom else factor
-            covariances[group] = factor * student_variance_ratio(total_freedom) * fit.covariance
-            covariances[group] += np.outer(coefficient_changes[group], coefficient_changes[group])
+            covariances[group_index] = (
+                factor * student_variance_ratio(total_freedom) * fit.covariance
+            )
+            covariances[group_index] += np.outer(
+                coefficient_changes[group_index], coefficient_changes[group_index]
+            )
     return coefficients, covariances
 
 
@@ -952,9 +965,10 @@ def _refit_groups_with_omitted_harmonics(
     ]
     freedoms = np.maximum(spare_counts, 1)
     joint_fit_by_group = {}
-    for position, (group, (sample, _)) in enumerate(sample_fit_by_group.items()):
+    for sample_position, (group_index, (sample, _)) in enumerate(sample_fit_by_group.items()):
         window_slice = slice(
-            max(position - N_NEIGHBOURS_PER_SIDE, 0), position + N_NEIGHBOURS_PER_SIDE + 1
+            max(sample_position - N_NEIGHBOURS_PER_SIDE, 0),
+            sample_position + N_NEIGHBOURS_PER_SIDE + 1,
         )
         max_trusted_squares = _estimate_quartile_variance(
             residual_square_sums[window_slice], freedoms[window_slice]
@@ -963,9 +977,9 @@ def _refit_groups_with_omitted_harmonics(
         trusted_cost_rows = np.array(group_costs[window_slice])[
             residual_square_sums[window_slice] <= max_trusted_squares
         ]
-        joint_fit_by_group[group] = (
+        joint_fit_by_group[group_index] = (
             sample,
-            group_fits[position][int(np.argmin(trusted_cost_rows.sum(axis=0)))],
+            group_fits[sample_position][int(np.argmin(trusted_cost_rows.sum(axis=0)))],
         )
     return joint_fit_by_group
 

@@ -403,8 +403,8 @@ def raise_too_few_probes(arrivals: ArrivalTimes, n_unknowns: int) -> NoReturn:
     """Raise InputError: these probes cannot determine so many unknowns."""
     angles_text = ", ".join(f"{angle:g}" for angle in np.degrees(arrivals.probes))
     probes_text = f"{format_count(len(arrivals.probes), 'probe')} at {angles_text} degrees"
-    requirement = (
+    requirement_text = (
         f"enough for the {n_unknowns} unknowns of the fit: use more probes at unequal angles, "
     )
-    requirement += "fewer harmonics, or more accurate arrivals"
-    raise InputError("probes", probes_text, requirement)
+    requirement_text += "fewer harmonics, or more accurate arrivals"
+    raise InputError("probes", probes_text, requirement_text)

@@ -34,6 +34,7 @@ from fenics_crack.arrivals.transient import (
 )
 from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.progress import begin_stage as begin_stage
+from fenics_crack.basics.suggestions import with_old_names
 from fenics_crack.basics.tables import (
     RAD_PER_S_PER_RPM,
     Tabular,
@@ -53,6 +54,7 @@ MAX_STIFFENING = 0.9
 """Maximum of |d ln w_n / d ln W|: orders hardly meet frequencies with a steeper dependence."""
 
 
+@with_old_names(disagreement="disagreement_in_words")
 @dataclass(frozen=True, repr=False)
 class PassageFit(Tabular):
     """Hold the fit to all passages through one resonance.
@@ -166,10 +168,10 @@ class PassageFit(Tabular):
 
         Amplitudes may differ: the load need not be the same.
         """
-        return bool(self.disagreement)
+        return bool(self.disagreement_in_words)
 
     @property
-    def disagreement(self) -> str:
+    def disagreement_in_words(self) -> str:
         """Describe the differences behind :attr:`disagree` in words; "" if there are none."""
         difference_texts = []
         if _differ_significantly(self.omegas, self.omega_errors):
@@ -230,9 +232,11 @@ class PassageFit(Tabular):
         mode_pole = complex(compute_poles(self.omega, self.damping / (1.0 - self.stiffening)))
         record = Record(arrivals, _make_stiffening_function(self.stiffening))
         passage_comparisons = []
-        for (begin_revolution, end_revolution), force in zip(self.ends, self.forces, strict=True):
+        for (begin_revolution, end_revolution), complex_force in zip(
+            self.ends, self.forces, strict=True
+        ):
             run = Run(record, arrivals.displacement, int(begin_revolution), int(end_revolution))
-            fitted_motion = (force * run.compute_wave(Mode(self.order, mode_pole))).real
+            fitted_motion = (complex_force * run.compute_wave(Mode(self.order, mode_pole))).real
             weighted_residuals = run.subtract_weighted_drifts(
                 run.displacements - fitted_motion, run.has_arrival.astype(float)
             )
@@ -289,9 +293,10 @@ class PassageFit(Tabular):
 
 def _differ_significantly(values: np.ndarray, errors: np.ndarray) -> bool:
     """Return True unless all values (n,) agree within three standard errors."""
-    differences = np.abs(values[:, None] - values)
+    pairwise_differences = np.abs(values[:, None] - values)
     return not np.all(
-        differences <= CONFIDENCE_LEVELS.allowed_standard_errors * np.hypot(errors[:, None], errors)
+        pairwise_differences
+        <= CONFIDENCE_LEVELS.allowed_standard_errors * np.hypot(errors[:, None], errors)
     )
 
 
@@ -518,7 +523,7 @@ class _ResonanceSearch:
         # Of :func:`_compute_gain_and_squares_reduction`; nan: not known yet.
         self._gains_and_reductions = np.full((n_centres, 2), np.nan)
 
-    def add_motion(self, resonance: _Resonance, factor: float) -> None:
+    def add_scaled_motion_to_residuals(self, resonance: _Resonance, factor: float) -> None:
         """Add a resonance's motion, times a factor, to the residuals."""
         self.residuals += factor * resonance.best_fit.compute_motion(
             self.record, len(self.residuals)
@@ -561,7 +566,7 @@ class _ResonanceSearch:
             if not new_resonance.is_clear:
                 continue
             self.resonances.append(new_resonance)
-            self.add_motion(new_resonance, -1.0)
+            self.add_scaled_motion_to_residuals(new_resonance, -1.0)
             self._compare_orders_with_neighbour(new_resonance)
             self._refit_neighbours_until_settled()
             gains_and_reductions[
@@ -575,10 +580,10 @@ class _ResonanceSearch:
             ):
                 continue
             if not self._compare_orders_with_neighbour(resonance):
-                self.add_motion(resonance, 1.0)
+                self.add_scaled_motion_to_residuals(resonance, 1.0)
                 if runs := self.record.find_runs(self.residuals, resonance.speed):
                     resonance.compare_orders(runs, resonance.speed, self.orders)
-                self.add_motion(resonance, -1.0)
+                self.add_scaled_motion_to_residuals(resonance, -1.0)
             resonance.compared_neighbours = resonance.list_neighbours(self.resonances)
         self._refit_neighbours_until_settled()
 
@@ -586,19 +591,19 @@ class _ResonanceSearch:
         """Fit the resonances to other displacements (revolutions, probes) [m]."""
         self.residuals = np.array(displacements)
         for resonance in self.resonances:
-            self.add_motion(resonance, -1.0)
+            self.add_scaled_motion_to_residuals(resonance, -1.0)
         for resonance in [*self.resonances]:
             self._refit_or_drop(resonance)
         self._refit_neighbours_until_settled()
 
     def _refit_or_drop(self, resonance: _Resonance) -> None:
         """Refit a resonance to displacements without the others, or drop it."""
-        self.add_motion(resonance, 1.0)
+        self.add_scaled_motion_to_residuals(resonance, 1.0)
         is_clear = resonance.refit_and_test_clarity(self.record, self.residuals)
         if is_clear and not any(
             resonance.may_be_residual_of(other_resonance) for other_resonance in self.resonances
         ):
-            self.add_motion(resonance, -1.0)
+            self.add_scaled_motion_to_residuals(resonance, -1.0)
         else:
             self.resonances.remove(resonance)
 
@@ -609,11 +614,12 @@ class _ResonanceSearch:
         if nothing is compared: for a single order, without a neighbour, or if a larger resonance
         covers this one.
         """
-        resonances, amplitude = self.resonances, resonance.best_fit.largest_amplitude
+        resonances = self.resonances
+        resonance_amplitude = resonance.best_fit.largest_first_mode_amplitude
         larger_resonances = [
             neighbour
             for neighbour in resonances
-            if neighbour.best_fit.largest_amplitude > amplitude
+            if neighbour.best_fit.largest_first_mode_amplitude > resonance_amplitude
         ]
         if len(self.orders) < 2 or any(
             neighbour.has_within_width(resonance) for neighbour in larger_resonances
@@ -629,13 +635,13 @@ class _ResonanceSearch:
             return False
         resonance_pair = (
             resonance,
-            max(neighbours, key=lambda neighbour: neighbour.best_fit.largest_amplitude),
+            max(neighbours, key=lambda neighbour: neighbour.best_fit.largest_first_mode_amplitude),
         )
         for covered_resonance in [*resonances]:
             if covered_resonance in resonance_pair or any(
                 pair_member.has_within_width(covered_resonance) for pair_member in resonance_pair
             ):
-                self.add_motion(covered_resonance, 1.0)
+                self.add_scaled_motion_to_residuals(covered_resonance, 1.0)
             if covered_resonance not in resonance_pair and any(
                 pair_member.has_within_width(covered_resonance) for pair_member in resonance_pair
             ):
@@ -644,7 +650,7 @@ class _ResonanceSearch:
             resonance_pair[1], self.record, self.residuals, self.orders
         )
         for pair_member in resonance_pair:
-            self.add_motion(pair_member, -1.0)
+            self.add_scaled_motion_to_residuals(pair_member, -1.0)
             pair_member.compared_neighbours = pair_member.list_neighbours(resonances)
         return True
 
@@ -659,11 +665,12 @@ class _ResonanceSearch:
         for _ in range(MAX_SEARCH_ROUNDS):
             has_moved = False
             for resonance in sorted(
-                crowded_resonances, key=lambda resonance: -resonance.best_fit.largest_amplitude
+                crowded_resonances,
+                key=lambda resonance: -resonance.best_fit.largest_first_mode_amplitude,
             ):
-                previous_pole = resonance.best_fit.mode.pole
+                previous_pole = resonance.best_fit.first_mode.pole
                 self._refit_or_drop(resonance)
-                pole_change = abs(resonance.best_fit.mode.pole - previous_pole)
+                pole_change = abs(resonance.best_fit.first_mode.pole - previous_pole)
                 has_moved |= resonance not in self.resonances or pole_change > 0.1 * float(
                     resonance.best_fit.omega_and_damping_errors[0]
                 )
@@ -702,7 +709,7 @@ def _compute_gain_and_squares_reduction(
         # Median of the difference of two normal errors.
         noise_scale = max(
             float(np.median(np.abs(successive_differences))) / (np.sqrt(2.0) * ndtri(0.75)),
-            run.rounding,
+            run.displacement_rounding,
         )
         steady_wave = 1.0 / (INITIAL_DAMPING_RATIO + 1j * (run.revolution_speeds / speed - 1.0))
         steady_wave = steady_wave[:, None] * np.ones_like(run.displacements)
@@ -770,7 +777,8 @@ class _Resonance:
             )
             gain_mode_pairs.sort(key=lambda gain_mode_pair: -gain_mode_pair[0])
             is_last_round = is_last_round or (
-                len(fit_by_mode) > 0 and gain_mode_pairs[0][1].order == self.best_fit.mode.order
+                len(fit_by_mode) > 0
+                and gain_mode_pairs[0][1].order == self.best_fit.first_mode.order
             )
             for gain, mode in gain_mode_pairs[: MAX_REFINED_ORDERS if is_last_round else 1]:
                 if gain > MIN_RELATIVE_PEAK * gain_mode_pairs[0][0] and mode not in fit_by_mode:
@@ -797,36 +805,45 @@ class _Resonance:
             return False
         return (
             CONFIDENCE_LEVELS.allowed_standard_errors * float(fit.omega_and_damping_errors[1])
-            < fit.mode.damping
+            < fit.first_mode.damping_ratio
             < 0.5 * DAMPING_RATIO_BOUNDS[1]
         )
 
     @property
     def speed(self) -> float:
         """Speed at which the order meets the frequency [rad/s]."""
-        return self.best_fit.mode.speed
+        return self.best_fit.first_mode.speed
 
     def is_near(
-        self, resonance: _Resonance, width: float = 2.0 * RELATIVE_SPEED_HALF_WIDTH
+        self,
+        other_resonance: _Resonance,
+        allowed_relative_distance: float = 2.0 * RELATIVE_SPEED_HALF_WIDTH,
     ) -> bool:
         """Return True if another resonance is within a relative distance in speed."""
-        return resonance is not self and abs(resonance.speed / self.speed - 1.0) < width
+        return (
+            other_resonance is not self
+            and abs(other_resonance.speed / self.speed - 1.0) < allowed_relative_distance
+        )
 
     def list_neighbours(self, resonances: Sequence[_Resonance]) -> list[_Resonance]:
         """Return the other resonances with overlapping fitted speeds."""
         return [resonance for resonance in resonances if self.is_near(resonance)]
 
-    def has_within_width(self, resonance: _Resonance) -> bool:
+    def has_within_width(self, other_resonance: _Resonance) -> bool:
         """Return True if another resonance is nearer than this one's width."""
-        return self.is_near(resonance, 2.0 * self.best_fit.mode.damping)
+        return self.is_near(other_resonance, 2.0 * self.best_fit.first_mode.damping_ratio)
 
-    def may_be_residual_of(self, resonance: _Resonance) -> bool:
+    def may_be_residual_of(self, other_resonance: _Resonance) -> bool:
         """Return True if a larger resonance with the same order covers this one."""
-        larger_fit, own_fit = resonance.best_fit, self.best_fit
+        larger_fit, own_fit = other_resonance.best_fit, self.best_fit
         is_covered_at_order = (
-            resonance.has_within_width(self) and larger_fit.mode.order == own_fit.mode.order
+            other_resonance.has_within_width(self)
+            and larger_fit.first_mode.order == own_fit.first_mode.order
         )
-        return is_covered_at_order and larger_fit.largest_amplitude > own_fit.largest_amplitude
+        return (
+            is_covered_at_order
+            and larger_fit.largest_first_mode_amplitude > own_fit.largest_first_mode_amplitude
+        )
 
     def refit_and_test_clarity(
         self, record: Record, displacements: np.ndarray, initial_mode: Mode | None = None
@@ -839,7 +856,7 @@ class _Resonance:
         if not runs:
             return False
         self.best_fit = Fit(
-            runs, [initial_mode or self.best_fit.mode], self._make_initial_weights(runs)
+            runs, [initial_mode or self.best_fit.first_mode], self._make_initial_weights(runs)
         )
         self._runs = runs
         return self.is_clear
@@ -867,7 +884,9 @@ class _Resonance:
         runs = record.find_runs(displacements, self.speed)
         weights_of_runs = [run.has_arrival.astype(float) for run in runs]
         best_fit = Fit(
-            runs, [pair_member.best_fit.mode for pair_member in resonance_pair], weights_of_runs
+            runs,
+            [pair_member.best_fit.first_mode for pair_member in resonance_pair],
+            weights_of_runs,
         )
         mode_lists: list[list[Mode]] = []
         for pair_member, pair_partner in (resonance_pair, resonance_pair[::-1]):
@@ -877,9 +896,9 @@ class _Resonance:
             run_weight_pairs = zip(
                 record.find_runs(member_displacements, self.speed), best_fit.weights, strict=True
             )
-            mode = pair_member.best_fit.mode
+            mode = pair_member.best_fit.first_mode
             gain_mode_pairs = _list_best_gains_and_modes(
-                run_weight_pairs, orders, pair_member.speed, mode.damping
+                run_weight_pairs, orders, pair_member.speed, mode.damping_ratio
             )
             mode_lists.append(
                 [
@@ -891,7 +910,7 @@ class _Resonance:
         for _ in range(MAX_SEARCH_ROUNDS):
             weights_of_runs, previous_fit = best_fit.weights, best_fit
             pair_gains = _compute_squares_reductions_by_pairs(runs, mode_lists, weights_of_runs)
-            for index_pair in _choose_index_pairs(pair_gains):
+            for index_pair in _choose_order_index_pairs(pair_gains):
                 modes = mode_lists[0][index_pair[0]], mode_lists[1][index_pair[1]]
                 if modes not in fit_by_modes:
                     fit_by_modes[modes] = Fit(runs, modes, weights_of_runs)
@@ -925,20 +944,21 @@ class _Resonance:
         are fitted together, so that errors include their uncertainty.
         """
         neighbours = [
-            resonance
-            for resonance in resonances
-            if self.is_near(resonance, RELATIVE_SPEED_HALF_WIDTH)
+            other_resonance
+            for other_resonance in resonances
+            if self.is_near(other_resonance, RELATIVE_SPEED_HALF_WIDTH)
         ]
         best_fit, runs = self.best_fit, self._runs
-        modes = [resonance.best_fit.mode for resonance in (self, *neighbours)]
+        modes = [fitted_resonance.best_fit.first_mode for fitted_resonance in (self, *neighbours)]
         if neighbours:
             resonance_motions = [
-                resonance.best_fit.compute_motion(record, len(residuals))
-                for resonance in (self, *neighbours)
+                fitted_resonance.best_fit.compute_motion(record, len(residuals))
+                for fitted_resonance in (self, *neighbours)
             ]
             runs = record.find_runs(residuals + sum(resonance_motions), self.speed)
             best_fit = Fit(runs, modes, self._make_initial_weights(runs))
-        mode, stiffening = best_fit.mode, record.stiffening(self.speed, best_fit.mode.omega)
+        mode = best_fit.first_mode
+        stiffening = record.stiffening(self.speed, best_fit.first_mode.omega)
         run_weight_pairs = list(zip(runs, best_fit.weights, strict=True))
         single_run_fits = (
             [Fit([run], best_fit.modes, [run_weights]) for run, run_weights in run_weight_pairs]
@@ -947,33 +967,37 @@ class _Resonance:
         )
         # Orders that resonate within the width of each other are claims on the same vibration.
         rival_resonances = [
-            resonance
-            for resonance in resonances
-            if self.has_within_width(resonance) or resonance.has_within_width(self)
+            other_resonance
+            for other_resonance in resonances
+            if self.has_within_width(other_resonance) or other_resonance.has_within_width(self)
         ]
         margin_by_order = self.margins | {
-            resonance.best_fit.mode.order: 0.0 for resonance in rival_resonances
+            rival_resonance.best_fit.first_mode.order: 0.0 for rival_resonance in rival_resonances
         }
-        errors, orders = best_fit.omega_and_damping_errors, np.array(sorted(margin_by_order))
+        omega_and_damping_errors = best_fit.omega_and_damping_errors
+        compared_orders = np.array(sorted(margin_by_order))
         return PassageFit(
             order=mode.order,
             omega=mode.omega,
-            omega_error=float(errors[0]),
-            damping=(1.0 - stiffening) * mode.damping,
-            damping_error=(1.0 - stiffening) * float(errors[1]),
-            amplitude=best_fit.largest_amplitude,
+            omega_error=float(omega_and_damping_errors[0]),
+            damping=(1.0 - stiffening) * mode.damping_ratio,
+            damping_error=(1.0 - stiffening) * float(omega_and_damping_errors[1]),
+            amplitude=best_fit.largest_first_mode_amplitude,
             forces=best_fit.forces[0],
-            ends=np.array([(run.begin, run.end) for run in runs]),
-            omegas=np.array([fit.mode.omega for fit in single_run_fits]),
+            ends=np.array([(run.begin_revolution, run.end_revolution) for run in runs]),
+            omegas=np.array([fit.first_mode.omega for fit in single_run_fits]),
             omega_errors=np.array([fit.omega_and_damping_errors[0] for fit in single_run_fits]),
-            dampings=(1.0 - stiffening) * np.array([fit.mode.damping for fit in single_run_fits]),
+            dampings=(1.0 - stiffening)
+            * np.array([fit.first_mode.damping_ratio for fit in single_run_fits]),
             damping_errors=(1.0 - stiffening)
             * np.array([fit.omega_and_damping_errors[1] for fit in single_run_fits]),
-            orders=orders,
-            margins=np.array([margin_by_order[order] for order in orders]),
+            orders=compared_orders,
+            margins=np.array(
+                [margin_by_order[compared_order] for compared_order in compared_orders]
+            ),
             probes=max(run.n_probes for run in runs),
             scatter=float(np.sqrt(best_fit.noise.variance)),
-            whiteness=best_fit.whiteness,
+            whiteness=best_fit.whiteness_p_value,
             asynchronous=line_fits,
             blind=(),
             stiffening=stiffening,
@@ -1047,11 +1071,11 @@ def _compute_squares_reductions_by_pairs(
     return reduction_sums
 
 
-def _choose_index_pairs(squares_reductions: np.ndarray) -> set[tuple[int, int]]:
+def _choose_order_index_pairs(squares_reductions: np.ndarray) -> set[tuple[int, int]]:
     """Choose the index pairs to refine.
 
     Each of the best few modes has its best partner.
-    ``gains`` (n, m) [m^2] are reductions of the sum of squares.
+    ``squares_reductions`` (n, m) [m^2] are reductions of the sum of squares.
     """
     best_first_indices, best_second_indices = (
         np.argsort(-squares_reductions.max(axis=1 - axis))[: MAX_REFINED_ORDERS // 2]

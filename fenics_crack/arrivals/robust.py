@@ -181,7 +181,9 @@ class StudentNoise:
         n_spare = len(self.residuals) - self.n_unknowns
         return float(self.psi @ self.psi) / (n_spare * self.mean_psi_slope**2)
 
-    def whiteness(self, places: RevolutionsAndProbes, mark_shares: np.ndarray) -> float:
+    def compute_whiteness_p_value(
+        self, places: RevolutionsAndProbes, mark_shares: np.ndarray
+    ) -> float:
         """Return the probability that noise alone leaves residuals as correlated.
 
         Noise comes from arrivals and marks. The correlation is between values of psi at one probe,
@@ -378,11 +380,11 @@ def _arrange_by_revolution_and_probe(
 ) -> np.ndarray:
     """Arrange values (n, ...) by revolution and probe, otherwise 0."""
     revolution_indices, probe_indices = places[0] - places[0].min(), places[1]
-    table = np.zeros(
+    value_table = np.zeros(
         (int(revolution_indices.max()) + 1, int(probe_indices.max()) + 1, *values.shape[1:])
     )
-    table[revolution_indices, probe_indices] = values
-    return table
+    value_table[revolution_indices, probe_indices] = values
+    return value_table
 
 
 def fit_noise_by_reweighting(
@@ -411,19 +413,21 @@ def fit_noise_by_reweighting(
     """
     previous_residuals, trial_scales = np.inf, None
     for _ in range(MAX_WEIGHTING_ROUNDS):
-        noise = StudentNoise(residual_function(weights), n_unknowns, min_scale, trial_scales)
-        trial_scales = noise.trial_scales
-        largest_changes = (
-            np.abs(noise.weights - weights).max(),
-            np.abs(noise.residuals - previous_residuals).max(),
+        student_noise = StudentNoise(
+            residual_function(weights), n_unknowns, min_scale, trial_scales
         )
-        weights, previous_residuals = noise.weights, noise.residuals
+        trial_scales = student_noise.trial_scales
+        largest_changes = (
+            np.abs(student_noise.weights - weights).max(),
+            np.abs(student_noise.residuals - previous_residuals).max(),
+        )
+        weights, previous_residuals = student_noise.weights, student_noise.residuals
         if (
             largest_changes[0] < WEIGHTING_TOLERANCE
-            and largest_changes[1] < WEIGHTING_TOLERANCE * noise.scale
+            and largest_changes[1] < WEIGHTING_TOLERANCE * student_noise.scale
         ):
             break
-    return noise
+    return student_noise
 
 
 def find_least_squares_residuals(

@@ -71,7 +71,8 @@ class Run:
         self, record: Record, displacements: np.ndarray, begin_revolution: int, end_revolution: int
     ) -> None:
         arrivals, revolution_slice = record.arrivals, slice(begin_revolution, end_revolution)
-        self.begin, self.end, self._stiffening = begin_revolution, end_revolution, record.stiffening
+        self.begin_revolution, self.end_revolution = begin_revolution, end_revolution
+        self._stiffening = record.stiffening
         self.has_arrival = np.isfinite(displacements[revolution_slice])
         self.displacements = np.where(self.has_arrival, displacements[revolution_slice], 0.0)
         self.nominal_angle = arrivals.nominal_angle[revolution_slice]
@@ -80,7 +81,7 @@ class Run:
             self.has_arrival, arrivals.angle[revolution_slice], self.nominal_angle
         )
         self.revolution_speeds = record.revolution_speeds[revolution_slice]
-        self.rounding = arrivals.rounding
+        self.displacement_rounding = arrivals.displacement_rounding
         self.scaled_speed = (self.revolution_speeds - self.revolution_speeds.mean()) / (
             self.revolution_speeds.max() - self.revolution_speeds.min()
         )
@@ -95,25 +96,27 @@ class Run:
 
         The poles lambda (m,) [1/s] are equally far apart.
         """
-        times, phases, phase_rates, rotations = self._compute_times_phases_rotations(order)
+        times, wave_phases, phase_rates, rotations = self._compute_times_phases_rotations(order)
         one_minus_stiffening = self._compute_one_minus_stiffening(order, poles)
         poles = poles[:, None]
         envelopes = np.empty((len(poles), len(times)), dtype=complex)
         envelopes[:, :1] = 1.0 / (1j * phase_rates[0] - poles)
-        responses = 1.0 / (1j * phase_rates - poles)
+        steady_responses = 1.0 / (1j * phase_rates - poles)
         for part_slice in self._list_slices_without_overflow(
             one_minus_stiffening * poles.real.min()
         ):
             durations = one_minus_stiffening * (times[part_slice] - times[part_slice.start])
             first_growths = np.exp(
-                1j * one_minus_stiffening * (phases[part_slice] - phases[part_slice.start])
+                1j
+                * one_minus_stiffening
+                * (wave_phases[part_slice] - wave_phases[part_slice.start])
                 - poles[0] * durations
             )
             growth_ratios = np.exp((poles[0] - poles[-1]) / max(len(poles) - 1, 1) * durations)
             growths_by_pole = np.cumprod(
                 [first_growths, *[growth_ratios] * (len(poles) - 1)], axis=0
             )
-            response_sums = (growths_by_pole[:, 1:] - growths_by_pole[:, :-1]) * responses[
+            response_sums = (growths_by_pole[:, 1:] - growths_by_pole[:, :-1]) * steady_responses[
                 :, part_slice.start : part_slice.stop - 1
             ]
             np.cumsum(response_sums, axis=1, out=response_sums)
@@ -134,19 +137,21 @@ class Run:
         The slope is the derivative by ln lambda, with the factor zeta w_n held constant.
         """
         order, mode_pole = mode.order, mode.pole
-        times, phases, phase_rates, rotations = self._compute_times_phases_rotations(order)
+        times, wave_phases, phase_rates, rotations = self._compute_times_phases_rotations(order)
         one_minus_stiffening = self._compute_one_minus_stiffening(order, np.array([mode_pole]))
         envelopes = np.empty((2, len(times)), dtype=complex)
-        responses = 1.0 / (1j * phase_rates - mode_pole)
-        envelopes[0, 0], envelopes[1, 0] = responses[0], responses[0] ** 2
+        steady_responses = 1.0 / (1j * phase_rates - mode_pole)
+        envelopes[0, 0], envelopes[1, 0] = steady_responses[0], steady_responses[0] ** 2
         for part_slice in self._list_slices_without_overflow(one_minus_stiffening * mode_pole.real):
             durations = one_minus_stiffening * (times[part_slice] - times[part_slice.start])
             growths = np.exp(
-                1j * one_minus_stiffening * (phases[part_slice] - phases[part_slice.start])
+                1j
+                * one_minus_stiffening
+                * (wave_phases[part_slice] - wave_phases[part_slice.start])
                 - mode_pole * durations
             )
             growth_and_slope = np.stack([growths, -durations * growths])
-            part_responses = responses[part_slice.start : part_slice.stop - 1]
+            part_responses = steady_responses[part_slice.start : part_slice.stop - 1]
             envelope_changes = (growth_and_slope[:, 1:] - growth_and_slope[:, :-1]) * part_responses
             envelope_changes[1] += envelope_changes[0] * part_responses
             part_envelopes = (
@@ -168,12 +173,12 @@ class Run:
         rotation : (n,)
             exp(i p alpha) with vibration.
         """
-        phases = order * self.nominal_angle.ravel()
+        wave_phases = order * self.nominal_angle.ravel()
         rotations = np.exp(1j * order * self.angle.ravel())
         return (
             self._elapsed_times,
-            phases,
-            np.diff(phases) / np.diff(self._elapsed_times),
+            wave_phases,
+            np.diff(wave_phases) / np.diff(self._elapsed_times),
             rotations,
         )
 
@@ -335,7 +340,7 @@ class Mode:
         return abs(self.pole)
 
     @property
-    def damping(self) -> float:
+    def damping_ratio(self) -> float:
         """Ratio of critical damping."""
         return -self.pole.real / abs(self.pole)
 
@@ -346,13 +351,15 @@ class Mode:
 
     def with_step(self, step: np.ndarray) -> Mode:
         """Return the mode after a step (2,) in ln w_n, over zeta, and ln zeta."""
-        omega = self.omega * math.exp(self.damping * step[0])
-        return Mode(self.order, complex(compute_poles(omega, self.damping * math.exp(step[1]))))
+        omega = self.omega * math.exp(self.damping_ratio * step[0])
+        return Mode(
+            self.order, complex(compute_poles(omega, self.damping_ratio * math.exp(step[1])))
+        )
 
     def find_step_to(self, omega: float, damping_ratio: float) -> list[float]:
         """Return the step for :meth:`with_step` to a frequency [rad/s] and a damping ratio."""
-        frequency_step = math.log(omega / self.omega) / self.damping
-        return [frequency_step, math.log(damping_ratio / self.damping)]
+        frequency_step = math.log(omega / self.omega) / self.damping_ratio
+        return [frequency_step, math.log(damping_ratio / self.damping_ratio)]
 
 
 class Fit:
@@ -390,7 +397,10 @@ class Fit:
         )
         n_unknowns = 2 * len(modes) + sum(2 * len(modes) + 2 * run.n_probes for run in runs)
         self.noise = fit_noise_by_reweighting(
-            self._refit_modes_and_return_residuals, initial_weights, n_unknowns, runs[0].rounding
+            self._refit_modes_and_return_residuals,
+            initial_weights,
+            n_unknowns,
+            runs[0].displacement_rounding,
         )
 
     def _refit_modes_and_return_residuals(self, weights: np.ndarray) -> np.ndarray:
@@ -410,11 +420,14 @@ class Fit:
         def residuals_and_slopes(steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             mode_step_pairs = zip(initial_modes, steps.reshape(-1, 2), strict=True)
             self.modes = tuple(
-                mode.with_step(step) if any(step) else mode for mode, step in mode_step_pairs
+                mode.with_step(mode_step) if any(mode_step) else mode
+                for mode, mode_step in mode_step_pairs
             )
-            units = np.array([unit for mode in initial_modes for unit in (mode.damping, 1.0)])
+            step_units = np.array(
+                [step_unit for mode in initial_modes for step_unit in (mode.damping_ratio, 1.0)]
+            )
             residual_vector, self._slopes = self._fit_forces_and_return_residuals(run_weights)
-            return residual_vector, self._slopes * units
+            return residual_vector, self._slopes * step_units
 
         lower_bounds, upper_bounds = np.concatenate(step_bounds, axis=1)
         return find_least_squares_residuals(
@@ -492,7 +505,7 @@ class Fit:
         return run_arrays
 
     @property
-    def mode(self) -> Mode:
+    def first_mode(self) -> Mode:
         """First mode, or the only one."""
         return self.modes[0]
 
@@ -501,7 +514,7 @@ class Fit:
         """Revolutions and probes of the arrivals: two (n,)."""
         row_probe_pairs = [np.nonzero(run.has_arrival) for run in self._runs]
         revolution_indices = [
-            run.begin + row_indices
+            run.begin_revolution + row_indices
             for run, (row_indices, _) in zip(self._runs, row_probe_pairs, strict=True)
         ]
         return np.concatenate(revolution_indices), np.concatenate(
@@ -511,16 +524,24 @@ class Fit:
     @cached_property
     def omega_and_damping_errors(self) -> np.ndarray:
         """Standard errors of the first mode's frequency [rad/s] and damping: (2,)."""
-        columns = self._slopes / np.sqrt(self.noise.weights)[:, None]
-        covariance = self.noise.coefficient_covariance(columns, self.revolutions_and_probes)
-        return np.sqrt(np.diag(covariance)[:2]) * [self.mode.omega, self.mode.damping]
+        unweighted_slopes = self._slopes / np.sqrt(self.noise.weights)[:, None]
+        covariance = self.noise.coefficient_covariance(
+            unweighted_slopes, self.revolutions_and_probes
+        )
+        return np.sqrt(np.diag(covariance)[:2]) * [
+            self.first_mode.omega,
+            self.first_mode.damping_ratio,
+        ]
 
     @cached_property
-    def largest_amplitude(self) -> float:
+    def largest_first_mode_amplitude(self) -> float:
         """Largest amplitude [m] of the first mode in the runs."""
         force_run_pairs = zip(self.forces[0], self._runs, strict=True)
         return float(
-            max(np.abs(force * run.compute_wave(self.mode)).max() for force, run in force_run_pairs)
+            max(
+                np.abs(complex_force * run.compute_wave(self.first_mode)).max()
+                for complex_force, run in force_run_pairs
+            )
         )
 
     def compute_motion(self, record: Record, n_revolutions: int, mode_index: int = 0) -> np.ndarray:
@@ -530,24 +551,25 @@ class Fit:
         """
         run_motions = []
         halfway_revolutions = [
-            (run.end + next_run.begin) // 2 for run, next_run in itertools.pairwise(self._runs)
+            (run.end_revolution + next_run.begin_revolution) // 2
+            for run, next_run in itertools.pairwise(self._runs)
         ]
         revolution_ranges = itertools.pairwise([0, *halfway_revolutions, n_revolutions])
         zero_displacements = np.zeros(record.arrivals.time.shape)
-        for (begin_revolution, end_revolution), force in zip(
+        for (begin_revolution, end_revolution), complex_force in zip(
             revolution_ranges, self.forces[mode_index], strict=True
         ):
             wave = Run(record, zero_displacements, begin_revolution, end_revolution).compute_wave(
                 self.modes[mode_index]
             )
-            run_motions.append((force * wave).real)
+            run_motions.append((complex_force * wave).real)
         return np.concatenate(run_motions)
 
     @property
-    def whiteness(self) -> float:
+    def whiteness_p_value(self) -> float:
         """Probability that noise alone leaves residuals as correlated.
 
-        From :meth:`StudentNoise.whiteness`.
+        From :meth:`StudentNoise.compute_whiteness_p_value`.
         """
         mark_numbers = np.arange(-4.0, 6.0)  # those beyond hardly change the spline of the angle
         mark_shares = interpolate_by_splines(
@@ -555,7 +577,7 @@ class Fit:
             np.eye(len(mark_numbers)),
             self._runs[0].nominal_angle[0] / RAD_PER_TURN % 1.0,
         ).T
-        return self.noise.whiteness(self.revolutions_and_probes, mark_shares)
+        return self.noise.compute_whiteness_p_value(self.revolutions_and_probes, mark_shares)
 
     @property
     def weights(self) -> list[np.ndarray]:
@@ -573,9 +595,11 @@ class Fit:
         n_probes = self._runs[0].nominal_angle.shape[1]
         matrices, vectors = np.zeros((n_probes, 2, 2)), np.zeros((n_probes, 2))
         size_ratios = np.ones(n_probes)
-        for run, force, run_weights in zip(self._runs, self.forces[0], self.weights, strict=True):
+        for run, complex_force, run_weights in zip(
+            self._runs, self.forces[0], self.weights, strict=True
+        ):
             run_equations = run.build_equations_by_probe(
-                force * run.compute_wave(self.mode), run_weights
+                complex_force * run.compute_wave(self.first_mode), run_weights
             )
             matrices, vectors = matrices + run_equations[0], vectors + run_equations[1]
         has_motion = matrices.any(axis=(1, 2))
@@ -610,6 +634,6 @@ class Fit:
 
         n_drift_unknowns = self.noise.n_unknowns - 2 * len(self.modes) * (1 + len(self._runs))
         drift_noise = fit_noise_by_reweighting(
-            solve, self.noise.weights, n_drift_unknowns, self._runs[0].rounding
+            solve, self.noise.weights, n_drift_unknowns, self._runs[0].displacement_rounding
         )
         return drift_noise.cost - self.noise.cost

@@ -254,7 +254,7 @@ def write_bytes_at(file_descriptor: int, content: bytes | memoryview, offset: in
 
 @contextlib.contextmanager
 def report_write_errors(
-    path: str | Path, key: str, requirement: str = "a file that can be written"
+    path: str | Path, key: str, requirement_text: str = "a file that can be written"
 ) -> Iterator[None]:
     """Raise an OSError of the block as the InputError of an unwritable file.
 
@@ -264,7 +264,7 @@ def report_write_errors(
     ----------
     path, key
         The file, and the key that named it.
-    requirement : str
+    requirement_text : str
         Description of an allowed file.
     """
     try:
@@ -273,4 +273,6 @@ def report_write_errors(
         if isinstance(error, FileExistsError) and error.filename2:  # of the link to a new name
             raise
         error_class = WriteError if error.errno in DISK_FULL_ERROR_NUMBERS else InputError
-        raise error_class(key, str(path), f"{requirement} ({error.strerror or error})") from None
+        raise error_class(
+            key, str(path), f"{requirement_text} ({error.strerror or error})"
+        ) from None

@@ -22,7 +22,7 @@ MAX_HARMONIC_ORDER = 100
 
 Each order of a load takes two rows as long as the displacement.
 """
-MAX_CASES = 10**6
+MAX_VALUES_OF_AXIS = 10**6
 """Maximum values of an axis of a sweep, speeds of a diagram, and patterns of mistuning.
 
 At one second a case, a computation takes 12 days.
@@ -118,7 +118,7 @@ INTERRUPTED_CURVE_STATUS = "interrupted"
 
 
 @contextlib.contextmanager
-def report_read_errors(key: str, path: object, requirement: str) -> Iterator[None]:
+def report_read_errors(key: str, path: object, requirement_text: str) -> Iterator[None]:
     """Raise any error of reading a file as an InputError, with the error as cause."""
     try:
         yield
@@ -129,7 +129,7 @@ def report_read_errors(key: str, path: object, requirement: str) -> Iterator[Non
         raise InputError(key, str(path), f"a readable file ({reason_text})") from error
     except Exception as error:  # of whatever reads it
         reason_text = next(iter(str(error).splitlines()), "") or type(error).__name__
-        raise InputError(key, str(path), f"{requirement} ({reason_text})") from error
+        raise InputError(key, str(path), f"{requirement_text} ({reason_text})") from error
 
 
 def check_number(
@@ -191,9 +191,9 @@ def check_rayleigh_damping_ratios(
     min_allowed_ratio = low_ratio * (low_omega / high_omega)
     max_allowed_ratio = low_ratio * (high_omega / low_omega)
     if not min_allowed_ratio * (1.0 - 1e-15) <= high_ratio <= max_allowed_ratio * (1.0 + 1e-15):
-        requirement = (
+        requirement_text = (
             "ratios with which both Rayleigh coefficients are >= 0: for "
             f"{low_ratio:g} at {low_omega:g} rad/s, a ratio from {min_allowed_ratio:g} to "
             f"{max_allowed_ratio:g} at {high_omega:g} rad/s"
         )
-        raise InputError(key, tuple(damping_ratios), requirement)
+        raise InputError(key, tuple(damping_ratios), requirement_text)

@@ -48,10 +48,10 @@ def report_missing_libraries() -> Iterator[None]:
         library_name, _, reason_text = str(error).partition(": ")
         if not reason_text.startswith("cannot open shared object file"):
             raise
-        requirement = (
+        requirement_text = (
             "installed with the system's package manager (docs/install.md lists the packages)"
         )
-        raise InputError(library_name, None, requirement) from error
+        raise InputError(library_name, None, requirement_text) from error
 
 
 def find_c_compiler() -> str:
@@ -70,16 +70,16 @@ def find_c_compiler() -> str:
         command for command in candidate_commands if program_on_path(shlex.split(command)[0])
     ]
     if not present_commands:
-        requirement = (
+        requirement_text = (
             "an installed C compiler, which DOLFINx needs: install gcc or clang, or correct CC"
         )
-        raise InputError("CC", candidate_commands[0], requirement)
+        raise InputError("CC", candidate_commands[0], requirement_text)
     header_file = Path(sysconfig.get_path("include"), "Python.h")
     if not header_file.exists():
-        requirement = (
+        requirement_text = (
             "an existing file: install python3-dev (Debian, Ubuntu) or python3-devel (Fedora)"
         )
-        raise InputError("Python.h", str(header_file), requirement)
+        raise InputError("Python.h", str(header_file), requirement_text)
     return present_commands[0]
 
 

@@ -26,7 +26,7 @@ class Place(Enum):
 
     POINT = "each watched point and direction"
     FACES = "all crack faces"
-    MODES = "the mode whose bilinear frequency is nearest to the load frequency"
+    NEAREST_MODE = "the mode whose bilinear frequency is nearest to the load frequency"
     TIPS = "the crack tip, or front station, with the largest effective range of K_I"
     ELLIPSE = "the deepest place and the ends of a half-ellipse"
     CLAMP = "the clamp"
@@ -34,7 +34,7 @@ class Place(Enum):
     @property
     def is_made_on_request(self) -> bool:
         """True if the rows are made only for a scene that requests these numbers."""
-        return self not in (Place.POINT, Place.FACES, Place.MODES)
+        return self not in (Place.POINT, Place.FACES, Place.NEAREST_MODE)
 
 
 class ObservableFlag(Flag):
@@ -99,7 +99,10 @@ def _max_vector_norm(vectors: np.ndarray) -> Any:
 
 
 _make_point_row, _make_face_row = partial(Observable, Place.POINT), partial(Observable, Place.FACES)
-_make_mode_row, _make_tip_row = partial(Observable, Place.MODES), partial(Observable, Place.TIPS)
+_make_mode_row, _make_tip_row = (
+    partial(Observable, Place.NEAREST_MODE),
+    partial(Observable, Place.TIPS),
+)
 _make_ellipse_row = partial(Observable, Place.ELLIPSE, unit="Pa m^0.5", flags=REQUIRES_GROWTH_LAW)
 _make_clamp_row = partial(Observable, Place.CLAMP)
 

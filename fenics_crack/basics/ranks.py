@@ -77,8 +77,10 @@ def check_scalar_type() -> None:
     from petsc4py import PETSc
 
     if PETSc.ScalarType is not np.float64:
-        requirement = "float64: install PETSc for real numbers (dolfinx-solver-real, petsc=*=real*)"
-        raise InputError("PETSc.ScalarType", PETSc.ScalarType.__name__, requirement)
+        requirement_text = (
+            "float64: install PETSc for real numbers (dolfinx-solver-real, petsc=*=real*)"
+        )
+        raise InputError("PETSc.ScalarType", PETSc.ScalarType.__name__, requirement_text)
 
 
 check_scalar_type()
@@ -112,10 +114,10 @@ if MPI.COMM_WORLD.size > 1:  # it ends together, too; a rank of a sweep may come
 def check_communicator(comm: object) -> None:
     """Raise InputError unless a value is a communicator of mpi4py."""
     if not isinstance(comm, MPI.Comm) or comm == MPI.COMM_NULL:
-        requirement = "a communicator of mpi4py, such as MPI.COMM_WORLD"
+        requirement_text = "a communicator of mpi4py, such as MPI.COMM_WORLD"
         if isinstance(comm, Mapping):
-            requirement += "; to change a scene, call scene.replace({...})"
-        raise InputError("comm", comm, requirement)
+            requirement_text += "; to change a scene, call scene.replace({...})"
+        raise InputError("comm", comm, requirement_text)
 
 
 MIN_SLEEP_SECONDS, MAX_SLEEP_SECONDS = 5e-5, 2e-3

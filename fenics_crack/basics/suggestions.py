@@ -201,9 +201,9 @@ def check_options(
     for key, value in options.items():
         if key not in option_names:
             question_text = did_you_mean_text(find_similar_or_longer_names(key, option_names))
-            requirement = f"left out; {question_text}the options of {owner_words} are "
-            requirement += ", ".join(option_names)
-            raise InputError(key, value, requirement)
+            requirement_text = f"left out; {question_text}the options of {owner_words} are "
+            requirement_text += ", ".join(option_names)
+            raise InputError(key, value, requirement_text)
 
 
 def _class_names_of(value: object) -> set[str]:
@@ -251,11 +251,13 @@ def fit_argument_to_annotation(
             or f"a{'n' * (class_name[0] in 'AEIO')} {class_name}"
             for class_name in annotation_class_names
         ]
-        requirement = " or ".join(class_descriptions)
+        requirement_text = " or ".join(class_descriptions)
         if is_plain_value:
-            raise InputError(key, value, requirement)
+            raise InputError(key, value, requirement_text)
         class_name = type(value).__name__
-        raise InputError(key, class_name, f"{requirement}; this argument is of class {class_name}")
+        raise InputError(
+            key, class_name, f"{requirement_text}; this argument is of class {class_name}"
+        )
     return value
 
 
@@ -382,12 +384,12 @@ def convert_to_unit_or_none(text: str, unit: str) -> float | None:
     given_unit = re.sub(r"([a-z])([23])\b", r"\1^\2", (number_match[2] or unit).strip())
     if given_unit == unit:
         return number
-    factor = FOREIGN_FACTORS_BY_UNIT.get(unit, {}).get(given_unit)
-    if factor is None and unit and given_unit.endswith(unit):
-        factor = FACTOR_BY_UNIT_PREFIX.get(given_unit.removesuffix(unit))
-    if factor is None or not math.isfinite(number * factor):
+    unit_factor = FOREIGN_FACTORS_BY_UNIT.get(unit, {}).get(given_unit)
+    if unit_factor is None and unit and given_unit.endswith(unit):
+        unit_factor = FACTOR_BY_UNIT_PREFIX.get(given_unit.removesuffix(unit))
+    if unit_factor is None or not math.isfinite(number * unit_factor):
         return None
-    return float(f"{number * factor:.12g}")  # no 0.30000000000000004
+    return float(f"{number * unit_factor:.12g}")  # no 0.30000000000000004
 
 
 def yield_candidate_values(value: object, unit: str) -> Iterator[object]:

@@ -333,16 +333,18 @@ def add_frequency_entries(values_by_name: dict[str, Any]) -> dict[str, Any]:
 
     "frequency" [Hz] follows "omega" [rad/s], "rpm" follows "speed" [rad/s]: numbers or lists.
     """
-    second_name_factor_by_name = {
+    added_name_and_unit_by_name = {
         "omega": ("frequency", RAD_PER_TURN),
         "speed": ("rpm", RAD_PER_S_PER_RPM),
     }
     extended_value_by_name: dict[str, Any] = {}
     for name, value in values_by_name.items():
         extended_value_by_name[name] = value
-        if name in second_name_factor_by_name:
-            second_name, factor = second_name_factor_by_name[name]
-            extended_value_by_name[second_name] = (np.array(value) / factor).tolist()
+        if name in added_name_and_unit_by_name:
+            added_name, rad_per_s_per_added_unit = added_name_and_unit_by_name[name]
+            extended_value_by_name[added_name] = (
+                np.array(value) / rad_per_s_per_added_unit
+            ).tolist()
     return extended_value_by_name
 
 

@@ -66,11 +66,11 @@ def check_debian_module_versions() -> None:
 
         if version(module_name) != version_by_module[module_name]:
             remedy_text = f"run 'sh install.sh' again, or remove {Path(module_path).parent}"
-            requirement = (
+            requirement_text = (
                 f"{version_by_module[module_name]}, the version for which Debian's DOLFINx is built"
             )
-            requirement += f": {remedy_text}"
-            raise InputError(module_name, version(module_name), requirement)
+            requirement_text += f": {remedy_text}"
+            raise InputError(module_name, version(module_name), requirement_text)
 
 
 def is_started_by_mpirun() -> bool:

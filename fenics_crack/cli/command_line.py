@@ -100,7 +100,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
     gc.set_threshold(10_000)  # more than 100,000 objects stay, to be searched again and again
     atexit.register(gc.freeze)  # the system takes back what is left, garbage or not
     if any(os.environ.get(variable_name, "0") != "0" for variable_name in threads.RANK_VARIABLES):
-        _discard_rank_output()
+        _discard_output_of_this_rank()
     if sys.stdout is None:
         _print_to_stderr(
             "standard output is closed; open it, or redirect it to a file: > table.txt"
@@ -198,7 +198,7 @@ def _petsc_arguments() -> list[str]:
     return [*dropwhile(lambda argument: not argument.startswith("-crack_"), sys.argv[1:])]
 
 
-def _discard_rank_output() -> None:
+def _discard_output_of_this_rank() -> None:
     """Discard all text printed by this MPI rank; tracebacks still reach ``sys.__stderr__``."""
     sys.stdout = sys.stderr = open(os.devnull, "w")
 
@@ -306,7 +306,7 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
         )
     comm = MPI.COMM_WORLD
     if comm.rank > 0:
-        _discard_rank_output()
+        _discard_output_of_this_rank()
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # else PETSc ends the program if a reader leaves
     for signal_number in STOP_SIGNALS:
         signal.signal(signal_number, signal.default_int_handler)

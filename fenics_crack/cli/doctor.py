@@ -198,14 +198,14 @@ def _check_compiler() -> str:
     return f"{compiler_path}: {read_version_line(compiler_path)}"
 
 
-def _check_caches() -> str:
+def _settle_cache_folder() -> str:
     """Make the cache folder for compiled finite-element forms usable; return the path."""
     replace_unusable_caches()
     cache_folder = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return f"compiled forms are kept in {cache_folder}/fenics"
 
 
-def _check_pictures() -> str:
+def _check_picture_libraries() -> str:
     """Return the versions of Matplotlib and pyvista."""
     with report_missing_libraries():
         matplotlib_module, pyvista_module = map(import_module, ("matplotlib", "pyvista"))
@@ -281,12 +281,12 @@ CHECKS_BY_NAME = {
     "program": _describe_program,
     "NumPy": _check_numpy,
     "compiler": _check_compiler,
-    "caches": _check_caches,
+    "caches": _settle_cache_folder,
     "gmsh": _check_gmsh,
     "MPI": _check_mpi,
     "PETSc": _check_petsc,
     "DOLFINx": _check_dolfinx,
-    "pictures": _check_pictures,
+    "pictures": _check_picture_libraries,
     "two masses": _check_two_masses,
     "plate": _check_plate,
 }

@@ -32,7 +32,7 @@ from fenics_crack.basics.atomic_files import (
     prepare_folder,
     write_file_whole,
 )
-from fenics_crack.basics.errors import MAX_CASES, InputError, check_count
+from fenics_crack.basics.errors import MAX_VALUES_OF_AXIS, InputError, check_count
 from fenics_crack.basics.progress import LOGGER, StageLineHandler, begin_stage
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, Table
 from fenics_crack.basics.untrusted_files import read_regular_file, read_utf8_text
@@ -236,13 +236,14 @@ def _yield_further_errors(
 def _check_option_numbers(arguments: Namespace, scene: Scene) -> None:
     """Check the numbers of --count, --patterns and --deviation.
 
-    Raises InputError below 1 mode, outside 0 to :data:`MAX_CASES` patterns, or outside 0 to 0.1.
+    Raises InputError below 1 mode, outside 0 to :data:`MAX_VALUES_OF_AXIS` patterns, or outside 0
+    to 0.1.
     """
     if (mode_count := vars(arguments).get("count")) is not None:
         check_count("--count", mode_count, 1)
     if arguments.command == "disk":
         scene.given("disk")
-        check_count("--patterns", arguments.patterns, 0, MAX_CASES)
+        check_count("--patterns", arguments.patterns, 0, MAX_VALUES_OF_AXIS)
         if not 0.0 <= arguments.deviation <= 0.1:
             raise InputError("--deviation", arguments.deviation, "a number from 0 to 0.1")
 
@@ -264,14 +265,14 @@ def _find_campbell_speeds_or_none(arguments: Namespace, scene: Scene) -> np.ndar
     )
     if not (
         0.0 <= first_speed < last_speed < np.inf
-        and 2 <= n_speeds <= MAX_CASES
+        and 2 <= n_speeds <= MAX_VALUES_OF_AXIS
         and n_speeds % 1 == 0
     ):
         raise InputError(
             "--speeds",
             arguments.speeds or (first_speed, last_speed, n_speeds),
             "START STOP COUNT with 0 <= START < STOP, and COUNT a whole number from 2 to "
-            f"{MAX_CASES}",
+            f"{MAX_VALUES_OF_AXIS}",
         )
     return unit_factor * np.linspace(first_speed, last_speed, int(n_speeds))
 
@@ -546,13 +547,15 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
     from fenics_crack.basics.ranks import on_root  # PETSc
 
     scene_path: Path = arguments.file
-    options = [option for option in COMBINABLE_NEW_SCENE_OPTIONS if vars(arguments)[option]]
+    combinable_options = [
+        option for option in COMBINABLE_NEW_SCENE_OPTIONS if vars(arguments)[option]
+    ]
     exclusive_options = [
         option for option in EXCLUSIVE_NEW_SCENE_OPTIONS if vars(arguments)[option]
     ]
     exclusive_options += ["cad"] if arguments.cad else []
-    if exclusive_options and len(exclusive_options + options) > 1:
-        other_option_text = f"with --{(exclusive_options[1:] + options)[0]}"
+    if exclusive_options and len(exclusive_options + combinable_options) > 1:
+        other_option_text = f"with --{(exclusive_options[1:] + combinable_options)[0]}"
         raise InputError(
             f"--{exclusive_options[0]}", other_option_text, "used alone, as it writes another scene"
         )
@@ -572,9 +575,11 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
         texts_by_path = {scene_path: scene_text.replace("SCENE", shlex.quote(scene_path.name))}
     else:
         texts_by_path = {
-            scene_path: build_scene_text(scene_path.name, measurements_path.name, options)
+            scene_path: build_scene_text(
+                scene_path.name, measurements_path.name, combinable_options
+            )
         }
-    if "identify" in options:
+    if "identify" in combinable_options:
         texts_by_path[measurements_path] = read_packaged_text("cli/new_measured.csv")
 
     def write_files() -> None:
@@ -597,14 +602,17 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
         )
 
 
-def build_scene_text(scene_name: str, measurements_name: str, options: Collection[str]) -> str:
+def build_scene_text(
+    scene_name: str, measurements_name: str, combinable_options: Collection[str]
+) -> str:
     """Build the text of a new scene from the template of a plate.
 
     ``options`` are from :data:`COMBINABLE_NEW_SCENE_OPTIONS`. ``scene_name`` and
     ``measurements_name`` are names of files, mentioned in the text.
     """
     line_marks = [
-        f"(--{option})" for option in {*options, *(["blade"] if "timing" in options else [])}
+        f"(--{option})"
+        for option in {*combinable_options, *(["blade"] if "timing" in combinable_options else [])}
     ]
     template_lines = read_packaged_text(PLATE_TEMPLATE_PATH).splitlines()
     template_lines = [

@@ -204,7 +204,7 @@ def _draw_stress_intensity(run: Run[Any], picture_files: PictureFiles, file_stem
         plot.draw_stress_intensity(
             stress_intensities, path=picture_files(file_stem, caption), title=title
         )
-        if stress_intensities.three is not None and picture_files.has_vtk_files:
+        if stress_intensities.K_III is not None and picture_files.has_vtk_files:
             from fenics_crack.draw.vtk import write_fronts
 
             write_fronts(stress_intensities, picture_files(f"{file_stem}_along_fronts", "", "vtu"))

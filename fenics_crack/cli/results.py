@@ -253,7 +253,7 @@ def _front_tables_by_heading(run: Run[Any]) -> dict[str, Table]:
     columns_by_name = {
         "position": stress_intensities.positions,
         **stress_intensities.numbers,
-        "K_I while closed": stress_intensities.closed,
+        "K_I while closed": stress_intensities.closed_front_errors,
     }
     units_by_name = {name: "m" if name == "position" else "Pa m^0.5" for name in columns_by_name}
     lists_by_name = {
@@ -314,18 +314,20 @@ def _describe_departing_motions(solution: PeriodicSolution, watched_dof: int) ->
     The text has the half peak-to-peak displacement at ``watched_dof``, for periodic motions and for
     motions still varying. The text is empty if no motion was found.
     """
-    motions: list[tuple[bool, int, np.ndarray]] = []
+    departing_motions: list[tuple[bool, int, np.ndarray]] = []
     with suppress(ConvergenceError, InputError):
-        motions = [
+        departing_motions = [
             (attractor.orbit is not None, attractor.periods, attractor.amplitudes(watched_dof))
             for attractor in attractors(solution.structure, solution)
         ]
     settled_range_texts = dict.fromkeys(
-        _describe_range(amplitudes) for is_orbit, _, amplitudes in motions if is_orbit
+        _describe_range(amplitudes) for is_orbit, _, amplitudes in departing_motions if is_orbit
     )
     clause_texts = [f"settles to {' or '.join(settled_range_texts)}"] if settled_range_texts else []
     if varying_motions := [
-        (n_periods, amplitudes) for is_orbit, n_periods, amplitudes in motions if not is_orbit
+        (n_periods, amplitudes)
+        for is_orbit, n_periods, amplitudes in departing_motions
+        if not is_orbit
     ]:
         period_counts, amplitude_arrays = zip(*varying_motions, strict=True)
         amplitude_range_text = _describe_range(np.concatenate(amplitude_arrays))
@@ -514,7 +516,7 @@ def _yield_natural_frequencies(
         "omega_open" in rad/s, then "frequency_open" in Hz.
     value : ndarray
     """
-    for quantity_name in observable_names(Place.MODES):
+    for quantity_name in observable_names(Place.NEAREST_MODE):
         description = OBSERVABLES_BY_NAME[quantity_name].words
         unit = OBSERVABLES_BY_NAME[quantity_name].unit
         yield quantity_name, description, unit, frequencies_by_name[quantity_name]
@@ -558,17 +560,17 @@ def sample_waveforms(run: Run[Any]) -> Waveforms:
     motion, structure = run.result, run.structure.whole
     watched_dofs = [watched_displacement.dof for watched_displacement in run.watched]
     if isinstance(motion, TimeHistory):
-        time, displacement = motion.time, motion.displacement(watched_dofs)
+        instants, displacement = motion.time, motion.displacement(watched_dofs)
         gap, contact_force = motion.gap, motion.contact_force
     else:
-        time = np.linspace(0.0, motion.period, 401)
-        displacement, gap = motion.displacement(time, watched_dofs), motion.gap(time)
-        contact_force = motion.contact_force(time)
+        instants = np.linspace(0.0, motion.period, 401)
+        displacement, gap = motion.displacement(instants, watched_dofs), motion.gap(instants)
+        contact_force = motion.contact_force(instants)
     watched_pairs = structure.watched_pairs.values() if gap.size else ()
     closings_by_place = {
         structure.describe_pair(pair_index): gap[:, pair_index] for pair_index in watched_pairs
     }
-    return Waveforms(time, displacement, closings_by_place, contact_force)
+    return Waveforms(instants, displacement, closings_by_place, contact_force)
 
 
 def _tabulate_waveforms(run: Run, waveforms: Waveforms) -> Table:

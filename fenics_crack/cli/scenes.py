@@ -72,13 +72,13 @@ def compute_and_print_key_figures(_: Namespace, inputs: CommandInputs, console: 
         key_figures = find_key_figures(study)
     with console.report_stage("resonance at the load"):
         load_resonance = find_study_resonance(
-            study, key_figures.omega_bilinear, key_figures.speed_slopes
+            study, key_figures.omega_bilinear, key_figures.squared_omega_slopes
         )
     with console.report_stage("errors due to the mesh"):
         bonded_omega_by_kind = {"tied": key_figures.omega_tied} if structure.n_pairs else {}
         omega_by_kind = {"open": key_figures.omega_open} | bonded_omega_by_kind
         mesh_errors = estimate_frequency_mesh_errors(
-            study, omega_by_kind, load_resonance, key_figures.speed_slopes
+            study, omega_by_kind, load_resonance, key_figures.squared_omega_slopes
         )
         vibration_mesh_error = (
             0.0 if scene.structure is not None else mesh_errors.stated("vibration")[0]
@@ -362,17 +362,17 @@ def _describe_invalid_cases(scene: Scene) -> str:
     from fenics_crack.sweep.plan import Plan  # gmsh
 
     sweep_plan = Plan(scene)
-    case_indices = [
+    checked_case_indices = [
         *itertools.islice(np.ndindex(*sweep_plan.shape), 10_000)
     ]  # others while they are run
     reason_texts = [
         case_or_reason
-        for case_or_reason in map(sweep_plan.scene_or_reason_at, case_indices)
+        for case_or_reason in map(sweep_plan.scene_or_reason_at, checked_case_indices)
         if isinstance(case_or_reason, str)
     ]
     scope_text = (
-        f" of the first {len(case_indices)}"
-        if np.prod(sweep_plan.shape) > len(case_indices)
+        f" of the first {len(checked_case_indices)}"
+        if np.prod(sweep_plan.shape) > len(checked_case_indices)
         else ""
     )
     return f"{len(reason_texts)}{scope_text}" + (f": {reason_texts[0]}" if reason_texts else "")

@@ -50,7 +50,7 @@ def report_of_sweep(sweep_result: SweepResult) -> Report:
     short_table, selection_text = shorten_sweep_table(sweep_result)
     counts_by_state = {
         "converged": int(sweep_result.converged.sum()),
-        "failed": len(sweep_result.failed),
+        "failed": len(sweep_result.failed_indices_and_reasons),
     }
     counts_by_state["pending"] = sweep_result.converged.size - sum(counts_by_state.values())
     states_text = ", ".join(
@@ -66,9 +66,10 @@ def report_of_sweep(sweep_result: SweepResult) -> Report:
             "is above harmonic 3; see the columns ratio_largest and largest_order"
         )
     tables_by_heading = {"Cases": short_table}
-    if sweep_result.failed:
+    if sweep_result.failed_indices_and_reasons:
         failed_rows = [
-            (str(case_index), reason_text) for case_index, reason_text in sweep_result.failed
+            (str(case_index), reason_text)
+            for case_index, reason_text in sweep_result.failed_indices_and_reasons
         ]
         tables_by_heading["Failed cases"] = Table(("case", "reason"), failed_rows)
     return Report(
@@ -79,14 +80,16 @@ def report_of_sweep(sweep_result: SweepResult) -> Report:
         warnings=[*yield_sweep_warnings(sweep_result)],
         page_tables=tables_by_heading,
         remarks=[*remarks_on_scene(sweep_result.scene), *list_skipped_peak_remarks(sweep_result)],
-        has_converged=not sweep_result.failed
+        has_converged=not sweep_result.failed_indices_and_reasons
         and sweep_result.complete,  # mpirun calls all other ends an aborted job
     )
 
 
 def yield_sweep_warnings(sweep_result: SweepResult) -> Iterator[str]:
     """Yield warnings about failed cases, large errors, doubtful stability and an early stop."""
-    yield from iterate_texts_by_reason(sweep_result, sweep_result.failed, "failed")
+    yield from iterate_texts_by_reason(
+        sweep_result, sweep_result.failed_indices_and_reasons, "failed"
+    )
     yield from _yield_large_error_warnings(sweep_result)
     verdicts = sweep_result["verdict"][sweep_result.converged]
     counts_by_verdict = {
@@ -98,10 +101,12 @@ def yield_sweep_warnings(sweep_result: SweepResult) -> Iterator[str]:
         f"{case_count} {verdict}" for verdict, case_count in counts_by_verdict.items() if case_count
     ):
         yield f"stability: {verdict_counts_text} of {format_count(verdicts.size, 'case')}"
-    yield from iterate_texts_by_reason(sweep_result, sweep_result.undecided, "undecided")
+    yield from iterate_texts_by_reason(
+        sweep_result, sweep_result.undecided_indices_and_reasons, "undecided"
+    )
     for warning_text in iterate_texts_by_reason(
         sweep_result,
-        sweep_result.contradicted,
+        sweep_result.contradicted_indices_and_verdicts,
         f"or more with a verdict on stability that {MODE_DEPENDENCE_TEXT}",
     ):
         yield f"{warning_text}; raise {sweep_result.scene.modes_key}"
@@ -117,7 +122,7 @@ def _yield_large_error_warnings(sweep_result: SweepResult) -> Iterator[str]:
     modes, sampling or residual. Each group has a warning about the worst case.
     """
     error_limit = min(LARGE_ERROR, sweep_result.scene.harmonic_balance.tolerance or LARGE_ERROR)
-    part_errors = sweep_result.errors
+    part_errors = sweep_result.error_parts
     total_errors = np.where(sweep_result.converged, part_errors.sum(axis=0), 0.0)
     largest_part_indices = part_errors.argmax(axis=0)
     for part_index in np.unique(largest_part_indices[total_errors > error_limit]):

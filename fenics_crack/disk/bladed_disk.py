@@ -29,7 +29,7 @@ import scipy.linalg
 from mpi4py import MPI
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.basics.errors import MAX_CASES, InputError, check_count, check_number
+from fenics_crack.basics.errors import MAX_VALUES_OF_AXIS, InputError, check_count, check_number
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import (
     RAD_PER_TURN,
@@ -440,7 +440,7 @@ def amplification(
     >>> factors = fc.amplification(disk, patterns=100, deviation=0.01)
     >>> factors.percentile(95.0) < factors.bound
     """
-    check_count("patterns", patterns, 1, MAX_CASES)
+    check_count("patterns", patterns, 1, MAX_VALUES_OF_AXIS)
     check_count("seed", seed, 0)
     check_number("deviation", deviation, 0.0)
     scene.given("disk")

@@ -70,7 +70,7 @@ class SectorNumbering:
         member in the next sector.
     belongs_to_next_sector : (n,) bool
         True for members on the right side, a part of the next sector.
-    upper_members : (n_upper,) int
+    upper_face_members : (n_upper,) int
         Members on the upper crack face.
     """
 
@@ -97,9 +97,9 @@ class SectorNumbering:
             representative_members, return_inverse=True
         )
         right_members = node_members[side_nodes[1]]
-        upper_members = node_members[crack_face_nodes[1]].ravel()
+        upper_face_members = node_members[crack_face_nodes[1]].ravel()
         self.belongs_to_next_sector = np.isin(np.arange(len(representative_members)), right_members)
-        self.upper_members = upper_members[upper_members >= 0]
+        self.upper_face_members = upper_face_members[upper_face_members >= 0]
 
     def number_wheel_members(
         self, n_sectors: int, cracked_places: Sequence[int]
@@ -119,7 +119,7 @@ class SectorNumbering:
         all_members = np.arange(n_sectors * len(self.member_positions)).reshape(n_sectors, -1)
         owner_sectors = (np.arange(n_sectors)[:, None] + self.belongs_to_next_sector) % n_sectors
         wheel_numbers = self.member_positions + owner_sectors * len(self.own_members)
-        open_entry_index = np.ix_(cracked_places, self.upper_members)
+        open_entry_index = np.ix_(cracked_places, self.upper_face_members)
         bonded_members = all_members[:, self.own_members].ravel()
         open_members = all_members[open_entry_index]
         wheel_numbers[open_entry_index] = len(bonded_members) + np.arange(
@@ -433,8 +433,10 @@ class NodalDiameterSolver:
         :meth:`Factor.apply`.
         """
         force_parts = rhs.array_r.reshape(2 if self.phase_factor.imag else 1, -1)
-        force = force_parts[0] + 1j * force_parts[1] if self.phase_factor.imag else force_parts[0]
-        displacement = self.solve(force[:, None])[:, 0]
+        complex_force = (
+            force_parts[0] + 1j * force_parts[1] if self.phase_factor.imag else force_parts[0]
+        )
+        displacement = self.solve(complex_force[:, None])[:, 0]
         solution.array_w[:] = np.concatenate(
             [displacement.real, displacement.imag][: len(force_parts)]
         )
@@ -465,9 +467,11 @@ class NodalDiameterSolver:
         mass, stiffness = map(make_real_form, (sector.mass, sector.stiffness))
         n_rows = mass.size[0]
         empty_gap = sparse.csr_matrix((n_rows, 0))
-        structure = Structure(Body(mass, stiffness, empty_gap, np.zeros((1, n_rows)), np.zeros(0)))
+        tied_real_structure = Structure(
+            Body(mass, stiffness, empty_gap, np.zeros((1, n_rows)), np.zeros(0))
+        )
         real_modes = solve_modes_with_factor(
-            self, structure, 2 * n_modes if self.phase_factor.imag else n_modes
+            self, tied_real_structure, 2 * n_modes if self.phase_factor.imag else n_modes
         )
         for petsc_matrix in (mass, stiffness):  # PETSc would keep all nodal diameters' matrices
             petsc_matrix.destroy()
@@ -705,7 +709,7 @@ def make_cyclic_basis(
         side_force_patterns = _find_side_force_patterns(
             sector, [modes_by_diameter[n] for n in pattern_diameters]
         )
-        bond_force_columns = -sector.stiffness[:, sector.dof_numbering.upper_members]
+        bond_force_columns = -sector.stiffness[:, sector.dof_numbering.upper_face_members]
         bond_matrix = sparse.csr_matrix(base_solver.stacked_tie_matrices.T @ bond_force_columns)
         left_rows = base_solver.side_rows
         right_rows = len(sector.dof_numbering.own_members) + left_rows
@@ -749,7 +753,7 @@ def make_cyclic_basis(
         comm.Allreduce(MPI.IN_PLACE, opening_responses)
     cyclic_modes = CyclicModes(omega_arrays, shape_matrices, sector)
     opening_shapes = (
-        make_selection_matrix(sector.dof_numbering.upper_members, n_dofs).T @ face_shapes
+        make_selection_matrix(sector.dof_numbering.upper_face_members, n_dofs).T @ face_shapes
     )
     return CyclicBasis(cyclic_modes, opening_responses, opening_shapes, cracked_places)
 
@@ -782,10 +786,12 @@ def _make_diameter_basis(
     """
     sector = diameter_solver.sector
     load_response = diameter_solver.static_response(load)
-    responses = np.hstack([diameter_solver.static_response(side_force_patterns), load_response])
-    new_motions = responses - shapes @ (shapes.conj().T @ (sector.mass @ responses))
+    static_responses = np.hstack(
+        [diameter_solver.static_response(side_force_patterns), load_response]
+    )
+    new_motions = static_responses - shapes @ (shapes.conj().T @ (sector.mass @ static_responses))
     new_norms, response_norms = (
-        np.sqrt(np.sum(np.abs(motions) ** 2, axis=0)) for motions in (new_motions, responses)
+        np.sqrt(np.sum(np.abs(motions) ** 2, axis=0)) for motions in (new_motions, static_responses)
     )
     is_kept = new_norms > MULTIPLE_FREQUENCY_TOLERANCE * response_norms
     new_motions = new_motions[:, is_kept] / new_norms[is_kept]
@@ -802,10 +808,18 @@ def _make_diameter_loads(sector: Sector, engine_order: int) -> list[np.ndarray]:
     conjugated if the wave runs backwards, and split in real and imaginary part for n = 0 and N/2.
     """
     load_parts_of_diameters: list[list[np.ndarray]] = [[] for _ in sector.nodal_diameter_range]
-    for harmonic, force in enumerate(to_complex(sector.structure.force)):
+    for harmonic, complex_force in enumerate(to_complex(sector.structure.force)):
         diameter = excited_diameter(harmonic * engine_order, sector.n_sectors)
-        force = force if diameter == harmonic * engine_order % sector.n_sectors else force.conj()
-        force_parts = [force.real, force.imag] if sector.has_single_wave(diameter) else [force]
+        complex_force = (
+            complex_force
+            if diameter == harmonic * engine_order % sector.n_sectors
+            else complex_force.conj()
+        )
+        force_parts = (
+            [complex_force.real, complex_force.imag]
+            if sector.has_single_wave(diameter)
+            else [complex_force]
+        )
         load_parts_of_diameters[diameter] += [
             force_part for force_part in force_parts if np.any(force_part)
         ]
@@ -836,7 +850,7 @@ def _compute_bond_forces(
     force_blocks = [(sector.stiffness @ shapes - (sector.mass @ shapes) * omega**2) / omega]
     load_works = np.sum(load.conj() * load_response, axis=0).real
     force_blocks.append((sector.stiffness @ load_response - load) / np.sqrt(load_works))
-    bond_forces = np.hstack(force_blocks)[sector.dof_numbering.upper_members]
+    bond_forces = np.hstack(force_blocks)[sector.dof_numbering.upper_face_members]
     return np.hstack([bond_forces.real, bond_forces.imag])
 
 
@@ -864,19 +878,22 @@ def _find_opening_shapes(
     relieved_stiffness : (n_upper, n_upper) [N/m]
         Decrease of the face's stiffness because the rest of the wheel gives way.
     """
-    structure, upper_members = sector.structure, sector.dof_numbering.upper_members
+    structure, upper_face_members = sector.structure, sector.dof_numbering.upper_face_members
     gap_matrices = [structure.gap] + (
         [] if structure.tangential is None else [structure.tangential]
     )
     opening_stiffness = (
-        sector.stiffness[upper_members][:, upper_members].toarray() - relieved_stiffness
+        sector.stiffness[upper_face_members][:, upper_face_members].toarray() - relieved_stiffness
     )
     lower_factor = scipy.linalg.cholesky(
         0.5 * (opening_stiffness + opening_stiffness.T), lower=True
     )
     contact_patterns, bond_forces = (
-        scipy.linalg.solve_triangular(lower_factor, forces, lower=True)
-        for forces in (sparse.hstack(gap_matrices).tocsr()[upper_members].toarray(), bond_forces)
+        scipy.linalg.solve_triangular(lower_factor, face_forces, lower=True)
+        for face_forces in (
+            sparse.hstack(gap_matrices).tocsr()[upper_face_members].toarray(),
+            bond_forces,
+        )
     )
     contact_basis = scipy.linalg.orth(contact_patterns)
     bond_patterns, pattern_sizes, _ = np.linalg.svd(
@@ -922,8 +939,10 @@ def _find_side_force_patterns(
     """
     scaled_force_parts, is_on_right_side = [], sector.dof_numbering.belongs_to_next_sector
     for omega, shapes in omega_shapes_pairs:
-        force = (sector.stiffness @ shapes - sector.mass @ shapes * omega**2)[is_on_right_side]
-        scaled_force = force / np.maximum(omega, 1e-300) ** 2
+        right_side_forces = (sector.stiffness @ shapes - sector.mass @ shapes * omega**2)[
+            is_on_right_side
+        ]
+        scaled_force = right_side_forces / np.maximum(omega, 1e-300) ** 2
         scaled_force_parts += [scaled_force.real, scaled_force.imag]
     force_patterns, pattern_sizes, _ = np.linalg.svd(
         np.hstack(scaled_force_parts), full_matrices=False

@@ -49,13 +49,13 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
         static_stiffness, stiffness = rotation_terms.static_shape_and_motion_stiffness(scene.speed)
         # u_s and its stress are those of bonded cracks, which the load would open. The force is
         # K(W) u_s, with the full stiffness of the displaced shape.
-        force, centrifugal_load = structure.force.copy(), scene.speed**2 * rotation_terms.force
+        load_rows, centrifugal_load = structure.force.copy(), scene.speed**2 * rotation_terms.force
         stiffened_sector = replace(
             sector, structure=structure._plain_structure_with_changes(stiffness=static_stiffness)
         )
         with stiffened_sector.yield_zero_diameter_solver() as zero_diameter_solver:
             static_displacement = zero_diameter_solver.static_response(centrifugal_load[:, None])
-        force[0] += (
+        load_rows[0] += (
             centrifugal_load
             + (
                 multiply_columns(stiffness, static_displacement)
@@ -63,7 +63,7 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
             )[:, 0]
         )
         rotating_structure = structure._plain_structure_with_changes(
-            stiffness=stiffness, force=force
+            stiffness=stiffness, force=load_rows
         )
         sector = replace(sector, structure=rotating_structure)
     return Wheel(
@@ -87,19 +87,19 @@ def record_matched_side_nodes(scene: Scene, dofs: Dofs) -> None:
     from scipy.spatial.transform import Rotation  # only meshes of sectors need it
 
     disk, (center, axis) = scene.given("disk"), scene.axis_point_and_direction
-    points, mesh_extent = dofs.points, float(np.ptp(dofs.points, axis=0).max())
+    node_points, mesh_extent = dofs.points, float(np.ptp(dofs.points, axis=0).max())
     side_names = (
         RIM_SIDE_NAMES if RIM_SIDE_NAMES[0] in dofs.part_mesh.tags_by_group else ("left", "right")
     )
     for side_name in side_names:
         if side_name not in dofs.part_mesh.tags_by_group:
-            requirement = (
+            requirement_text = (
                 "the mesh of a sector with the physical groups 'left' and 'right' on the sides; it "
                 f"has no {side_name!r}"
             )
-            raise InputError("mesh.file", scene.mesh.file, requirement)
+            raise InputError("mesh.file", scene.mesh.file, requirement_text)
     left_nodes, right_nodes = (dofs.nodes_on(side_name) for side_name in side_names)
-    spatial_points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+    spatial_points = np.pad(node_points, ((0, 0), (0, 3 - node_points.shape[1])))
     turn_angles = (2.0 * math.pi / disk.sectors, -2.0 * math.pi / disk.sectors)
     rotation_matrices = [
         Rotation.from_rotvec(turn_angle * axis).as_matrix() for turn_angle in turn_angles
@@ -117,24 +117,24 @@ def record_matched_side_nodes(scene: Scene, dofs: Dofs) -> None:
         rotation_matrices[best_match_index],
     )
     if largest_distance > RELATIVE_POSITION_TOLERANCE * mesh_extent:
-        place_text = format_point(points[left_nodes[worst_node_index]])
+        place_text = format_point(node_points[left_nodes[worst_node_index]])
         distance_text = (
             f"is {largest_distance:.2g} m from the nearest right one"
             if math.isfinite(largest_distance)
             else "has no partner"
         )
-        requirement = (
+        requirement_text = (
             f"a sector whose left side, turned about the axis by 360/{disk.sectors} degrees, is "
             f"the right side: the left one has {len(left_nodes)} nodes, the right one "
             f"{len(right_nodes)}; the left node at {place_text} m {distance_text}"
         )
         key = "mesh.file" if side_names[0] == "left" else "disk"
-        raise InputError(key, scene.mesh.file or "a table", requirement)
+        raise InputError(key, scene.mesh.file or "a table", requirement_text)
     if len(common_nodes := np.intersect1d(left_nodes, right_nodes)):
-        place_text = format_point(points[common_nodes[0]])
-        requirement = f"a sector that does not reach the axis, as at the node {place_text} m"
-        raise InputError("mesh.file", scene.mesh.file, requirement)
-    dimension = points.shape[1]
+        place_text = format_point(node_points[common_nodes[0]])
+        requirement_text = f"a sector that does not reach the axis, as at the node {place_text} m"
+        raise InputError("mesh.file", scene.mesh.file, requirement_text)
+    dimension = node_points.shape[1]
     dofs.set_sector_sides(
         np.array([left_nodes, right_nodes[right_partners]]), rotation_matrix[:dimension, :dimension]
     )
@@ -148,7 +148,7 @@ def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
     InputError
         The crack reaches a side, or the nodes on both crack faces do not match.
     """
-    points, side_node_pairs = dofs.points, dofs.side_node_pairs
+    node_points, side_node_pairs = dofs.points, dofs.side_node_pairs
     node_rotations = dofs.node_to_global_rotations
     assert side_node_pairs is not None and node_rotations is not None
     crack_face_nodes = np.zeros((2, 0), dtype=int)
@@ -159,20 +159,26 @@ def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
             np.setdiff1d(upper_nodes, lower_nodes),
         )
         largest_distance, worst_node_index, upper_partners = _find_partners_and_largest_distance(
-            points[lower_nodes], points[upper_nodes]
+            node_points[lower_nodes], node_points[upper_nodes]
         )
-        if largest_distance > RELATIVE_POSITION_TOLERANCE * float(np.ptp(points, axis=0).max()):
-            place_text = format_point(points[lower_nodes[worst_node_index]])
-            requirement = f"crack faces with the same nodes; these differ at {place_text} m"
+        if largest_distance > RELATIVE_POSITION_TOLERANCE * float(
+            np.ptp(node_points, axis=0).max()
+        ):
+            place_text = format_point(node_points[lower_nodes[worst_node_index]])
+            requirement_text = f"crack faces with the same nodes; these differ at {place_text} m"
             raise InputError(
-                "lips", f"{len(lower_nodes)} lower and {len(upper_nodes)} upper nodes", requirement
+                "lips",
+                f"{len(lower_nodes)} lower and {len(upper_nodes)} upper nodes",
+                requirement_text,
             )
         crack_face_nodes = np.array([lower_nodes, upper_nodes[upper_partners]])
     if len(common_nodes := np.intersect1d(crack_face_nodes, side_node_pairs)):
-        place_text = format_point(points[common_nodes[0]])
-        requirement = f"one inside the sector; it reaches a side of the sector at {place_text} m"
-        raise InputError("lips", "a crack", requirement)
-    center = scene.axis_point_and_direction[0][: points.shape[1]]
+        place_text = format_point(node_points[common_nodes[0]])
+        requirement_text = (
+            f"one inside the sector; it reaches a side of the sector at {place_text} m"
+        )
+        raise InputError("lips", "a crack", requirement_text)
+    center = scene.axis_point_and_direction[0][: node_points.shape[1]]
     rotation_matrix = node_rotations[side_node_pairs[1, 0]]
     n_sectors = scene.given("disk").sectors
     return Sector(

@@ -228,10 +228,10 @@ class Wheel(Structure):
 
         The harmonics must be in the scene: the engine order sets the phases on the blades.
         """
-        requirement = (
+        requirement_text = (
             "built from a scene with [[excitation.harmonics]]: a bladed disk cannot get them later"
         )
-        raise InputError("structure", repr(self), requirement)
+        raise InputError("structure", repr(self), requirement_text)
 
     def structure_in_few_coordinates(self) -> WheelInFewCoordinates:
         """Return the wheel in few coordinates: q of modes, d of crack openings (collective)."""
@@ -353,8 +353,8 @@ def _read_deviations(given_deviations: Any, n_sectors: int) -> np.ndarray:
         or not np.all(deviations > -1.0)
         or not np.all(deviations < 1e3)
     ):
-        requirement = f"a number > -1 and < 1000, or one for each of the {n_sectors} sectors"
-        raise InputError("mistuning", given_deviations, requirement)
+        requirement_text = f"a number > -1 and < 1000, or one for each of the {n_sectors} sectors"
+        raise InputError("mistuning", given_deviations, requirement_text)
     return np.broadcast_to(deviations, (n_sectors,)).copy()
 
 
@@ -489,14 +489,18 @@ class WheelInFewCoordinates(Structure):
             Number of modes for each nodal diameter.
         """
         begin_stage(f"modes of {len(wheel.sector.nodal_diameter_range)} nodal diameters")
-        basis, sector_structure, comm = wheel.basis(families), wheel.sector.structure, MPI.COMM_SELF
+        cyclic_basis = wheel.basis(families)
+        sector_structure = wheel.sector.structure
+        comm = MPI.COMM_SELF
         begin_stage("matrices of the bladed disk")
-        mass, stiffness = basis.tuned_mass_and_stiffness
+        mass, stiffness = cyclic_basis.tuned_mass_and_stiffness
         if np.any(wheel.mistuning):
-            stiffness = stiffness + np.tensordot(wheel.mistuning, basis.sector_stiffnesses, 1)
+            stiffness = stiffness + np.tensordot(
+                wheel.mistuning, cyclic_basis.sector_stiffnesses, 1
+            )
         sector_loads = _make_sector_loads(wheel.sector, wheel.order)
-        force = sum(
-            sector_loads[:, sector_index] @ basis.sector_motions(sector_index)
+        projected_force = sum(
+            sector_loads[:, sector_index] @ cyclic_basis.sector_motions(sector_index)
             for sector_index in range(wheel.sector.n_sectors)
         )
 
@@ -506,16 +510,17 @@ class WheelInFewCoordinates(Structure):
             ``gap`` is a sector's gap matrix B, normal or tangential.
             """
             crack_columns = [
-                basis.sector_motions(sector_index).T @ gap for sector_index in wheel.cracked
+                cyclic_basis.sector_motions(sector_index).T @ gap for sector_index in wheel.cracked
             ]
             return sparse.csr_matrix(np.hstack([np.zeros((len(mass), 0)), *crack_columns]))
 
         tangential_gap = sector_structure.tangential if wheel.cracked else None
         wheel_body = FewCoordinatesWheelBody(
             make_matrix_from_local_rows(mass, comm), make_matrix_from_local_rows(stiffness, comm),
-            assemble_gap(sector_structure.gap), force, wheel.clearance, damping=wheel.damping,
+            assemble_gap(sector_structure.gap), projected_force, wheel.clearance,
+            damping=wheel.damping,
             tangential=None if tangential_gap is None else assemble_gap(tangential_gap),
-            nodes=wheel.nodes, pairs=wheel.pairs, comm=comm, wheel=wheel, basis=basis,
+            nodes=wheel.nodes, pairs=wheel.pairs, comm=comm, wheel=wheel, basis=cyclic_basis,
         )  # fmt: skip
         super().__init__(wheel_body)
 
@@ -557,8 +562,8 @@ class WheelInFewCoordinates(Structure):
         float
             Effect of the third group over the effect of all modes outside the first two groups.
         """
-        omega, shapes = self.compute_once(_solve_all_modes)
-        compliance_shares = ((self.gap.T @ shapes) / omega) ** 2
+        omega, mode_shapes = self.compute_once(_solve_all_modes)
+        compliance_shares = ((self.gap.T @ mode_shapes) / omega) ** 2
         compliance_shares /= compliance_shares.sum(axis=1, keepdims=True)
         inertia_changes = compliance_shares.sum(axis=0) / omega**2
         mode_order = n_first + np.argsort(-inertia_changes[n_first:], kind="stable")
@@ -568,7 +573,7 @@ class WheelInFewCoordinates(Structure):
         reference_share = (
             inertia_changes[reference_indices].sum() / inertia_changes[mode_order[n_more:]].sum()
         )
-        ranked_omega_and_shapes = omega[mode_indices], shapes[:, mode_indices]
+        ranked_omega_and_shapes = omega[mode_indices], mode_shapes[:, mode_indices]
         body_changes = {
             "result_cache": self.body.result_cache,
             "ranked_omega_and_shapes": ranked_omega_and_shapes,
@@ -622,10 +627,10 @@ class WheelInFewCoordinates(Structure):
 def _solve_all_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
     """Return all frequencies (n,) [rad/s] and mode shapes (n, n) with open cracks."""
     stiffness_and_mass = (
-        local_rows(matrix).toarray() for matrix in (structure.stiffness, structure.mass)
+        local_rows(petsc_matrix).toarray() for petsc_matrix in (structure.stiffness, structure.mass)
     )
-    squared_omegas, shapes = scipy.linalg.eigh(*stiffness_and_mass)
-    return np.sqrt(np.maximum(squared_omegas, 0.0)), shapes
+    squared_omegas, mode_shapes = scipy.linalg.eigh(*stiffness_and_mass)
+    return np.sqrt(np.maximum(squared_omegas, 0.0)), mode_shapes
 
 
 def _solve_bonded_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
@@ -633,10 +638,10 @@ def _solve_bonded_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
 
     The bonded modes are combinations of the open modes, with all gaps zero.
     """
-    omega, shapes = structure.compute_once(_solve_all_modes)
-    bonded_space = scipy.linalg.null_space(structure.gap.T @ shapes)
+    omega, mode_shapes = structure.compute_once(_solve_all_modes)
+    bonded_space = scipy.linalg.null_space(structure.gap.T @ mode_shapes)
     squared_omegas, eigenvectors = scipy.linalg.eigh((bonded_space.T * omega**2) @ bonded_space)
-    return np.sqrt(np.maximum(squared_omegas, 0.0)), shapes @ (bonded_space @ eigenvectors)
+    return np.sqrt(np.maximum(squared_omegas, 0.0)), mode_shapes @ (bonded_space @ eigenvectors)
 
 
 def count_basis_families(families: int, n_more: int = 0) -> int:

@@ -160,8 +160,8 @@ def draw_laws(
     [panel] = picture = Picture(**picture_options)
     line_styles = zip(distinct_colours(len(laws)), cycle(("-", "--", ":", "-.", "-")), strict=False)
     for (label, law), (colour, style) in zip(laws.items(), line_styles, strict=True):
-        force = law.force(closing[:, None])[:, 0]
-        panel.plot(closing, force, style, color=colour, label=label, lw=1.8)
+        contact_force = law.force(closing[:, None])[:, 0]
+        panel.plot(closing, contact_force, style, color=colour, label=label, lw=1.8)
     label_axis(panel.xaxis, "closing g (penetration where g > 0)", "m")
     label_axis(panel.yaxis, "contact force", "N")
     return picture.finish()
@@ -581,8 +581,8 @@ def draw_spectrum(
     """
     displacements_by_label = {}
     if solution.structure.n_pairs:
-        time = np.linspace(0.0, solution.period, 257)
-        pair_index = int(np.argmax(np.ptp(solution.gap(time), axis=0)))
+        instants = np.linspace(0.0, solution.period, 257)
+        pair_index = int(np.argmax(np.ptp(solution.gap(instants), axis=0)))
         displacements_by_label[f"gap {solution.structure.describe_pair(pair_index)}"] = (
             solution.gap_coefficients[:, pair_index]
         )
@@ -594,8 +594,8 @@ def draw_spectrum(
     force_coefficients = solution.force_coefficients.sum(axis=1)
     axes = read_axes_option(picture_options)
     n_panels = 1 + bool(np.any(force_coefficients)) if axes is None else min(2, np.size(axes))
-    size, comm = (7.0, 2.4 + 2.2 * n_panels), solution.structure.comm
-    picture = Picture(n_panels, size=size, sharex=True, comm=comm, **picture_options)
+    figure_size, comm = (7.0, 2.4 + 2.2 * n_panels), solution.structure.comm
+    picture = Picture(n_panels, size=figure_size, sharex=True, comm=comm, **picture_options)
     force_content = {"contact force, all pairs": force_coefficients}, "contact force", "N"
     for panel, panel_content in zip(
         picture, ((displacements_by_label, "displacement", "m"), force_content), strict=False
@@ -701,8 +701,8 @@ def draw_orbits(
     --------
     >>> figure = fc.draw_orbits(solution, tip, path="orbits.png")
     """
-    time = np.linspace(0.0, solution.period, instants + 1)
-    is_closed = solution.contact_force(time) > 0.0
+    times = np.linspace(0.0, solution.period, instants + 1)
+    is_closed = solution.contact_force(times) > 0.0
     orbit_contents: list[tuple[DisplacementFunction, np.ndarray, str, str]] = []
     if solution.structure.n_pairs:
         pair_index = solution.structure.first_watched_pair
@@ -725,8 +725,8 @@ def draw_orbits(
     if not orbit_contents:
         raise InputError("dof", None, "given where there is no contact pair")
     n_panels = len(orbit_contents)
-    size, comm = (1.0 + 4.2 * n_panels, 4.4), solution.structure.comm
-    picture = Picture(n_panels, n_columns=n_panels, size=size, comm=comm, **picture_options)
+    figure_size, comm = (1.0 + 4.2 * n_panels, 4.4), solution.structure.comm
+    picture = Picture(n_panels, n_columns=n_panels, size=figure_size, comm=comm, **picture_options)
     for panel, orbit_content in zip(picture, orbit_contents, strict=True):
         _draw_orbit(panel, solution, *orbit_content)
     return picture.finish()
@@ -759,8 +759,8 @@ def _draw_orbit(
 
     def evaluate_orbit(time: np.ndarray) -> np.ndarray:
         displacement_before, displacement, displacement_after = (
-            np.ravel(displacement_function(time + offset))
-            for offset in (-time_step, 0.0, time_step)
+            np.ravel(displacement_function(time + time_offset))
+            for time_offset in (-time_step, 0.0, time_step)
         )
         return np.array(
             [displacement, (displacement_after - displacement_before) / (2.0 * time_step)]
@@ -881,9 +881,9 @@ def draw_stress_intensity(
     --------
     >>> figure = fc.draw_stress_intensity(fc.stress_intensity(fc.solve(scene)), path="tips.png")
     """
-    n_panels = 1 if found.three is None else 2
+    n_panels = 1 if found.K_III is None else 2
     picture = Picture(n_panels, size=(7.0, 1.0 + 3.3 * n_panels), **picture_options)
-    if found.three is not None:
+    if found.K_III is not None:
         _draw_intensity_along_fronts(found, picture.panels[0])
     _draw_intensity_over_time(found, picture.panels[-1])
     label_axis(picture.panels[-1].xaxis, "time", "s")
@@ -900,26 +900,26 @@ def _draw_intensity_over_time(intensity: StressIntensity, panel: Axes) -> None:
     effective range of K_I.
     """
     time = intensity.time - intensity.time[0]
-    if intensity.three is not None:
+    if intensity.K_III is not None:
         component_curves = zip(
-            ("K_I", "K_II", "K_III"), (intensity.one, intensity.two, intensity.three), strict=True
+            ("K_I", "K_II", "K_III"), (intensity.K_I, intensity.K_II, intensity.K_III), strict=True
         )
         for (component_name, component_values), colour in zip(
             component_curves, distinct_colours(3), strict=True
         ):
             panel.plot(
                 time,
-                component_values[:, intensity.leading],
+                component_values[:, intensity.leading_tip_index],
                 color=colour,
                 lw=1.8,
                 label=f"_{component_name}",
             )
-        panel.set_title(f"at {intensity.tips[intensity.leading]}", fontsize="medium")
+        panel.set_title(f"at {intensity.tips[intensity.leading_tip_index]}", fontsize="medium")
         return
     closed_label = "crack tip closed"
     tip_styles = zip(intensity.tips, distinct_colours(len(intensity.tips)), strict=True)
     for tip_index, (tip, colour) in enumerate(tip_styles):
-        mode_one, mode_two = intensity.one[:, tip_index], intensity.two[:, tip_index]
+        mode_one, mode_two = intensity.K_I[:, tip_index], intensity.K_II[:, tip_index]
         panel.plot(time, mode_one, color=colour, lw=1.8, label=f"K_I, {tip}")
         panel.plot(time, mode_two, color=colour, lw=1.0, ls="--", label=f"K_II, {tip}")
         # Closed to drawing accuracy.
@@ -942,15 +942,15 @@ def _draw_intensity_along_fronts(intensity: StressIntensity, panel: Axes) -> Non
 
     These are the largest |K_I|, |K_II| and |K_III| in time at each front station.
     """
-    assert intensity.three is not None
+    assert intensity.K_III is not None
     component_curves = zip(
-        ("K_I", "K_II", "K_III"), (intensity.one, intensity.two, intensity.three), strict=True
+        ("K_I", "K_II", "K_III"), (intensity.K_I, intensity.K_II, intensity.K_III), strict=True
     )
     for (component_name, component_values), colour in zip(
         component_curves, distinct_colours(3), strict=True
     ):
         largest_sizes = np.abs(component_values).max(axis=0)
-        for station_indices in intensity.fronts.values():
+        for station_indices in intensity.station_indices_by_front.values():
             line_options = {"color": colour, "lw": 1.8, "marker": "o", "label": component_name}
             panel.plot(
                 intensity.positions[station_indices], largest_sizes[station_indices], **line_options

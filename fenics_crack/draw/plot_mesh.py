@@ -69,8 +69,8 @@ def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -
     aspect_ratio = float(
         np.clip(np.divide(*np.maximum(np.ptp(mesh.points, axis=0), 1e-300)), 0.4, 2.5)
     )
-    size = (min(7.0, 3.6 + 2.0 * aspect_ratio), min(6.8, 1.6 + 3.6 / aspect_ratio))
-    [panel] = picture = Picture(size=size, **picture_options)
+    figure_size = (min(7.0, 3.6 + 2.0 * aspect_ratio), min(6.8, 1.6 + 3.6 / aspect_ratio))
+    [panel] = picture = Picture(size=figure_size, **picture_options)
     clamped_edges = mesh.boundary_sides[mesh.is_clamped[mesh.boundary_sides].all(axis=1)]
     for edges, colour, line_width, label in (
         (mesh.edges, "#9a9a9a", 0.4, ""),
@@ -188,9 +188,13 @@ def draw_modes(
     mesh = NodalMesh(modes.structure)
     width, height = np.ptp(mesh.points, axis=0)[:2] + 0.2 * mesh.size  # a tenth each way
     row_height = 0.4 + 2.4 * float(np.clip(height / width, 0.3, 1.0))
-    size = (2.7 * columns, row_height * -(-len(numbers) // columns))
+    figure_size = (2.7 * columns, row_height * -(-len(numbers) // columns))
     picture = Picture(
-        len(numbers), n_columns=columns, size=size, comm=mesh.structure.comm, **picture_options
+        len(numbers),
+        n_columns=columns,
+        size=figure_size,
+        comm=mesh.structure.comm,
+        **picture_options,
     )
     mode_shapes = mesh.nodal_vectors(modes.structure.expand(modes.shapes.T))
     for panel, mode_number in zip(picture, numbers, strict=True):

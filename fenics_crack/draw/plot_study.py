@@ -263,18 +263,18 @@ def draw_verification(found: Verification, **picture_options: Unpack[PictureOpti
     >>> found = fc.verify(scene)  # doctest: +SKIP
     >>> figure = fc.draw_verification(found, path="verification.png")  # doctest: +SKIP
     """
-    size = 13.0, max(4.2, 1.8 + 0.3 * len(found.values))
+    figure_size = 13.0, max(4.2, 1.8 + 0.3 * len(found.values))
     convergence_panel, contribution_panel = picture = Picture(
-        2, n_columns=2, size=size, **picture_options
+        2, n_columns=2, size=figure_size, **picture_options
     )
     first_cause = next(iter(found.causes), "")
     styles_by_quantity = _choose_line_styles(found, first_cause) if first_cause else {}
-    _draw_convergence_lines(convergence_panel, found, first_cause, styles_by_quantity)
+    _draw_differences_from_extrapolation(convergence_panel, found, first_cause, styles_by_quantity)
     _draw_contributions(contribution_panel, found, styles_by_quantity)
     return picture.finish()
 
 
-def _draw_convergence_lines(
+def _draw_differences_from_extrapolation(
     panel: Axes, verification: Verification, cause: str, styles_by_quantity: StylesByQuantity
 ) -> None:
     """Draw the differences |f_i - f| over the relative element size h_i.
@@ -452,10 +452,10 @@ def draw_growth(
     --------
     >>> figure = fc.draw_growth(fc.grow(growing), path="growth.png")  # doctest: +SKIP
     """
-    size, solved_lengths = (7.0, 8.6), np.zeros(0)
+    figure_size, solved_lengths = (7.0, 8.6), np.zeros(0)
     if found.depth is None:
         solved_lengths = found.solved[found.solved <= found.length[-1]]
-    picture = Picture(3, size=size, sharex=True, **picture_options)
+    picture = Picture(3, size=figure_size, sharex=True, **picture_options)
     length_panel, frequency_panel, intensity_panel = picture.panels
     solved_cycles = np.interp(solved_lengths, found.length, found.cycles)
     frequency_factor, _, unit = choose_frequency_factor_name_unit(in_hertz)
@@ -635,11 +635,11 @@ def _draw_engine_order(
     )
     last_frequency = frequency_per_speed * speed_range[1]
     if last_frequency <= upper_limit:
-        position = speed_range[1], last_frequency
-        _write_engine_order(panel, engine_order, position, (3, 0), ha="left", va="center")
+        label_position = speed_range[1], last_frequency
+        _write_engine_order(panel, engine_order, label_position, (3, 0), ha="left", va="center")
     else:
-        position = upper_limit / frequency_per_speed, upper_limit
-        _write_engine_order(panel, engine_order, position, (0, 2), ha="center", va="bottom")
+        label_position = upper_limit / frequency_per_speed, upper_limit
+        _write_engine_order(panel, engine_order, label_position, (0, 2), ha="center", va="bottom")
 
 
 def _write_engine_order(

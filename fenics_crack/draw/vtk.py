@@ -214,8 +214,8 @@ def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) 
     displacement_by_node = np.moveaxis(displacement, -2, 0)
     flat_displacement = displacement_by_node.reshape(len(displacement_by_node), -1)
     derivative_fields = [
-        (matrix @ flat_displacement).reshape(displacement_by_node.shape)
-        for matrix in _make_derivative_matrices(mesh)
+        (derivative_matrix @ flat_displacement).reshape(displacement_by_node.shape)
+        for derivative_matrix in _make_derivative_matrices(mesh)
     ]
     displacement_gradient = np.moveaxis(np.stack(derivative_fields, axis=-1), 0, -3)
     nu = material.poisson
@@ -317,8 +317,8 @@ def stress_at(
     mesh, stress_points = NodalMesh(structure), floats_or_nan(points)
     has_valid_shape = stress_points.ndim == 2 and stress_points.shape[1] == mesh.dimension
     if not (has_valid_shape and stress_points.size and np.all(np.isfinite(stress_points))):
-        requirement = f"one or more rows of {mesh.dimension} finite numbers [m]"
-        raise InputError("points", points, requirement)
+        requirement_text = f"one or more rows of {mesh.dimension} finite numbers [m]"
+        raise InputError("points", points, requirement_text)
     if isinstance(result, TimeHistory):
         time = result.time
         if len(result.recorded_dofs) < structure.n_local:
@@ -365,11 +365,13 @@ def write_modes(modes: Modes, path: str | Path) -> None:
     >>> fc.write_modes(fc.solve_modes(structure, 2), "modes.vtu")
     """
     mesh = NodalMesh(modes.structure)
-    shapes = mesh.nodal_vectors(modes.structure.expand(modes.shapes.T))
+    nodal_shapes = mesh.nodal_vectors(modes.structure.expand(modes.shapes.T))
 
     def write_file() -> None:
         grid = make_grid_at_rest(mesh)
-        for mode_number, (omega, shape) in enumerate(zip(modes.omega, shapes, strict=True), 1):
+        for mode_number, (omega, shape) in enumerate(
+            zip(modes.omega, nodal_shapes, strict=True), 1
+        ):
             magnification = magnification_to_tenth(shape, mesh.size)
             field_name = f"mode {mode_number}: {omega:.1f} rad/s"
             grid.point_data[field_name] = pad_to_space(magnification * shape)
@@ -404,17 +406,22 @@ def write_fronts(found: StressIntensity, path: str | Path) -> None:
     >>> along = fc.stress_intensity(fc.solve(solid))  # doctest: +SKIP
     >>> fc.write_fronts(along, "fronts.vtu")  # doctest: +SKIP
     """
-    if found.three is None:
+    if found.K_III is None:
         raise InputError("found", "of a plate", "of a solid, whose cracks have fronts")
 
     def write_file() -> None:
         front_edges = [
-            edge for stations in found.fronts.values() for edge in itertools.pairwise(stations)
+            edge
+            for stations in found.station_indices_by_front.values()
+            for edge in itertools.pairwise(stations)
         ]
         grid = _make_grid(found.points, np.array(front_edges, dtype=int).reshape(-1, 2), VTK_LINE)
-        for name, values in {**found.numbers, "K_I while closed": found.closed}.items():
+        for name, values in {
+            **found.numbers,
+            "K_I while closed": found.closed_front_errors,
+        }.items():
             grid.point_data[name] = values
-        grid.point_data["ahead"] = found.ahead
+        grid.point_data["ahead"] = found.growth_directions
         write_file_whole(path, _format_vtu(grid))
 
     on_root(found.comm, write_file)

@@ -277,7 +277,7 @@ CountAndValues = tuple[int, Mapping[str, float]]
 """Pair for a run: count of elements, modes, harmonics or samples, and values by quantity name."""
 
 
-def find_error_part(
+def find_error_part_or_reason(
     cause: str,
     counts_and_values: Sequence[CountAndValues],
     scene: Scene,

@@ -86,7 +86,7 @@ from fenics_crack.errors.convergence import (
     TIP_CONVERGENCE_ORDER,
     GridConvergence,
     PartOrReason,
-    find_error_part,
+    find_error_part_or_reason,
 )
 from fenics_crack.errors.numbers import (
     add_changes,
@@ -210,7 +210,7 @@ def estimate_frequency_mesh_errors(
     study: Study,
     omega_by_kind: Mapping[str, np.ndarray],
     load_resonance: LoadResonance = UNSOUGHT_RESONANCE,
-    speed_slopes: np.ndarray | None = None,
+    squared_omega_slopes: np.ndarray | None = None,
 ) -> Verification:
     """Estimate mesh errors of natural frequencies and the load's resonance (collective).
 
@@ -225,7 +225,7 @@ def estimate_frequency_mesh_errors(
         Natural frequencies with "open" and "tied" (bonded) crack faces.
     load_resonance : LoadResonance
         Resonance at the load on the same structure; the result includes the ``numbers``.
-    speed_slopes : (m,), optional
+    squared_omega_slopes : (m,), optional
         S = d(w^2) / d(W^2) of each mode's frequency w over the speed W, from
         :func:`find_key_figures`; None: the load's resonance is not computed on the coarser mesh.
     """
@@ -250,15 +250,17 @@ def estimate_frequency_mesh_errors(
         if "tied" in omega_by_kind:
             coarse_omega_by_kind["tied"] = solve_bonded_modes(coarse_study.structure, n_modes).omega
         coarse_mesh_values = name_frequencies(coarse_omega_by_kind)
-        if load_resonance.numbers and speed_slopes is not None:
+        if load_resonance.numbers and squared_omega_slopes is not None:
             coarse_bilinear = BilinearFrequencies(
                 coarse_omega_by_kind["open"], coarse_omega_by_kind["tied"]
             )
             coarse_mesh_values |= find_study_resonance(
-                coarse_study, coarse_bilinear.omega_bilinear, speed_slopes
+                coarse_study, coarse_bilinear.omega_bilinear, squared_omega_slopes
             ).numbers
         counts_and_values = zip(element_counts, (values_by_name, coarse_mesh_values), strict=True)
-        return find_error_part("mesh", [*counts_and_values], scene, size_ratio=length_ratio)
+        return find_error_part_or_reason(
+            "mesh", [*counts_and_values], scene, size_ratio=length_ratio
+        )
 
     values_by_name = name_frequencies(omega_by_kind) | load_resonance.numbers
     verification = Verification(scene, values_by_name, dict.fromkeys(values_by_name, unit))
@@ -399,7 +401,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         counts_and_values = zip(
             mode_counts, (self.balance_numbers.values_by_name, values_with_more_modes), strict=True
         )
-        _, convergence_by_name = find_error_part(
+        _, convergence_by_name = find_error_part_or_reason(
             "modes",
             [*counts_and_values],
             self.study.scene,
@@ -485,7 +487,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
                 (n_harmonics, self.balance_numbers.values_by_name),
                 (factor * n_harmonics, self.compute_values_by_name(solution)),
             )
-            _, convergence_by_name = find_error_part(
+            _, convergence_by_name = find_error_part_or_reason(
                 "harmonics", counts_and_values, self.study.scene, size_ratio=1.0 / factor
             )
             convergences_of_factors.append(convergence_by_name)
@@ -579,7 +581,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         counts_and_values = zip(
             element_counts, (self.balance_numbers.values_by_name, coarse_mesh_values), strict=True
         )
-        _, convergence_by_name = find_error_part(
+        _, convergence_by_name = find_error_part_or_reason(
             "mesh", [*counts_and_values], study.scene, size_ratio=length_ratio
         )
         convergence_orders = 2.0 * study.scene.mesh.order, TIP_CONVERGENCE_ORDER

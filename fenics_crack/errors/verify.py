@@ -43,7 +43,7 @@ from fenics_crack.errors.convergence import (
     TIP_CONVERGENCE_ORDER,
     CountAndValues,
     PartOrReason,
-    find_error_part,
+    find_error_part_or_reason,
 )
 from fenics_crack.errors.numbers import (
     add_changes,
@@ -111,20 +111,20 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     >>> error = verification.total("amplitude")
     """
     with prefix_stages(SCENE_RUN_NAME):
-        whole_study = prepare(scene, comm, whole=True)
-        run = solve_study(whole_study)
+        unreduced_study = prepare(scene, comm, whole=True)
+        run = solve_study(unreduced_study)
         if scene.harmonic_balance.tolerance is not None and run.result.converged:
             run = solve_study(replace(run, scene=_scene_with_chosen_counts(run)), run.result)
     answer = run.result
     if not answer.converged:
         raise ConvergenceError(f"{SCENE_RUN_NAME}: {answer.status}")
-    whole_study = replace(whole_study, scene=_scene_with_chosen_counts(run))
+    unreduced_study = replace(unreduced_study, scene=_scene_with_chosen_counts(run))
     numbers = compute_numbers(run, answer)
     judged_answer = _AnswerJudgedByFinerRuns(
-        run, answer, numbers.values_by_name, answer, numbers, whole_study
+        run, answer, numbers.values_by_name, answer, numbers, unreduced_study
     )
     judged_answer.note_verdict(SCENE_RUN_NAME, run)
-    verification = Verification(whole_study.scene, numbers.values_by_name, numbers.unit_by_name)
+    verification = Verification(unreduced_study.scene, numbers.values_by_name, numbers.unit_by_name)
     verification = add_error_parts(verification, {"mesh": judged_answer.estimate_error_by_mesh})
     part_function_by_cause: dict[str, Callable[[], PartOrReason]] = {
         "shift": partial(judged_answer.estimate_error_by_shift, verification),
@@ -194,7 +194,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
 
     Attributes
     ----------
-    whole_study : Study
+    unreduced_study : Study
         Study with the unreduced structure. The scene has fixed numbers of harmonics and modes
         (:func:`_scene_with_chosen_counts`).
     failure_texts : list of str
@@ -203,7 +203,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         Verdict on stability by name of the run, "stable" runs excluded.
     """
 
-    whole_study: Study
+    unreduced_study: Study
     failure_texts: list[str] = field(default_factory=list)
     verdict_by_run: dict[str, str] = field(default_factory=dict)
 
@@ -268,10 +268,10 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
             raise ConvergenceError(cause)
         if len({run_count for run_count, _ in counts_and_values}) < len(counts_and_values):
             return "finer meshes have as many elements: reduce mesh.size, now the size of the plate"
-        return find_error_part(
+        return find_error_part_or_reason(
             cause,
             counts_and_values,
-            self.whole_study.scene,
+            self.unreduced_study.scene,
             formal_order=formal_order,
             scheme_order=scheme_order,
         )
@@ -360,7 +360,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         Elements become 1.5 and 2 times shorter if :func:`has_similar_finer_mesh`, otherwise 2 and 3
         times. Matrices and meshes from a file are not refined: return the reason.
         """
-        scene = self.whole_study.scene
+        scene = self.unreduced_study.scene
         if scene.structure is not None:
             return "[structure] gives matrices, which have no finer mesh"
         refinement_factors = (1.5, 2.0) if has_similar_finer_mesh(scene) else (2.0, 3.0)
@@ -375,7 +375,9 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
                 "mesh.coarser, and fc.grid_convergence compares several meshes"
             )
         formal_order = (
-            TIP_CONVERGENCE_ORDER if self.whole_study.structure.n_pairs else CLAMP_CONVERGENCE_ORDER
+            TIP_CONVERGENCE_ORDER
+            if self.unreduced_study.structure.n_pairs
+            else CLAMP_CONVERGENCE_ORDER
         )
         n_elements, scheme_order = count_elements(self.study.structure), 2.0 * scene.mesh.order
         return self._estimate_error_by_finer_runs(
@@ -436,15 +438,15 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
 
         Without truncated modes, return the reason.
         """
-        whole_study = self.whole_study
-        mode_counts_or_reason = _count_kept_and_possible_modes(self.whole_study)
+        unreduced_study = self.unreduced_study
+        mode_counts_or_reason = _count_kept_and_possible_modes(self.unreduced_study)
         if isinstance(mode_counts_or_reason, str):
             return mode_counts_or_reason
         return self._estimate_error_by_larger_counts(
             "modes",
-            whole_study,
-            whole_study.scene,
-            whole_study.scene.modes_key,
+            unreduced_study,
+            unreduced_study.scene,
+            unreduced_study.scene.modes_key,
             *mode_counts_or_reason,
             TIP_CONVERGENCE_ORDER,
         )
@@ -456,7 +458,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         ``harmonic_balance.samples`` in the scene, runs with 2 and 4 times the harmonics give the
         error. Without contact, return the reason.
         """
-        scene = self.whole_study.scene
+        scene = self.unreduced_study.scene
         balance_table = scene.harmonic_balance
         if self.study.contact is None:
             return SINGLE_HARMONIC_REASON_TEXT
@@ -483,7 +485,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         Use 2 and 4 times the samples per period. If forces are integrated exactly, or without
         contact, return the reason.
         """
-        scene, contact_law = self.whole_study.scene, self.study.contact
+        scene, contact_law = self.unreduced_study.scene, self.study.contact
         balance_table, samples_key = scene.harmonic_balance, "harmonic_balance.samples"
         if contact_law is None:
             return "without contact no contact force is sampled"

@@ -23,7 +23,7 @@ from fenics_crack.scene.tables import Growth as Law
 
 GrowthEnd = Literal["reached", "arrested", "broken", "side"]
 N_PATH_ROWS = 200
-"""Number of sizes in an :class:`EllipsePath`; a crack without growth has one."""
+"""Number of sizes in an :class:`EllipseSizePath`; a crack without growth has one."""
 THRESHOLD_RAMP_FRACTION = 0.01
 """Relative excess over the threshold at which growth has its full rate.
 
@@ -120,12 +120,12 @@ def _is_stress_intensity_column(column_name: str) -> bool:
     return column_name.startswith(("K", "delta_K"))
 
 
-class EllipsePath(NamedTuple):
+class EllipseSizePath(NamedTuple):
     """Depth and length of a growing half-ellipse over the load cycles.
 
     Attributes
     ----------
-    depth, length : (n,) [m]
+    depth, length_along_face : (n,) [m]
         Depth, and length along the face.
     cycles : (n,)
         Load cycles from the beginning until each size.
@@ -137,7 +137,7 @@ class EllipsePath(NamedTuple):
     """
 
     depth: np.ndarray
-    length: np.ndarray
+    length_along_face: np.ndarray
     cycles: np.ndarray
     growth_per_cycle: np.ndarray
     end_reason: GrowthEnd
@@ -195,10 +195,10 @@ def compute_growth_per_cycle(
 
 def integrate_ellipse_growth(
     ellipse_table: EllipseTable, law: Law, n_surface_ends: int
-) -> EllipsePath:
+) -> EllipseSizePath:
     """Integrate the growth of a half-ellipse from a table's first shape.
 
-    Growth ends as :attr:`EllipsePath.end_reason` describes. ``n_surface_ends`` is as in
+    Growth ends as :attr:`EllipseSizePath.end_reason` describes. ``n_surface_ends`` is as in
     :func:`compute_growth_per_cycle`. The integration variable s is the sum of the growth in depth a
     and length l. Then da/ds and dl/ds are bounded, and dN/ds = 1 / (da/dN + dl/dN). A depth that
     stops growing causes no difficulty.
@@ -265,4 +265,4 @@ def integrate_ellipse_growth(
         np.linspace(0.0, last_growth_sum, N_PATH_ROWS if last_growth_sum else 1)
     )
     growth_per_cycle = compute_growth_per_cycle(ellipse_table, law, n_surface_ends, depths, lengths)
-    return EllipsePath(depths, lengths, cycles, growth_per_cycle, end_reason)
+    return EllipseSizePath(depths, lengths, cycles, growth_per_cycle, end_reason)

@@ -42,7 +42,7 @@ from fenics_crack.basics.tables import (
 from fenics_crack.errors.stated import STATED_CAUSES, estimate_solution_errors
 from fenics_crack.fatigue.ellipse import (
     EQUIVALENT_RANGE_COLUMN_NAMES,
-    EllipsePath,
+    EllipseSizePath,
     EllipseTable,
     GrowthEnd,
     integrate_ellipse_growth,
@@ -605,7 +605,7 @@ def _grow_ellipse(
     )
     values_by_column = {
         column_name: ellipse_table.interpolate_column(
-            column_name, ellipse_path.depth, ellipse_path.length
+            column_name, ellipse_path.depth, ellipse_path.length_along_face
         )
         for column_name in ellipse_table.column_by_name
     }
@@ -621,7 +621,7 @@ def _grow_ellipse(
     )
     return Growth(
         scene,
-        ellipse_path.length,
+        ellipse_path.length_along_face,
         ellipse_path.cycles,
         elapsed_times,
         rate=ellipse_path.growth_per_cycle[:, 1],
@@ -637,7 +637,7 @@ def _grow_ellipse(
 def _collect_ellipse_remarks(
     sweep_result: SweepResult,
     ellipse_table: EllipseTable,
-    ellipse_path: EllipsePath,
+    ellipse_path: EllipseSizePath,
     values_by_column: Mapping[str, np.ndarray],
     law: Law,
 ) -> list[str]:
@@ -649,7 +649,7 @@ def _collect_ellipse_remarks(
     ----------
     sweep_result : SweepResult
         Cases over depth and length, failed ones included.
-    ellipse_table, ellipse_path : EllipseTable, EllipsePath
+    ellipse_table, ellipse_path : EllipseTable, EllipseSizePath
         Shapes in the sweep, and along the growth.
     values_by_column : dict of str to (n,)
         Columns along the growth.
@@ -669,13 +669,14 @@ def _collect_ellipse_remarks(
         else []
     )
     remark_texts += _list_crack_turning_remarks(
-        values_by_column["K_max"], values_by_column["K_II_max"], ellipse_path.length
+        values_by_column["K_max"], values_by_column["K_II_max"], ellipse_path.length_along_face
     )
     is_above_resonance = values_by_column["omega"] > values_by_column["omega_bilinear"]
     has_passed_resonance = is_above_resonance != is_above_resonance[0]
     if law.drive == "frequency" and np.any(has_passed_resonance):
         remark_texts.append(
-            f"at a length of {ellipse_path.length[np.argmax(has_passed_resonance)]:.4g} m the "
+            "at a length of "
+            f"{ellipse_path.length_along_face[np.argmax(has_passed_resonance)]:.4g} m the "
             "natural frequency passes the load frequency; the shapes are too few for this "
             "resonance, and the life is not known: use growth.drive = 'resonance'"
         )
@@ -699,7 +700,7 @@ def _find_allowed_ellipse_length(scene: Scene) -> float:
 
 
 def estimate_ellipse_life_error(
-    ellipse_table: EllipseTable, ellipse_path: EllipsePath, law: Law, n_surface_ends: int
+    ellipse_table: EllipseTable, ellipse_path: EllipseSizePath, law: Law, n_surface_ends: int
 ) -> float:
     """Estimate the relative error of the cycles by interpolation between shapes.
 
@@ -731,7 +732,7 @@ def _tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
     depths, lengths = (np.array(axis.values) for axis in sweep_result.axes)
     is_solved = sweep_result.converged
     if not is_solved[0, 0] or is_solved.sum() < N_ELLIPSE_SIZES_PER_AXIS:
-        case_index, failure_text = sweep_result.failed[0]
+        case_index, failure_text = sweep_result.failed_indices_and_reasons[0]
         raise ConvergenceError(
             f"{_ellipse_in_words(sweep_result, case_index)} was not solved: {failure_text}"
         )
@@ -754,7 +755,7 @@ def _tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
         column_by_name["response"]
     )  # nan where nothing moves
     log_size_grid = np.stack(np.meshgrid(np.log(depths), np.log(lengths), indexing="ij"), axis=-1)
-    for column in column_by_name.values() if sweep_result.failed else ():
+    for column in column_by_name.values() if sweep_result.failed_indices_and_reasons else ():
         failed_case_values = RBFInterpolator(log_size_grid[is_solved], column[is_solved])(
             log_size_grid[~is_solved]
         )
@@ -775,7 +776,7 @@ def _ellipse_in_words(sweep_result: SweepResult, case_index: tuple[int, ...]) ->
 
 
 def _list_failed_ellipse_remarks(
-    sweep_result: SweepResult, ellipse_table: EllipseTable, ellipse_path: EllipsePath
+    sweep_result: SweepResult, ellipse_table: EllipseTable, ellipse_path: EllipseSizePath
 ) -> list[str]:
     """Return a remark on failed shapes, if all are far from the growth.
 
@@ -788,9 +789,9 @@ def _list_failed_ellipse_remarks(
     """
     table_and_path_sizes = (
         (ellipse_table.depths, ellipse_path.depth),
-        (ellipse_table.lengths, ellipse_path.length),
+        (ellipse_table.lengths, ellipse_path.length_along_face),
     )
-    for case_index, failure_text in sweep_result.failed:
+    for case_index, failure_text in sweep_result.failed_indices_and_reasons:
         is_near_failed_case = np.full(len(ellipse_path.depth), fill_value=True)
         for size_index, (table_sizes, path_sizes) in zip(
             case_index, table_and_path_sizes, strict=True
@@ -802,10 +803,10 @@ def _list_failed_ellipse_remarks(
             raise ConvergenceError(
                 f"{_ellipse_in_words(sweep_result, case_index)} was not solved: {failure_text}"
             )
-    if not sweep_result.failed:
+    if not sweep_result.failed_indices_and_reasons:
         return []
-    case_index, failure_text = sweep_result.failed[0]
-    count_text = format_count(len(sweep_result.failed), "shape")
+    case_index, failure_text = sweep_result.failed_indices_and_reasons[0]
+    count_text = format_count(len(sweep_result.failed_indices_and_reasons), "shape")
     ellipse_text = _ellipse_in_words(sweep_result, case_index)
     return [
         f"{count_text} not solved, but away from the growth, such as {ellipse_text}: {failure_text}"
@@ -813,7 +814,7 @@ def _list_failed_ellipse_remarks(
 
 
 def _estimate_ellipse_range_error_and_remarks(
-    scene: Scene, ellipse_table: EllipseTable, ellipse_path: EllipsePath, path_row_index: int
+    scene: Scene, ellipse_table: EllipseTable, ellipse_path: EllipseSizePath, path_row_index: int
 ) -> tuple[float, list[str]]:
     """Estimate the error of the range of K_I for a growing half-ellipse.
 
@@ -829,7 +830,7 @@ def _estimate_ellipse_range_error_and_remarks(
     """
     depth_and_length = (
         ellipse_path.depth[path_row_index : path_row_index + 1],
-        ellipse_path.length[path_row_index : path_row_index + 1],
+        ellipse_path.length_along_face[path_row_index : path_row_index + 1],
     )
     omega = float(ellipse_table.interpolate_column("omega", *depth_and_length)[0])
     resized_scene = _make_scene_with_crack_size(
@@ -1116,7 +1117,7 @@ class LengthPath:
         failure_text_by_length = {
             sweep_result.axes[0].values[case_index[0]]: failure_text
             for sweep_result in self.sweep_results
-            for case_index, failure_text in sweep_result.failed
+            for case_index, failure_text in sweep_result.failed_indices_and_reasons
         }
         return list(failure_text_by_length.items())
 

@@ -74,7 +74,8 @@ def to_json_text(value: Any, dataset_name: str, array_by_name: Datasets) -> str:
             }
         if isinstance(value, tuple):
             return [
-                to_json_value(entry, f"{dataset_name}.{index}") for index, entry in enumerate(value)
+                to_json_value(entry, f"{dataset_name}.{entry_index}")
+                for entry_index, entry in enumerate(value)
             ]
         if _is_array_without_words(value):
             array_by_name[dataset_name] = value

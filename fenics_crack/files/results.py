@@ -158,11 +158,11 @@ def result_class(stored_file: StoredFile) -> type[Result]:
         raise stored_file.refusal(
             "of a present kind: follow_resonance takes the place of backbones; compute it again"
         )
-    requirement = (
+    requirement_text = (
         f"a result of one vibration; a {stored_file.kind} is read by load of its class, "
         "as SweepResult.load"
     )
-    raise stored_file.refusal(requirement)
+    raise stored_file.refusal(requirement_text)
 
 
 # --- modes ----------------------------------------------------------------------------------------
@@ -199,8 +199,12 @@ def _unpack_modes(datasets: Datasets, structure: Structure, contact: OptionalLaw
             or stored_shapes.ndim != 2
             or stored_shapes.shape[1] != whole_structure.n_dofs
         ):
-            requirement = f"the structure of the file, with {stored_shapes.shape[-1]} dofs"
-            raise InputError("structure", f"{whole_structure.n_dofs} dofs", requirement)
+            structure_requirement_text = (
+                f"the structure of the file, with {stored_shapes.shape[-1]} dofs"
+            )
+            raise InputError(
+                "structure", f"{whole_structure.n_dofs} dofs", structure_requirement_text
+            )
         local_dof_slice = slice(
             whole_structure.first_dof, whole_structure.first_dof + whole_structure.n_local
         )
@@ -209,22 +213,28 @@ def _unpack_modes(datasets: Datasets, structure: Structure, contact: OptionalLaw
     assert whole_structure.nodes is not None
     from scipy.spatial import cKDTree  # takes a while, and is needed here alone
 
-    positions = _find_node_positions_and_midpoints(nodal_mesh)
-    stored_positions = datasets["nodes"]
+    positions_and_midpoints = _find_node_positions_and_midpoints(nodal_mesh)
+    stored_positions_and_midpoints = datasets["nodes"]
     dimension = nodal_mesh.dimension
     check_shapes(
         datasets,
-        {"shapes": (len(omegas), len(stored_positions), dimension), "nodes": (-1, 2 * dimension)},
+        {
+            "shapes": (len(omegas), len(stored_positions_and_midpoints), dimension),
+            "nodes": (-1, 2 * dimension),
+        },
     )
-    nearest_distances, stored_node_indices = cKDTree(stored_positions).query(positions)
-    is_one_to_one = len(stored_positions) == len(positions) and len(
+    nearest_distances, stored_node_indices = cKDTree(stored_positions_and_midpoints).query(
+        positions_and_midpoints
+    )
+    is_one_to_one = len(stored_positions_and_midpoints) == len(positions_and_midpoints) and len(
         set(stored_node_indices)
     ) == len(stored_node_indices)
     if not is_one_to_one or nearest_distances.max() > 1e-6 * nodal_mesh.size:
         raise InputError(
             "structure",
-            f"{len(positions)} nodes",
-            f"the structure of the file, with {len(stored_positions)} nodes at the same places",
+            f"{len(positions_and_midpoints)} nodes",
+            f"the structure of the file, with {len(stored_positions_and_midpoints)} nodes "
+            "at the same places",
         )
     first_node = whole_structure.comm.exscan(len(whole_structure.nodes.points)) or 0
     local_shapes = nodal_mesh.to_nodal_frames(stored_shapes[:, stored_node_indices])[
@@ -353,8 +363,8 @@ def rebuild_solution(
 def _check_n_pairs(n_pairs: int, pair_gaps: np.ndarray) -> None:
     """Raise InputError unless gaps (..., n_pairs) have as many pairs as the structure."""
     if pair_gaps.shape[-1] != n_pairs:
-        requirement = f"the structure of the file, with {pair_gaps.shape[-1]} pairs"
-        raise InputError("structure", f"{n_pairs} pairs", requirement)
+        requirement_text = f"the structure of the file, with {pair_gaps.shape[-1]} pairs"
+        raise InputError("structure", f"{n_pairs} pairs", requirement_text)
 
 
 def _check_gap_coefficients(
@@ -397,10 +407,10 @@ def _pack_curve(curve: ResponseCurve) -> Datasets:
     datasets["kinds"] = [bifurcation.kind for bifurcation in curve.bifurcations]
     point_datasets = {"values": special_points.values, "omega": special_points.omega}
     if curve.exact:
-        datasets |= _pack_states_by_dof(curve) | {
+        datasets |= _pack_orbit_displacements_and_velocities(curve) | {
             "couplings": _stack_gap_and_load_rows(curve.structure)
         }
-        point_datasets |= _pack_states_by_dof(special_points) | {
+        point_datasets |= _pack_orbit_displacements_and_velocities(special_points) | {
             "multipliers": special_points.multipliers
         }
     else:
@@ -412,7 +422,7 @@ def _pack_curve(curve: ResponseCurve) -> Datasets:
     return datasets | _law_datasets(curve.contact, curve.structure)
 
 
-def _pack_states_by_dof(curve: ResponseCurve) -> Datasets:
+def _pack_orbit_displacements_and_velocities(curve: ResponseCurve) -> Datasets:
     """Return the states of exact orbits by dof, whose signs are known.
 
     Returns
@@ -423,9 +433,9 @@ def _pack_states_by_dof(curve: ResponseCurve) -> Datasets:
         With friction, the gaps [m] at which pairs stick.
     """
     dof_states, sticking_gaps = [], []
-    for parameter_value, state in zip(curve.values.tolist(), curve.points, strict=True):
+    for parameter_value, orbit_state in zip(curve.values.tolist(), curve.points, strict=True):
         mode_shapes = all_modes(curve.problem_at(parameter_value).structure).shapes
-        modal_state, sticking_gap = np.split(state, [2 * mode_shapes.shape[1]])
+        modal_state, sticking_gap = np.split(orbit_state, [2 * mode_shapes.shape[1]])
         dof_states.append(modal_state.reshape(2, -1) @ mode_shapes.T)
         sticking_gaps.append(sticking_gap)
     structure, n_points = curve.structure, len(curve)
@@ -632,10 +642,10 @@ def _find_dof_signs(structure: Structure, stored_rows: np.ndarray) -> np.ndarray
     if stored_rows.shape != structure_rows.shape:
         sizes_text = f"{structure.n_local} dofs, {structure.n_pairs} pairs"
         n_pairs = len(stored_rows) - len(structure.force)
-        requirement = (
+        requirement_text = (
             f"the structure of the file, with {stored_rows.shape[1]} dofs and {n_pairs} pairs"
         )
-        raise InputError("structure", sizes_text, requirement)
+        raise InputError("structure", sizes_text, requirement_text)
     dof_signs = np.where((stored_rows * structure_rows).sum(axis=0) < 0.0, -1.0, 1.0)
     row_maxima = np.abs(stored_rows).max(axis=1, initial=0.0, keepdims=True)
     if np.any(np.abs(stored_rows - structure_rows * dof_signs) > 1e-6 * row_maxima):

@@ -291,17 +291,17 @@ class StoredFile:
         ):
             file_digest = _file_digest(path)
             if file_digest != stored_digest and (is_required or file_digest != MISSING_FILE_DIGEST):
-                requirement = (
+                requirement_text = (
                     f"unchanged since {self.path} was computed; restore it, "
                     "or compute the result again"
                 )
-                raise InputError(key, path, requirement)
+                raise InputError(key, path, requirement_text)
         if is_required and len(self._stored_scene_file_digests) != len(key_path_pairs):
             raise self._older_version_error("checksums of all files of its matrices")
 
-    def refusal(self, requirement: str) -> InputError:
+    def refusal(self, requirement_text: str) -> InputError:
         """Return the error for a file that does not meet a requirement."""
-        return InputError("path", str(self.path), requirement)
+        return InputError("path", str(self.path), requirement_text)
 
     def check_kind(self, kind: str) -> None:
         """Raise InputError if the file holds another kind of result."""
@@ -344,11 +344,11 @@ class StoredFile:
     def _older_version_error(self, content: str) -> InputError:
         """Return the error for a file from an older version without some content."""
         version = self.attributes.get("version", "unknown")
-        requirement = (
+        requirement_text = (
             f"a file with {content}, which older versions did not write (this file: {version})"
         )
         remedy_text = "compute it again with the same command, a sweep in a new folder"
-        return self.refusal(f"{requirement}; {remedy_text}")
+        return self.refusal(f"{requirement_text}; {remedy_text}")
 
 
 def read_result_file(path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> StoredFile:

@@ -373,7 +373,7 @@ def describe_passage(passage_fit: PassageFit, mode: int, reason_text: str) -> st
     "" with a mode.
     """
     doubt_texts = ["another vibration is near this resonance"] * passage_fit.in_doubt
-    doubt_texts += [f"its {passage_fit.disagreement}"] * passage_fit.disagree
+    doubt_texts += [f"its {passage_fit.disagreement_in_words}"] * passage_fit.disagree
     remark_text = "; ".join([reason_text] * bool(reason_text) + doubt_texts)
     mode_text = f"mode {mode}" if mode else "not used"
     return f"{mode_text}: {passage_fit.in_words}" + f" ({remark_text})" * bool(remark_text)
@@ -393,7 +393,7 @@ def match_mode_or_give_reason(passage_fit: PassageFit, diagram: Campbell) -> tup
     str
         Reason without a match; "" with a match.
     """
-    omega_open, omega_tied = diagram.between(passage_fit.speed)
+    omega_open, omega_tied = diagram.interpolate_open_and_tied(passage_fit.speed)
 
     def compute_relative_mode_distances(omega: float) -> np.ndarray:
         return np.maximum(np.maximum(omega_open - omega, omega - omega_tied), 0.0) / omega

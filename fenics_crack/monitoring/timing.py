@@ -115,7 +115,7 @@ class Timing(SavedResult):
             fit_by_blade = {
                 blade: fit for blade, fit in self.fits.items() if isinstance(fit, TipFit)
             }
-            have_harmonic_ratios = all(map(_has_second_harmonic, fit_by_blade.values()))
+            have_harmonic_ratios = all(map(_is_second_harmonic_fitted, fit_by_blade.values()))
             table_rows = [
                 {"blade": blade} | _make_fit_row_by_column(fit, have_harmonic_ratios)
                 for blade, fit in fit_by_blade.items()
@@ -147,7 +147,7 @@ class Timing(SavedResult):
         return f"{format_count(len(self.arrivals), 'blade')}, {revolutions_text}"
 
 
-def _has_second_harmonic(fit: TipFit) -> bool:
+def _is_second_harmonic_fitted(fit: TipFit) -> bool:
     """Return True if twice the load's frequency is among the fitted harmonics."""
     return bool(np.any(np.isclose(fit.multiples, 2.0)))
 
@@ -256,7 +256,7 @@ def _conclude_from_passages(
             orders_text = _describe_orders(OTHER_ORDERS_TEXT, fit.ambiguous)
             warning_texts.append(f"{resonance_prefix}: {orders_text}")
         if fit.disagree:
-            warning_texts.append(f"{resonance_prefix}: {fit.disagreement}")
+            warning_texts.append(f"{resonance_prefix}: {fit.disagreement_in_words}")
         if fit.in_doubt:
             warning_texts.append(f"{resonance_prefix}: {CORRELATED_RESIDUALS_TEXT}")
     note_texts = [CONSTANT_FREQUENCY_TEXT] * any(
@@ -451,7 +451,7 @@ def _list_fit_notes_and_doubts(fit: TipFit) -> tuple[list[str], list[str]]:
         for line_fit in fit.asynchronous
     ]
     doubt_texts = []
-    if _has_second_harmonic(fit):
+    if _is_second_harmonic_fitted(fit):
         harmonic_ratio, ratio_error = fit.ratio()
         note_texts.append(
             f"ratio of second to first harmonic: {harmonic_ratio:.4g} ± {ratio_error:.2g}"

@@ -398,7 +398,7 @@ def list_stability_sentences(stability: Stability | None, amplitude: float) -> l
         amplitude_text = ""
         if np.isfinite(stability.rest_amplitude) and amplitude > 0.0:
             amplitude_ratio = stability.rest_amplitude / amplitude
-            rest_amplitude_text = format_quantity(stability.rest_amplitude, "m")
-            amplitude_text = f", {amplitude_ratio:.3g} times as large ({rest_amplitude_text})"
+            amplitude_from_rest_text = format_quantity(stability.rest_amplitude, "m")
+            amplitude_text = f", {amplitude_ratio:.3g} times as large ({amplitude_from_rest_text})"
         sentences.append(f"the motion from rest {stability.from_rest}{amplitude_text}")
     return sentences

@@ -120,13 +120,13 @@ def _check_curve_is_possible(study: Study) -> None:
     """
     structure = study.structure
     if not structure.sum_over_ranks(np.abs(structure.force[1:]).sum()):
-        requirement = "one that changes in time, for a curve: nothing vibrates"
-        raise InputError("load", "steady", requirement)
+        requirement_text = "one that changes in time, for a curve: nothing vibrates"
+        raise InputError("load", "steady", requirement_text)
     if is_rigid(required_contact_law(study)) and not structure.light_lips:
-        requirement = (
+        requirement_text = (
             "'penalty' or 'smoothed', or used with reduction.method = 'massless', for a curve"
         )
-        raise InputError("contact.law", "unilateral", requirement)
+        raise InputError("contact.law", "unilateral", requirement_text)
 
 
 def _follow_curve(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
@@ -188,8 +188,10 @@ def iterate_curve_studies(scene_or_study: Scene | Study, comm: MPI.Comm) -> Iter
         yield from iterate_studies_with_more_modes(unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS)
         return
     if scene.reduction is not None:
-        requirement = "'massless', or left out, for a run-up: it has one basis for all speeds"
-        scene.reduction.require(scene.reduction.method in (None, "massless"), "method", requirement)
+        requirement_text = "'massless', or left out, for a run-up: it has one basis for all speeds"
+        scene.reduction.require(
+            scene.reduction.method in (None, "massless"), "method", requirement_text
+        )
     estimate_and_check_memory(scene, unreduced_study.structure, is_run_up=True)
     if candidate_mode_counts(unreduced_study):
         engine_order = scene.excitation.omega / scene.speed

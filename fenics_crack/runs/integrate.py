@@ -172,17 +172,19 @@ def _start_state_from_run(
     places : (n_pairs,) [m]
         Tangential gaps at which pairs stick; only if the earlier motion has friction.
     """
-    motion, whole_structure = earlier_run.result, structure.whole
-    if isinstance(motion, TimeHistory):
-        state = motion.final_state
+    earlier_motion, whole_structure = earlier_run.result, structure.whole
+    if isinstance(earlier_motion, TimeHistory):
+        final_state = earlier_motion.final_state
     else:
-        state = initial_state(motion.structure, motion.contact, motion)
-    local_states = motion.structure.expand(np.array(state[:2]))
+        final_state = initial_state(
+            earlier_motion.structure, earlier_motion.contact, earlier_motion
+        )
+    local_states = earlier_motion.structure.expand(np.array(final_state[:2]))
     points_of_meshes = [
         np.zeros((meshed_structure.n_local, 1))
         if meshed_structure.nodes is None
         else meshed_structure.nodes.points
-        for meshed_structure in (whole_structure, motion.structure.whole)
+        for meshed_structure in (whole_structure, earlier_motion.structure.whole)
     ]
     has_same_mesh = local_states.shape[1] == whole_structure.n_local and np.array_equal(
         *points_of_meshes
@@ -194,7 +196,7 @@ def _start_state_from_run(
         modal_states = whole_structure.sum_over_ranks(mass_products @ structure.basis)
         n_missing_coordinates = structure.n_dofs - modal_states.shape[1]
         local_states = np.pad(modal_states, ((0, 0), (0, n_missing_coordinates)))
-    return local_states[0], local_states[1], *state[2:]
+    return local_states[0], local_states[1], *final_state[2:]
 
 
 def _choose_method(study: Study, integration_table: Integration, law: ContactLaw) -> str:
@@ -203,25 +205,27 @@ def _choose_method(study: Study, integration_table: Integration, law: ContactLaw
     ``integration.method`` decides. The default is "exponential" for crack faces without mass, else
     "central_difference". InputError if structure or contact law do not suit the method.
     """
-    structure, contact, requirement = study.structure, study.scene.contact, ""
+    structure, contact, requirement_text = study.structure, study.scene.contact, ""
     has_massless_faces = structure.light_lips
     method_name = integration_table.method or (
         "exponential" if has_massless_faces else "central_difference"
     )
     is_closed_form = method_name in ("events", "exponential")
     if has_massless_faces and not is_closed_form:
-        requirement = (
+        requirement_text = (
             "'events' or 'exponential' where crack faces have no mass, or reduction.method = "
         )
-        requirement += "'free_interface'"
+        requirement_text += "'free_interface'"
     elif is_closed_form and not is_small(structure):
-        requirement = f"another with {structure.n_dofs} dofs, or reduction.method = 'massless'"
+        requirement_text = f"another with {structure.n_dofs} dofs, or reduction.method = 'massless'"
     elif is_closed_form and is_rigid(law) and not has_massless_faces:
-        requirement = "'central_difference' with contact.law = 'unilateral', or reduction.method = "
-        requirement += "'massless'"
-    if requirement:
-        raise InputError("integration.method", method_name, requirement)
+        requirement_text = (
+            "'central_difference' with contact.law = 'unilateral', or reduction.method = "
+        )
+        requirement_text += "'massless'"
+    if requirement_text:
+        raise InputError("integration.method", method_name, requirement_text)
     if is_closed_form and not is_unilateral(law):
-        requirement = f"'penalty' or 'unilateral' with integration.method = {method_name!r}"
-        raise InputError("contact.law", contact and contact.law, requirement)
+        requirement_text = f"'penalty' or 'unilateral' with integration.method = {method_name!r}"
+        raise InputError("contact.law", contact and contact.law, requirement_text)
     return method_name

@@ -83,8 +83,10 @@ def make_run_from_file(
         if error.key == "path":
             raise
         difference_text = f"{error.key} {error.allowed}"
-        requirement = f"a result of this version's structure ({difference_text}); compute it again"
-        raise InputError("path", str(result_file.path), requirement) from None
+        requirement_text = (
+            f"a result of this version's structure ({difference_text}); compute it again"
+        )
+        raise InputError("path", str(result_file.path), requirement_text) from None
     law = getattr(result, "contact", None)
     if friction_of(law) is not None:
         study = replace(study, contact=law)  # along the lines of the file

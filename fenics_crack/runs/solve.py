@@ -89,10 +89,10 @@ def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Periodic
     >>> run.result.report.total, run.result.stability.verdict, run.motion()
     """
     solved_study = solve_study(prepare_unreduced_if_scene(scene, comm))
-    return _with_rest_motion_outcome(Run(**vars(solved_study)))
+    return _with_outcome_of_start_from_rest(Run(**vars(solved_study)))
 
 
-def _with_rest_motion_outcome(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
+def _with_outcome_of_start_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
     """Integrate the motion from rest and add its outcome to a solution (collective).
 
     This is done if the verdict on stability is undecided, or if no pair opens and closes. In the
@@ -107,23 +107,24 @@ def _with_rest_motion_outcome(run: Run[PeriodicSolution]) -> Run[PeriodicSolutio
     if is_decided and solution.breathes:
         return run
     begin_stage("the motion from rest")
-    rest_motion = None
+    motion_from_rest = None
     with suppress(KeyboardInterrupt):  # the solution stays as it is
-        rest_motion = attractor_from_rest(solution)
-    if rest_motion is None or not rest_motion.periods:
+        motion_from_rest = attractor_from_rest(solution)
+    if motion_from_rest is None or not motion_from_rest.periods:
         return run
-    rest_amplitude = math.nan
+    amplitude_from_rest = math.nan
     outcome_text = (
-        f"has not settled after {format_count(rest_motion.periods, 'period')} of the load"
+        f"has not settled after {format_count(motion_from_rest.periods, 'period')} of the load"
     )
-    if rest_motion.orbit is not None:
-        outcome_text = rest_motion.description
-        rest_amplitude = rest_motion.orbit.amplitude(watched_dof)
+    if motion_from_rest.orbit is not None:
+        outcome_text = motion_from_rest.description
+        amplitude_from_rest = motion_from_rest.orbit.amplitude(watched_dof)
         solution_amplitude = solution.amplitude(watched_dof)
         if (
             is_decided
-            and abs(rest_amplitude - solution_amplitude) <= MAX_SETTLED_CHANGE * solution_amplitude
+            and abs(amplitude_from_rest - solution_amplitude)
+            <= MAX_SETTLED_CHANGE * solution_amplitude
         ):
             return run  # the same motion
-    stability = replace(stability, from_rest=outcome_text, rest_amplitude=rest_amplitude)
+    stability = replace(stability, from_rest=outcome_text, rest_amplitude=amplitude_from_rest)
     return replace(run, result=replace(solution, stability=stability))

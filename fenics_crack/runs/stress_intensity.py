@@ -11,6 +11,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.basics.suggestions import with_old_names
 from fenics_crack.basics.tables import Tabular
 from fenics_crack.errors.stated import estimate_result_errors
 from fenics_crack.errors.verification import Verification
@@ -26,6 +27,10 @@ from fenics_crack.study.observer import (
 from fenics_crack.time.march import TimeHistory
 
 
+@with_old_names(
+    ahead="growth_directions", one="K_I", two="K_II", three="K_III", closed="closed_front_errors",
+    leading="leading_tip_index", fronts="station_indices_by_front", turn="turning_angles",
+)  # fmt: skip
 @dataclass(frozen=True, repr=False)
 class StressIntensity(Tabular):
     """Stress intensity factors at crack tips or front stations over a motion.
@@ -42,16 +47,16 @@ class StressIntensity(Tabular):
         at 3.2 mm" from the beginning of the front.
     positions : (n_tips,) [m]
         Distances along the crack; in a solid along the front, from its beginning.
-    points, ahead : (n_tips, d) [m], (n_tips, d)
+    points, growth_directions : (n_tips, d) [m], (n_tips, d)
         Positions of the tips, and unit vectors in which the cracks run straight on.
-    one, two : (n, n_tips) [Pa m^1/2]
+    K_I, K_II : (n, n_tips) [Pa m^1/2]
         K_I and K_II. K_I is positive if the crack faces part. K_II is positive if the face on the
         left, looking ahead, moves ahead. At a front without clearance K_I is never negative, and
         exactly zero while all contact patches next to the station are closed.
-    three : (n, n_tips) [Pa m^1/2] or None
+    K_III : (n, n_tips) [Pa m^1/2] or None
         K_III, positive if the upper face moves along the front, in the direction e_3 = e_1 x e_2.
         e_1 points ahead, and e_2 from the lower to the upper face. None for a plate.
-    closed : (n_tips,) [Pa m^1/2]
+    closed_front_errors : (n_tips,) [Pa m^1/2]
         Error of K_I in a solid, where contact makes K_I zero or not negative. It is the largest
         |K_I| computed while the front is closed, or negative K_I while it is partly closed.
     """
@@ -60,11 +65,11 @@ class StressIntensity(Tabular):
     tips: tuple[str, ...]
     positions: np.ndarray
     points: np.ndarray
-    ahead: np.ndarray
-    one: np.ndarray
-    two: np.ndarray
-    three: np.ndarray | None
-    closed: np.ndarray
+    growth_directions: np.ndarray
+    K_I: np.ndarray
+    K_II: np.ndarray
+    K_III: np.ndarray | None
+    closed_front_errors: np.ndarray
     _run: Run[Any] = field(compare=False)
     _tip_histories: list[CrackTipHistory] = field(compare=False)
 
@@ -102,7 +107,7 @@ class StressIntensity(Tabular):
         return self.numbers["delta_K_effective"]
 
     @property
-    def leading(self) -> int:
+    def leading_tip_index(self) -> int:
         """Index of the tip or station with the largest :attr:`effective` range."""
         return leading_crack_tip_index(self._tip_histories)
 
@@ -112,7 +117,7 @@ class StressIntensity(Tabular):
         return self._run.structure.comm
 
     @property
-    def fronts(self) -> dict[str, list[int]]:
+    def station_indices_by_front(self) -> dict[str, list[int]]:
         """Indices of the stations along each crack front, by the front's name.
 
         A plate has no fronts: all tips are listed under the name "".
@@ -120,16 +125,16 @@ class StressIntensity(Tabular):
         return station_indices_by_front(self.tips)
 
     @property
-    def turn(self) -> np.ndarray:
+    def turning_angles(self) -> np.ndarray:
         """Angle by which cracks turn left at largest K_I: (n_tips,) [rad].
 
         In this direction theta the hoop stress is largest: K_I sin(theta) + K_II (3 cos(theta) - 1)
         = 0 (Erdogan, Sih, Journal of Basic Engineering 85, 1963, 519). The angle is nan if K_I is
         never positive.
         """
-        instant_index_of_largest = self.one.argmax(axis=0)[None]
-        K_I = np.take_along_axis(self.one, instant_index_of_largest, axis=0)[0]
-        K_II = np.take_along_axis(self.two, instant_index_of_largest, axis=0)[0]
+        instant_index_of_largest = self.K_I.argmax(axis=0)[None]
+        K_I = np.take_along_axis(self.K_I, instant_index_of_largest, axis=0)[0]
+        K_II = np.take_along_axis(self.K_II, instant_index_of_largest, axis=0)[0]
         angles = -2.0 * np.arctan(2.0 * K_II / (K_I + np.sqrt(K_I**2 + 8.0 * K_II**2)))
         return np.where(K_I > 0.0, angles, np.nan)
 
@@ -151,8 +156,8 @@ class StressIntensity(Tabular):
         Names are "time", "K_I, the crack tip" etc.; there is a row for every instant.
         """
         values_by_column = {"time": self.time.tolist()}
-        values_by_name = {"K_I": self.one, "K_II": self.two} | (
-            {} if self.three is None else {"K_III": self.three}
+        values_by_name = {"K_I": self.K_I, "K_II": self.K_II} | (
+            {} if self.K_III is None else {"K_III": self.K_III}
         )
         for tip_index, tip_name in enumerate(self.tips):
             values_by_column |= {
@@ -165,7 +170,7 @@ class StressIntensity(Tabular):
         return {name: "s" if name == "time" else "Pa m^0.5" for name in self.to_dict()}
 
     def _repr_text(self) -> str:
-        tip_index = self.leading
+        tip_index = self.leading_tip_index
         number_texts = [
             f"{name} = {values[tip_index]:.4g}" for name, values in self.numbers.items()
         ]
@@ -180,9 +185,10 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     has K_III, too. Each station has the mean over its neighbourhood along the front; stations at
     the surface are extrapolated linearly from the next two (docs/solids.md).
 
-    The error of K_I due to the mesh is of first order in the element size. The attribute ``closed``
-    states the error at a closed front. In a reduced structure the static response to the load f and
-    the contact forces lambda is exact; with the amplitudes q_r of the modes,
+    The error of K_I due to the mesh is of first order in the element size. The attribute
+    ``closed_front_errors`` states the error at closed fronts. In a reduced structure the static
+    response to the load f and the contact forces lambda is exact; with the amplitudes q_r of the
+    modes,
 
     .. math:: K = K_{\mathrm{static}}(f, \lambda) + \sum_r K_r (q_r - q_{r,\mathrm{static}}).
 
@@ -207,7 +213,7 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     Examples
     --------
     >>> found = fc.stress_intensity(fc.solve(scene))
-    >>> found.largest, found.effective, found.turn
+    >>> found.largest, found.effective, found.turning_angles
     """
     check_run_has_motion(run)
     refuse_for_reason(reason_without_stress_intensity(run.scene), "run", repr(run))

@@ -18,7 +18,12 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from fenics_crack.basics.errors import MAX_CASES, MAX_HARMONIC_ORDER, InputError, describe_choices
+from fenics_crack.basics.errors import (
+    MAX_HARMONIC_ORDER,
+    MAX_VALUES_OF_AXIS,
+    InputError,
+    describe_choices,
+)
 from fenics_crack.basics.suggestions import (
     did_you_mean_text,
     find_similar_names,
@@ -292,19 +297,19 @@ def _read_axis_values(name: str, values_or_range: object) -> tuple[Any, ...]:
         n_values = _read_int(range_table["count"])
         is_valid_range = (
             range_table.keys() <= {"start", "stop", "count", "spacing"}
-            and 2 <= n_values <= MAX_CASES
+            and 2 <= n_values <= MAX_VALUES_OF_AXIS
         )
     except (KeyError, TypeError, OverflowError, InputError):
         is_valid_range = False
     key_suffix = f'."{name}"'  # behind the name of the key: Table.convert_value
     if not is_valid_range or spacing not in ("linear", "logarithmic"):
-        requirement = (
+        requirement_text = (
             "a list of values, or a table with start, stop, count (2 to 1e6) and, optionally,"
             " spacing = 'linear' or 'logarithmic'"
         )
         if range_table and not range_table.keys() & {"start", "stop", "count"}:
-            requirement += f'; did you mean "{name}.{next(iter(range_table))}", in quotes?'
-        raise InputError(key_suffix, values_or_range, requirement)
+            requirement_text += f'; did you mean "{name}.{next(iter(range_table))}", in quotes?'
+        raise InputError(key_suffix, values_or_range, requirement_text)
     if spacing == "linear":
         return tuple(map(float, np.linspace(start, stop, n_values)))
     if start * stop <= 0.0:
@@ -369,7 +374,7 @@ def _find_read_function(key_field: Field[Any]) -> Callable[[object], Any]:
 
 
 def value_field(
-    requirement: str,
+    requirement_text: str,
     is_allowed: Callable[[Any], bool] = lambda value: True,
     default: Any = MISSING,
     unit: str = "",
@@ -379,7 +384,7 @@ def value_field(
 
     Parameters
     ----------
-    requirement : str
+    requirement_text : str
         Text in errors: what is allowed.
     is_allowed : callable
         Returns True for an allowed value, after conversion to the field's type.
@@ -390,7 +395,7 @@ def value_field(
     more_metadata
         Further metadata of the field, such as ``path=True`` for a file's path.
     """
-    allowed_text = f"{requirement} [{unit}]".removesuffix(" []")
+    allowed_text = f"{requirement_text} [{unit}]".removesuffix(" []")
     metadata = {"allowed": allowed_text, "accepts": is_allowed, "unit": unit} | more_metadata
     return field(default=default, metadata=metadata)
 
@@ -420,9 +425,9 @@ def bounded_field(lower_text: str, upper_text: str, default: Any, unit: str = ""
     The bounds are texts, which errors show as written: "1e-6".
     """
     lower_bound, upper_bound = float(lower_text), float(upper_text)
-    requirement = f"a number from {lower_text} to {upper_text}"
+    requirement_text = f"a number from {lower_text} to {upper_text}"
     return value_field(
-        requirement, lambda value: lower_bound <= value <= upper_bound, default, unit
+        requirement_text, lambda value: lower_bound <= value <= upper_bound, default, unit
     )
 
 
@@ -434,10 +439,10 @@ def vector_value_field(
     Errors name the components by ``component_letter`` and x, y, z: "fx". With ``of_solid`` only
     solids have the key, and errors ask for three components.
     """
-    requirement = describe_components(component_letter, 3 if of_solid else 2)
+    requirement_text = describe_components(component_letter, 3 if of_solid else 2)
     if not of_solid:
-        requirement += f", or {_format_component_names(component_letter, 3)} in a solid"
-    return value_field(requirement, default=default, unit=unit, letter=component_letter)
+        requirement_text += f", or {_format_component_names(component_letter, 3)} in a solid"
+    return value_field(requirement_text, default=default, unit=unit, letter=component_letter)
 
 
 def describe_components(component_letter: str, dimension: int) -> str:
@@ -454,17 +459,17 @@ def _format_component_names(component_letter: str, dimension: int) -> str:
 
 def harmonics_field() -> Any:
     """Return a field for a load's list of harmonics; the default is empty."""
-    requirement = (
+    requirement_text = (
         f"a list of tables: each has a different order from 1 to {MAX_HARMONIC_ORDER}, and cos or"
         " sin or both, or amplitude and, optionally, phase (the lag in degrees)"
     )
-    return value_field(requirement, default=())
+    return value_field(requirement_text, default=())
 
 
 def harmonic_order_field(default: int) -> Any:
     """Return a field for a whole number from 1 to MAX_HARMONIC_ORDER."""
-    requirement = f"a whole number from 1 to {MAX_HARMONIC_ORDER}"
-    return value_field(requirement, lambda value: 1 <= value <= MAX_HARMONIC_ORDER, default)
+    requirement_text = f"a whole number from 1 to {MAX_HARMONIC_ORDER}"
+    return value_field(requirement_text, lambda value: 1 <= value <= MAX_HARMONIC_ORDER, default)
 
 
 def positive_int_field(default: Any = MISSING) -> Any:
@@ -479,33 +484,33 @@ def choice_field(*words: str, default: Any = MISSING) -> Any:
 
 def hertz_field(
     omega_key: str,
-    requirement: str = "a finite number > 0 (up to 1e29)",
+    requirement_text: str = "a finite number > 0 (up to 1e29)",
     is_allowed: Callable[[Any], bool] = lambda value: 0 < value <= 1e29,
 ) -> Any:
     """Return a field for frequencies in Hz.
 
     The same quantity in rad/s is the key ``omega_key``, which a given value also sets.
     """
-    return twin_field(omega_key, RAD_PER_TURN, requirement, is_allowed, "Hz")
+    return twin_field(omega_key, RAD_PER_TURN, requirement_text, is_allowed, "Hz")
 
 
 def twin_field(
-    si_key: str, factor: float, requirement: str, is_allowed: Callable[[Any], bool], unit: str
+    si_key: str, factor: float, requirement_text: str, is_allowed: Callable[[Any], bool], unit: str
 ) -> Any:
     """Return a field for a twin key: the quantity of ``si_key`` in another unit.
 
     The SI value is ``factor`` times the twin's value. Only one of the two keys may be given; a
     given twin also sets the SI key.
     """
-    return value_field(requirement, is_allowed, None, unit, twin=si_key, factor=factor)
+    return value_field(requirement_text, is_allowed, None, unit, twin=si_key, factor=factor)
 
 
-def path_field(requirement: str, default: Any = None, unit: str = "") -> Any:
+def path_field(requirement_text: str, default: Any = None, unit: str = "") -> Any:
     """Return a field for a file's path, not empty and relative to the scene's folder.
 
     Depending on the field's type, a number may stand in place of a path.
     """
-    return value_field(requirement, lambda value: value != "", default, unit, path=True)
+    return value_field(requirement_text, lambda value: value != "", default, unit, path=True)
 
 
 def scale_numbers(number_or_tuple: Any, factor: float) -> Any:
@@ -574,9 +579,9 @@ class Table:
 
     def with_unchecked_values(self, **value_by_key: Any) -> Self:
         """Return a copy with other values by key, without checking the values."""
-        table = copy(self)
-        vars(table).update(value_by_key)
-        return table
+        changed_table = copy(self)
+        vars(changed_table).update(value_by_key)
+        return changed_table
 
     def __post_init__(self) -> None:
         for key, key_field in self.field_by_key().items():
@@ -588,11 +593,11 @@ class Table:
                 si_value = scale_numbers(
                     twin_value, self.field_by_key()[twin_key].metadata["factor"]
                 )
-                requirement = (
+                requirement_text = (
                     f"left out with {self.full_key(si_key)} = {getattr(self, si_key)}: "
                     "give one of the two"
                 )
-                self.require(getattr(self, si_key) in (None, si_value), twin_key, requirement)
+                self.require(getattr(self, si_key) in (None, si_value), twin_key, requirement_text)
                 object.__setattr__(self, si_key, si_value)
 
     @classmethod
@@ -607,10 +612,10 @@ class Table:
         except (TypeError, OverflowError):
             is_accepted = False
         if not is_accepted:
-            requirement = key_field.metadata["allowed"] + cls._make_value_suggestion_text(
+            requirement_text = key_field.metadata["allowed"] + cls._make_value_suggestion_text(
                 key, value
             )
-            raise InputError(cls.full_key(key), value, requirement)
+            raise InputError(cls.full_key(key), value, requirement_text)
         return field_value
 
     @classmethod
@@ -734,21 +739,23 @@ class Table:
                 toml_lines.append(f"{key} = {_value_as_toml(current_value)}")
         return "\n".join([*toml_lines, *axes_lines, ""])
 
-    def require(self, condition: bool, key: str, requirement: str) -> None:
+    def require(self, condition: bool, key: str, requirement_text: str) -> None:
         """Raise InputError for a key unless ``condition`` is true.
 
         ``requirement`` completes "must be" in the error.
         """
         if not condition:
-            raise InputError(self.full_key(key), getattr(self, key), requirement)
+            raise InputError(self.full_key(key), getattr(self, key), requirement_text)
 
-    def given(self, key: str, requirement: str = "") -> Any:
+    def given(self, key: str, requirement_text: str = "") -> Any:
         """Return the value of a key; raise InputError if it is None.
 
         ``requirement`` replaces the error's text about allowed values.
         """
-        requirement = requirement or f"given: {self.field_by_key()[key].metadata['allowed']}"
-        self.require(getattr(self, key) is not None, key, requirement)
+        requirement_text = (
+            requirement_text or f"given: {self.field_by_key()[key].metadata['allowed']}"
+        )
+        self.require(getattr(self, key) is not None, key, requirement_text)
         return getattr(self, key)
 
     def forbid_keys(self, keys: Iterable[str], circumstance: str) -> None:
@@ -825,11 +832,11 @@ class Table:
         """Raise InputError if both a key and its twin in another unit have a value."""
         for twin_key, si_key in cls.si_key_by_twin().items():
             if value_by_key.get(twin_key) is not None and value_by_key.get(si_key) is not None:
-                requirement = (
+                requirement_text = (
                     f"left out with {cls.full_key(si_key)} = {value_by_key[si_key]}: "
                     "give one of the two"
                 )
-                raise InputError(cls.full_key(twin_key), value_by_key[twin_key], requirement)
+                raise InputError(cls.full_key(twin_key), value_by_key[twin_key], requirement_text)
 
     @classmethod
     def from_mapping(cls, raw_table: object) -> Any:

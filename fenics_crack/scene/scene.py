@@ -132,27 +132,28 @@ class Scene:
         if self.rotation is not None:
             self.rotation.check_axis_position(self.disk)
         if self.excitation.order is not None and (self.disk is None or self.speed > 0.0):
-            requirement = "left out without a rotation.speed > 0"
-            self.excitation.require(self.speed > 0.0, "order", requirement)
+            requirement_text = "left out without a rotation.speed > 0"
+            self.excitation.require(self.speed > 0.0, "order", requirement_text)
             object.__setattr__(self, "excitation", self.excitation.at_speed(self.speed))
         harmonic_balance = self.harmonic_balance.with_load_harmonics(self.highest_order)
         object.__setattr__(self, "harmonic_balance", harmonic_balance)
         contact_has_friction = self.contact is not None and bool(self.contact.friction)
-        requirement = "'condensed' with contact.friction"
         harmonic_balance.require(
-            harmonic_balance.form == "condensed" or not contact_has_friction, "form", requirement
+            harmonic_balance.form == "condensed" or not contact_has_friction,
+            "form",
+            "'condensed' with contact.friction",
         )
         if self.curve is not None and self.curve.parameter_and_range[0] == "speed":
-            requirement = (
+            requirement_text = (
                 "used with excitation.order, by which the load's frequency follows the speed"
             )
-            self.curve.require(self.excitation.order is not None, "parameter", requirement)
+            self.curve.require(self.excitation.order is not None, "parameter", requirement_text)
         if self.curve is not None and self.curve.parameter_and_range[0] == "load":
-            requirement = (
+            requirement_text = (
                 "another parameter with a rotation.speed > 0, as the mean load is partly "
                 "centrifugal; or add curve.at = 'resonance', which keeps the mean load"
             )
-            self.curve.require(self.speed == 0.0, "parameter", requirement)
+            self.curve.require(self.speed == 0.0, "parameter", requirement_text)
         if self.integration is not None and self.rotation is not None:
             circumstance = "[rotation]: the mean load is partly centrifugal"
             self.integration.forbid_keys(("deflection", "free"), circumstance)
@@ -178,8 +179,8 @@ class Scene:
                     self, table_name, dataclasses.replace(axes_table, **{axes_key: checked_axes})
                 )
         if self.identify is not None and (self.mesh is None or self.mesh.layout != "file"):
-            requirement = "left out without mesh.layout = 'file'"
-            self.identify.require(not self.identify.meshes, "meshes", requirement)
+            requirement_text = "left out without mesh.layout = 'file'"
+            self.identify.require(not self.identify.meshes, "meshes", requirement_text)
             self.identify.forbid_keys(("uncracked",), "without mesh.layout = 'file'")
 
     def __repr__(self) -> str:
@@ -258,8 +259,8 @@ class Scene:
             try:
                 raw_table_by_name = tomllib.loads(text)
             except tomllib.TOMLDecodeError as error:
-                requirement = f"a TOML file ({error}){_make_line_fix_text(text, str(error))}"
-                raise InputError("scene", name, requirement) from error
+                requirement_text = f"a TOML file ({error}){_make_line_fix_text(text, str(error))}"
+                raise InputError("scene", name, requirement_text) from error
         return cls.from_mapping(raw_table_by_name, folder, changes)
 
     @classmethod
@@ -335,9 +336,9 @@ class Scene:
         if getattr(self, name) is None:
             raise missing_table_error(name, ", which this command needs")
         has_condensed_form = self.harmonic_balance.form == "condensed"
-        requirement = f"'condensed' for a command that uses [{name}]"
+        requirement_text = f"'condensed' for a command that uses [{name}]"
         self.harmonic_balance.require(
-            has_condensed_form or name not in MANY_SOLUTION_TABLE_NAMES, "form", requirement
+            has_condensed_form or name not in MANY_SOLUTION_TABLE_NAMES, "form", requirement_text
         )
         return getattr(self, name)
 
@@ -516,8 +517,8 @@ def missing_table_error(table_name: str, circumstance: str = "") -> InputError:
     ``circumstance`` is appended to the requirement: ", which this command needs".
     """
     keys_text = ", ".join(_TABLE_CLASS_BY_NAME[table_name].required_keys())
-    requirement = f"given: a table [{table_name}]{' with ' * bool(keys_text)}{keys_text}"
-    return InputError(table_name, None, requirement + circumstance)
+    requirement_text = f"given: a table [{table_name}]{' with ' * bool(keys_text)}{keys_text}"
+    return InputError(table_name, None, requirement_text + circumstance)
 
 
 def _is_replaced_by_matrices(scene: Scene, table_name: str) -> bool:
@@ -766,12 +767,12 @@ def _check_tables_beside_matrices(scene: Scene, structure: kinds.Structure) -> N
         _forbid_tables(scene, ("damping",), "structure.damping")
     if structure.model is None:
         force_key = scene.excitation.first_force_key
-        requirement = (
+        requirement_text = (
             "left out with [structure] without structure.model: give the load by "
             "structure.force_sin, structure.force_cos or structure.force_mean"
         )
         has_no_force = not force_key and scene.excitation.point is None
-        scene.excitation.require(has_no_force, force_key or "point", requirement)
+        scene.excitation.require(has_no_force, force_key or "point", requirement_text)
         matrix_paths = structure.mass, structure.stiffness, structure.damping or ""
         if not any(
             Path(matrix_path).suffix.lower() in (".sti", ".mas") for matrix_path in matrix_paths
@@ -787,25 +788,27 @@ def _check_tables_beside_matrices(scene: Scene, structure: kinds.Structure) -> N
     _set_vector_dimension(scene)
     if scene.excitation.point is None:
         force_paths = (structure.force_sin, structure.force_cos, structure.force_mean)
-        requirement = (
+        requirement_text = (
             "given: the point of the force [m]; or a load by structure.force_sin, "
             "structure.force_cos or structure.force_mean"
         )
         scene.excitation.require(
-            any(force_paths) and not scene.excitation.first_force_key, "point", requirement
+            any(force_paths) and not scene.excitation.first_force_key, "point", requirement_text
         )
     if structure.gap is not None and scene.contact is None:
         raise missing_table_error("contact", ", as structure.gap is given")
     if scene.contact is not None:
-        requirement = "'all' with [structure]"
-        scene.contact.require(scene.contact.pairs == "all", "pairs", requirement)
+        requirement_text = "'all' with [structure]"
+        scene.contact.require(scene.contact.pairs == "all", "pairs", requirement_text)
         if structure.areas is None and (structure.model is None or structure.gap is not None):
             scene.contact.forbid_keys(
                 ("stiffness_per_area",), "without structure.areas: give contact.stiffness"
             )
         if structure.model is None and structure.gap is None:
-            requirement = "left out without contact pairs: give structure.gap or structure.model"
-            raise InputError("contact", "a table", requirement)
+            requirement_text = (
+                "left out without contact pairs: give structure.gap or structure.model"
+            )
+            raise InputError("contact", "a table", requirement_text)
 
 
 def _forbid_tables(scene: Scene, table_names: Iterable[str], circumstance: str) -> None:
@@ -815,8 +818,8 @@ def _forbid_tables(scene: Scene, table_names: Iterable[str], circumstance: str) 
     """
     for table_name in table_names:
         if getattr(scene, table_name):
-            requirement = f"left out with {circumstance}: remove the table [{table_name}]"
-            raise InputError(table_name, "a table", requirement)
+            requirement_text = f"left out with {circumstance}: remove the table [{table_name}]"
+            raise InputError(table_name, "a table", requirement_text)
 
 
 def _set_vector_dimension(scene: Scene) -> None:
@@ -861,17 +864,19 @@ def _check_dimension(scene: Scene) -> None:
     if scene.contact is not None and scene.contact.pairs == "mouth":
         mesh.forbid_keys(("patches",), "contact.pairs = 'mouth', which keeps a single pair")
     if dimension == 3:
-        requirement = "2 with geometry.kind = 'solid': tetrahedra of order 1 are much too stiff"
-        mesh.require(mesh.order == 2, "order", requirement)
-        requirement = "'graded' or 'file' with geometry.kind = 'solid'"
-        mesh.require(mesh.layout != "grid", "layout", requirement)
+        requirement_text = (
+            "2 with geometry.kind = 'solid': tetrahedra of order 1 are much too stiff"
+        )
+        mesh.require(mesh.order == 2, "order", requirement_text)
+        requirement_text = "'graded' or 'file' with geometry.kind = 'solid'"
+        mesh.require(mesh.layout != "grid", "layout", requirement_text)
         mesh.forbid_keys(("cells",), "geometry.kind = 'solid', which is meshed by tetrahedra")
         if scene.contact is not None and scene.contact.friction and scene.disk is not None:
-            requirement = (
+            requirement_text = (
                 "0, or left out, with [disk] and geometry.kind = 'solid', for which"
                 " friction is not implemented"
             )
-            scene.contact.require(False, "friction", requirement)
+            scene.contact.require(False, "friction", requirement_text)
     if geometry.file is None:
         mesh.forbid_keys(("per_turn",), "without geometry.file: only such parts have curved faces")
     if dimension == 2 or (mesh.layout != "file" and geometry.file is None):
@@ -889,13 +894,15 @@ def _check_disk(scene: Scene, disk: kinds.Disk) -> None:
         "order", "given: the engine order of the load on [disk], a whole number >= 1"
     )
     if scene.speed == 0.0:
-        requirement = (
+        requirement_text = (
             "given: a finite number > 0 [rad/s], or excitation.frequency [Hz], as [disk] is at rest"
         )
-        scene.excitation.given("omega", requirement)
+        scene.excitation.given("omega", requirement_text)
     if scene.curve is not None:
-        requirement = "another parameter with [disk], for example 'omega' or 'frequency'"
-        scene.curve.require(scene.curve.parameter_and_range[0] != "speed", "parameter", requirement)
+        requirement_text = "another parameter with [disk], for example 'omega' or 'frequency'"
+        scene.curve.require(
+            scene.curve.parameter_and_range[0] != "speed", "parameter", requirement_text
+        )
     for crack_name, crack in scene.crack_by_name.items():
         with use_table_name_in_errors(crack_name):
             crack.forbid_keys(("first_omega", "first_frequency"), "[disk]: give crack.length")
@@ -912,18 +919,18 @@ def _check_disk(scene: Scene, disk: kinds.Disk) -> None:
     )
     blade_width = scene.geometry.circumferential_width
     foot_spacing = 2.0 * outer_radius * math.sin(math.pi / disk.sectors)
-    requirement = (
+    requirement_text = (
         f"larger, as blades {blade_width:g} m wide would overlap: "
         f"their roots are {foot_spacing:g} m apart"
     )
     disk.require(
         blade_width < foot_spacing * (1.0 - MIN_ALLOWED_RELATIVE_DISTANCE),
         "outer_radius",
-        requirement,
+        requirement_text,
     )
     foot_depth = outer_radius - math.sqrt(outer_radius**2 - 0.25 * blade_width**2)
-    requirement = f"less than {outer_radius - foot_depth:g} m, where the blade meets the rim"
-    disk.require(inner_radius < outer_radius - foot_depth, "inner_radius", requirement)
+    requirement_text = f"less than {outer_radius - foot_depth:g} m, where the blade meets the rim"
+    disk.require(inner_radius < outer_radius - foot_depth, "inner_radius", requirement_text)
 
 
 def _check_plate(scene: Scene) -> None:
@@ -936,10 +943,10 @@ def _check_plate(scene: Scene) -> None:
             <= getattr(geometry, side_key)
             <= height * MAX_ALLOWED_SIDE_RATIO
         )
-        requirement = (
+        requirement_text = (
             f"within a factor {MAX_ALLOWED_SIDE_RATIO:g} of geometry.height = {height:g} m"
         )
-        geometry.require(is_similar_size, side_key, requirement)
+        geometry.require(is_similar_size, side_key, requirement_text)
     if not scene.has_other_loads:
         scene.excitation.given(
             "point", "given: the point of the force, [x, y], or [x, y, z] in a solid [m]"
@@ -1048,29 +1055,31 @@ def _check_crack(crack: kinds.Crack, geometry: kinds.Geometry, crack_names: list
         crack.given(
             "edge", f"given: 'left' or 'right'; or center, for a crack inside the {geometry_kind}"
         )
-    requirement = (
+    requirement_text = (
         f"inside the {geometry_kind}: between 0 and geometry.height = {height:g} m, {margin_text}"
     )
-    crack.require(_is_inside_with_margin(crack.height or 0.0, height), "height", requirement)
+    crack.require(_is_inside_with_margin(crack.height or 0.0, height), "height", requirement_text)
     if len(crack_names) > 1:
         circumstance = "several cracks: it sets the length of a single crack"
         crack.forbid_keys(("first_frequency", "first_omega"), circumstance)
-    requirement = (
+    requirement_text = (
         "given: a finite number > 0 [m]; or crack.first_omega or crack.first_frequency"
         if crack.length is None
         else "left out with crack.first_omega or crack.first_frequency: give one of them"
     )
-    crack.require((crack.length is None) != (crack.first_omega is None), "length", requirement)
-    requirement = (
+    crack.require((crack.length is None) != (crack.first_omega is None), "length", requirement_text)
+    requirement_text = (
         f"shorter than the {geometry_kind}: between 0 and geometry.width = {width:g} m, "
         f"{margin_text}"
     )
     crack.require(
-        crack.length is None or _is_inside_with_margin(crack.length, width), "length", requirement
+        crack.length is None or _is_inside_with_margin(crack.length, width),
+        "length",
+        requirement_text,
     )
     if is_internal_crack:
         tip_positions = [crack.center] if crack.length is None else crack.span(width)
-        requirement = (
+        requirement_text = (
             f"such that both tips are inside the {geometry_kind}: "
             f"between 0 and {width:g} m, {margin_text}"
         )
@@ -1079,7 +1088,7 @@ def _check_crack(crack: kinds.Crack, geometry: kinds.Geometry, crack_names: list
                 _is_inside_with_margin(tip_position or 0.0, width) for tip_position in tip_positions
             ),
             "center",
-            requirement,
+            requirement_text,
         )
 
 
@@ -1091,11 +1100,11 @@ def _check_crack_front(crack: kinds.Crack, geometry: kinds.Geometry) -> None:
         crack.forbid_keys(("front",), "without crack.depth: the crack goes through the thickness")
     else:
         thickness = geometry.sides[2]
-        requirement = (
+        requirement_text = (
             f"less than geometry.thickness = {thickness:g} m, by at least "
             f"{MIN_ALLOWED_RELATIVE_DISTANCE:g} of it; or left out for a crack through it"
         )
-        crack.require(_is_inside_with_margin(crack.depth, thickness), "depth", requirement)
+        crack.require(_is_inside_with_margin(crack.depth, thickness), "depth", requirement_text)
 
 
 def _check_crack_on_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kinds.Mesh) -> None:
@@ -1113,16 +1122,18 @@ def _check_crack_on_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kin
             0 < round(n_crack_cells) < n_cells
             and abs(n_crack_cells - round(n_crack_cells)) < 1e-9 * n_cells
         )
-        requirement = (
+        requirement_text = (
             f"a whole number of grid cells of {cell_size_text}, at least one cell from each end"
         )
-        crack.require(is_on_grid_line, extent_key, requirement)
+        crack.require(is_on_grid_line, extent_key, requirement_text)
     if crack.center is not None:
         tip_column = crack.span(width)[0] / width * n_columns
-        requirement = (
+        requirement_text = (
             f"such that both tips are on grid lines, which are {width / n_columns:g} m apart"
         )
-        crack.require(abs(tip_column - round(tip_column)) < 1e-9 * n_columns, "center", requirement)
+        crack.require(
+            abs(tip_column - round(tip_column)) < 1e-9 * n_columns, "center", requirement_text
+        )
 
 
 def _check_crack_distance(scene: Scene, first_name: str, second_name: str) -> None:
@@ -1147,11 +1158,11 @@ def _check_crack_distance(scene: Scene, first_name: str, second_name: str) -> No
             min_distance_text += (
                 f", or with {MIN_ALLOWED_RELATIVE_DISTANCE * width:g} m between the tips"
             )
-        requirement = (
+        requirement_text = (
             f"farther from {first_name}.height = {first_crack.height:g} m, as cracks "
             f"may not touch: at least {min_distance_text}"
         )
-        raise InputError(f"{second_name}.height", second_crack.height, requirement)
+        raise InputError(f"{second_name}.height", second_crack.height, requirement_text)
 
 
 def _is_inside_with_margin(coordinate: float, extent: float) -> bool:
@@ -1188,15 +1199,15 @@ def _check_and_convert_axes(
         )
         if not (is_sweepable_key and table_exists) or axis.key in seen_keys:
             tables_text = ", ".join(_SWEEPABLE_TABLE_NAMES)
-            requirement = (
+            requirement_text = (
                 "a key of the scene with its table, as 'crack.length', given once; "
                 f"the tables are {tables_text}"
             )
             if (
                 suggestion_text := did_you_mean_text(_suggest_keys(axis.key))
             ) and axis.key not in seen_keys:
-                requirement += f"; {suggestion_text}".rstrip()
-            raise InputError(axes_key, axis.key, requirement)
+                requirement_text += f"; {suggestion_text}".rstrip()
+            raise InputError(axes_key, axis.key, requirement_text)
         seen_keys.add(axis.key)
         for twin_pair in _TABLE_CLASS_BY_NAME[table_name].si_key_by_twin().items():
             table_name_text = axis.key.removesuffix(f".{key_in_table}")
@@ -1204,8 +1215,8 @@ def _check_and_convert_axes(
                 twin_keys := [f"{table_name_text}.{twin_key}" for twin_key in twin_pair]
             ):
                 other_twin_key = twin_keys[0] if axis.key == twin_keys[1] else twin_keys[1]
-                requirement = f"left out with {other_twin_key}: give one of the two"
-                raise InputError(axes_key, axis.key, requirement)
+                requirement_text = f"left out with {other_twin_key}: give one of the two"
+                raise InputError(axes_key, axis.key, requirement_text)
         with use_table_name_in_errors(axis.key.removesuffix(f".{key_in_table}")):
             axis_values = tuple(
                 _TABLE_CLASS_BY_NAME[table_name].convert_value(key_in_table, axis_value)
@@ -1284,11 +1295,11 @@ def _split_changed_key(full_key: str, value: object) -> tuple[str, int | None, s
         ):
             removable_names = ", ".join((*_OPTIONAL_TABLE_NAMES, *_LIST_TABLE_NAMES))
             first_key = next(key for key in known_keys() if key.startswith(f"{table_name}."))
-            requirement = (
+            requirement_text = (
                 f"changed key by key, as {first_key}=...; only these tables can be "
                 f"removed, by TABLE=none (in Python None): {removable_names}"
             )
-            raise InputError(full_key, "none" if value is None else value, requirement)
+            raise InputError(full_key, "none" if value is None else value, requirement_text)
     elif (list_position is None) == (table_name in _LIST_TABLE_NAMES):
         known_keys_text = ", ".join(
             f"{table_name}.1.{subkey}" for subkey in table_class.field_by_key()
@@ -1369,11 +1380,11 @@ def _merge_list_changes(
         raise InputError(table_name, tables, f"a list of tables headed [[{table_name}]]")
     if list_position > len(tables) + 1:
         first_changed_key = f"{table_name}.{list_position}.{next(iter(value_by_key))}"
-        requirement = (
+        requirement_text = (
             f"in {table_name}.{len(tables) + 1}, the next new table, as the scene has "
             f"{len(tables)} tables [[{table_name}]]"
         )
-        raise InputError(first_changed_key, next(iter(value_by_key.values())), requirement)
+        raise InputError(first_changed_key, next(iter(value_by_key.values())), requirement_text)
     current_table = tables[list_position - 1] if list_position <= len(tables) else None
     with use_table_name_in_errors(f"{table_name}.{list_position}"):
         return (

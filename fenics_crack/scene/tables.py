@@ -204,10 +204,10 @@ class Crack(Table):
         elif self.radii is not None:
             self.forbid_keys(given_keys, "crack.radii")
         else:
-            requirement = (
+            requirement_text = (
                 "given: [a, b] [m]; or crack.length and crack.depth; or crack.front = 'through'"
             )
-            self.require(len(given_keys) == 2, "radii", requirement)
+            self.require(len(given_keys) == 2, "radii", requirement_text)
         if self.front == "through" or self.half_axes[0] != self.half_axes[1]:
             self.given(
                 "direction", "given: [dx, dy, dz], the direction of the first radius or of growth"
@@ -325,11 +325,11 @@ class Damping(Table):
             for key in key_group
             if getattr(self, key) is not None
         ]
-        requirement = (
+        requirement_text = (
             "given; or damping.mass or damping.stiffness; or damping.ratios with damping.omegas or "
             "damping.frequencies"
         )
-        self.require(bool(given_groups_and_keys), "ratio", requirement)
+        self.require(bool(given_groups_and_keys), "ratio", requirement_text)
         (chosen_key_group, key), *_ = given_groups_and_keys
         for key_group in key_groups:
             if key_group is not chosen_key_group:
@@ -532,10 +532,14 @@ class Load(Table, PeriodicLoad):
         has_load = any(getattr(self, key) is not None for key in allowed_keys) or bool(
             self.harmonics
         )
-        has_vectors = self.point is None or all(
+        has_valid_harmonic_vectors = self.point is None or all(
             len(harmonic.cos) > 1 for harmonic in self.harmonics
         )
-        self.require(has_vectors, "harmonics", "a list with forces at a point, as cos = [fx, fy]")
+        self.require(
+            has_valid_harmonic_vectors,
+            "harmonics",
+            "a list with forces at a point, as cos = [fx, fy]",
+        )
         self.require(has_load, allowed_keys[-1], f"given, or one of {', '.join(allowed_keys[:-1])}")
         if all(getattr(self, key) is None for key in allowed_keys if not key.endswith("_mean")):
             self.forbid_keys(("phase",), "a mean load alone, which has no phase")
@@ -760,8 +764,8 @@ class Disk(Table):
         self.require(max(self.cracked, default=1) <= self.sectors, "cracked",
                      f"sector numbers from 1 to disk.sectors = {self.sectors}")  # fmt: skip
         if self.mistuning is not None:
-            requirement = f"one number for each of the {self.sectors} sectors"
-            self.require(len(self.mistuning) == self.sectors, "mistuning", requirement)
+            requirement_text = f"one number for each of the {self.sectors} sectors"
+            self.require(len(self.mistuning) == self.sectors, "mistuning", requirement_text)
             self.forbid_keys(("deviation", "seed"), "disk.mistuning")
         self.require(self.axis is None or any(self.axis), "axis", "a vector that is not zero")
 
@@ -890,11 +894,11 @@ class HarmonicBalance(Table):
         has_allowed_samples = (
             self.samples is None or min_samples <= self.samples <= MAX_SAMPLES_PER_PERIOD
         )
-        requirement = (
+        requirement_text = (
             f"a whole number from {min_samples} (4 times harmonics + 1) to "
             f"{MAX_SAMPLES_PER_PERIOD}, or left out"
         )
-        self.require(has_allowed_samples, "samples", requirement)
+        self.require(has_allowed_samples, "samples", requirement_text)
 
     def with_load_harmonics(self, highest_order: int) -> HarmonicBalance:
         """Return the table with at least ``highest_order`` harmonics.
@@ -902,10 +906,10 @@ class HarmonicBalance(Table):
         ``highest_order`` is the highest harmonic of any load. Raises InputError if a given number
         of harmonics is smaller; only the default number is increased.
         """
-        requirement = f"a whole number >= {highest_order}, the highest order of the load"
+        requirement_text = f"a whole number >= {highest_order}, the highest order of the load"
         has_enough_harmonics = self.harmonics >= highest_order
         self.require(
-            has_enough_harmonics or "harmonics" in self.derived_keys, "harmonics", requirement
+            has_enough_harmonics or "harmonics" in self.derived_keys, "harmonics", requirement_text
         )
         return self if has_enough_harmonics else self.with_unchecked_values(harmonics=highest_order)
 
@@ -1116,9 +1120,11 @@ class Curve(Table):
             # Rounding would take a smaller end to 0.
             lower_bound = max(1e-12 * max(self.start, self.stop), 0.0)
             for end_key in ("start", "stop"):
-                requirement = f"a number > 0 with curve.parameter = {self.parameter!r}"
-                requirement += ", and above 1e-12 of the other end" * (getattr(self, end_key) > 0.0)
-                self.require(getattr(self, end_key) > lower_bound, end_key, requirement)
+                requirement_text = f"a number > 0 with curve.parameter = {self.parameter!r}"
+                requirement_text += ", and above 1e-12 of the other end" * (
+                    getattr(self, end_key) > 0.0
+                )
+                self.require(getattr(self, end_key) > lower_bound, end_key, requirement_text)
 
     @property
     def parameter_and_range(self) -> tuple[str, float, float]:
@@ -1288,11 +1294,11 @@ class Growth(Table):
         """
         if self.cycles is None or self.frequencies is None:
             return None
-        duration = sum(
+        repeat_duration = sum(
             n_cycles / frequency
             for n_cycles, frequency in zip(self.cycles, self.frequencies, strict=True)
         )
-        return sum(self.cycles), duration
+        return sum(self.cycles), repeat_duration
 
 
 @dataclass(frozen=True)
@@ -1468,8 +1474,8 @@ class Identify(Table):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.unknown and not self.meshes:
-            requirement = f"given: {self.field_by_key()['unknown'].metadata['allowed']}"
-            raise InputError("identify.unknown", None, requirement)
+            requirement_text = f"given: {self.field_by_key()['unknown'].metadata['allowed']}"
+            raise InputError("identify.unknown", None, requirement_text)
         self._check_meshes()
         for axis in self.unknown:
             word_flags = [isinstance(value, str) for value in axis.values]
@@ -1477,10 +1483,10 @@ class Identify(Table):
                 not any(word_flags) and len(axis.values) >= MIN_ALLOWED_VALUES_PER_UNKNOWN
             )
             if not (all(word_flags) or (has_enough_numbers and np.all(np.diff(axis.values) > 0))):
-                requirement = (
+                requirement_text = (
                     f"words, or {MIN_ALLOWED_VALUES_PER_UNKNOWN} or more numbers in ascending order"
                 )
-                raise InputError(f'identify.unknown."{axis.key}"', axis.values, requirement)
+                raise InputError(f'identify.unknown."{axis.key}"', axis.values, requirement_text)
 
     def _check_meshes(self) -> None:
         """Raise InputError if ``meshes`` is not a full grid of parameter values.
@@ -1505,13 +1511,15 @@ class Identify(Table):
                 )
             for parameter_name in parameter_names:
                 if not (parameter_name in allowed_names or parameter_name.isidentifier()):
-                    requirement = f"a single word, or one of {', '.join(sorted(allowed_names))}"
-                    raise InputError(error_key, parameter_name, requirement)
+                    requirement_text = (
+                        f"a single word, or one of {', '.join(sorted(allowed_names))}"
+                    )
+                    raise InputError(error_key, parameter_name, requirement_text)
         axes = self.mesh_axes
         for axis in axes:
             if len(axis.values) < MIN_ALLOWED_VALUES_PER_UNKNOWN:
-                requirement = f"at least {MIN_ALLOWED_VALUES_PER_UNKNOWN} different values"
-                raise InputError(f"identify.meshes, {axis.key}", axis.values, requirement)
+                requirement_text = f"at least {MIN_ALLOWED_VALUES_PER_UNKNOWN} different values"
+                raise InputError(f"identify.meshes, {axis.key}", axis.values, requirement_text)
         n_meshes_by_values = Counter(
             tuple(dict(mesh_file.values)[axis.key] for axis in axes) for mesh_file in self.meshes
         )
@@ -1522,11 +1530,11 @@ class Identify(Table):
                 combination_text = ", ".join(
                     f"{axis.key} = {parameter_value:g}" for axis, parameter_value in axes_and_values
                 )
-                requirement = "a table with one mesh file for every combination of the numbers"
+                requirement_text = "a table with one mesh file for every combination of the numbers"
                 raise InputError(
                     "identify.meshes",
                     f"{n_meshes or 'no'} files of {combination_text}",
-                    requirement,
+                    requirement_text,
                 )
 
     @property

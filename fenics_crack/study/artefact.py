@@ -169,7 +169,7 @@ class PreparedStructure:
         structures_with_tangents = (
             [] if pairs.tangential_gap_matrix is None else [structure.with_tangents()]
         )
-        source_structures = [structure, *structures_with_tangents]
+        structure_and_variants = [structure, *structures_with_tangents]
         node_array_names = NODE_ARRAY_NAMES if nodes else ()
         node_array_by_name = {
             name: gather_rows(comm, getattr(nodes, name)) for name in node_array_names
@@ -186,8 +186,8 @@ class PreparedStructure:
             clamp=clamp and replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T),
             receptances=tuple(
                 replace(stored_receptance, force=np.zeros(0))
-                for source_structure in source_structures
-                for stored_receptance in source_structure.compute_once(make_empty_receptance_list)
+                for structure_variant in structure_and_variants
+                for stored_receptance in structure_variant.compute_once(make_empty_receptance_list)
             ),
             **datasets,
         )  # fmt: skip
@@ -237,15 +237,15 @@ class PreparedStructure:
             clamp=clamp and replace(clamp, inertia=clamp.inertia[:, local_slice]), comm=comm,
         ))  # fmt: skip
         for stored_receptance in self.receptances:
-            source_structures = structure, structure.with_tangents()
+            structure_and_variants = structure, structure.with_tangents()
             n_sources = len(stored_receptance.modal)
-            source_structure = next(
+            structure_variant = next(
                 candidate_structure
-                for candidate_structure in source_structures
+                for candidate_structure in structure_and_variants
                 if pair_and_load_force_matrix(candidate_structure).shape[1] == n_sources
             )
-            receptance_with_load = replace(stored_receptance, force=source_structure.force)
-            source_structure.compute_once(make_empty_receptance_list)[:] = [receptance_with_load]
+            receptance_with_load = replace(stored_receptance, force=structure_variant.force)
+            structure_variant.compute_once(make_empty_receptance_list)[:] = [receptance_with_load]
             shared_receptances = structure.compute_once(
                 make_empty_shared_receptance_list, from_matrices=True
             )
@@ -388,8 +388,10 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
     if structure.pairs.pressure_matrix is not None:
         raise InputError("geometry.kind", "solid", "'plate', or matrices, for a file")
     if not structure.light_lips or not isinstance(structure.whole.damping, DampingRule):
-        requirement = "reduced to crack faces without mass, and damped by [damping], for a file"
-        raise InputError("structure", repr(structure), requirement)
+        requirement_text = (
+            "reduced to crack faces without mass, and damped by [damping], for a file"
+        )
+        raise InputError("structure", repr(structure), requirement_text)
     coarser_study_or_reason = prepare_coarser_study_or_reason(prepared)
     study_and_coarser_study = (
         prepared,
@@ -502,8 +504,10 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
         if OBSERVABLES_BY_NAME[quantity_name].place.is_made_on_request
     ]
     if unavailable_quantities:
-        requirement = "those of points and crack faces, for a file; else the scene itself is solved"
-        raise InputError("output.quantities", unavailable_quantities, requirement)
+        requirement_text = (
+            "those of points and crack faces, for a file; else the scene itself is solved"
+        )
+        raise InputError("output.quantities", unavailable_quantities, requirement_text)
     _weight_matrix_between_scene_loads(file_scene, scene)
     return scene
 
@@ -570,10 +574,10 @@ def weight_matrix_of_load_rows(file_load_rows: np.ndarray, scene: Scene) -> np.n
         > ROUNDING * np.abs(scene_load_rows).max()
     )
     if is_no_combination_of_file_rows or (scene.has_other_loads and not has_same_load_rows):
-        requirement = (
+        requirement_text = (
             f"in the directions of the file's, without other loads; or {CHANGEABLE_KEYS_TEXT}"
         )
-        raise InputError("excitation.force_sin", scene.excitation.force_sin, requirement)
+        raise InputError("excitation.force_sin", scene.excitation.force_sin, requirement_text)
     return weight_matrix
 
 

@@ -33,6 +33,7 @@ from scipy.optimize import brentq
 
 from fenics_crack.basics.errors import InputError, check_choice, check_count
 from fenics_crack.basics.report import Report
+from fenics_crack.basics.suggestions import with_old_names
 from fenics_crack.basics.tables import (
     RAD_PER_S_PER_RPM,
     Conclusion,
@@ -64,7 +65,11 @@ from fenics_crack.model.rotation import (
 )
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.plausibility import damping_ratios, describe_coriolis, remarks_on_scene
+from fenics_crack.study.plausibility import (
+    describe_coriolis,
+    list_modal_damping_ratios,
+    remarks_on_scene,
+)
 from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, scene_contact_law
 from fenics_crack.study.resonance import (
     N_SEARCH_MODES,
@@ -96,6 +101,7 @@ PeakAmplitudeFunction = Callable[[Modes], np.ndarray]
 """Function of n modes. Returns each mode's modal amplitude at its resonance under a load: (n,)."""
 
 
+@with_old_names(between="interpolate_open_and_tied", meetings="yield_crossing_texts")
 @dataclass(frozen=True, repr=False)
 class Campbell(SavedResult):
     """Result of a Campbell diagram: natural frequencies over the rotor speed.
@@ -196,7 +202,10 @@ class Campbell(SavedResult):
         "partly" is missing if the crack is nowhere held partly open. Without a crack there is
         "open" alone.
         """
-        kinds_present = {*self.kind.ravel().tolist(), *(change[-1] for change in self.changes)}
+        kinds_present = {
+            *self.kind.ravel().tolist(),
+            *(state_change[-1] for state_change in self.changes),
+        }
         all_kinds = (*FREQUENCY_KIND_NAMES, *kinds_present.intersection({"partly"}))
         return all_kinds if self.cracked else FREQUENCY_KIND_NAMES[:1]
 
@@ -338,20 +347,20 @@ class Campbell(SavedResult):
             for (mode, speed), resonance in zip(crossings, resonances, strict=False)
         ]
 
-    def meetings(self, order: int) -> Iterator[str]:
+    def yield_crossing_texts(self, order: int) -> Iterator[str]:
         """Yield a text for each crossing of an engine order.
 
         Each text names the mode, the resonance under the load if known, and the speed for the
         crack's actual state. Speeds for other states follow.
         """
         for mode, speed, resonance in self._list_crossings_with_resonances(order):
-            text = f"engine order {order} meets mode {mode} at "
+            crossing_text = f"engine order {order} meets mode {mode} at "
             if math.isfinite(resonance.value):
-                text += (
+                crossing_text += (
                     f"{_speed_in_words(resonance.value)} at the load, {resonance.in_words}; "
                     "estimated at "
                 )
-            text += _speed_in_words(speed)
+            crossing_text += _speed_in_words(speed)
             if self.cracked:
                 kinds_at_crossing = [*dict.fromkeys(self._kinds_before_and_after(mode, speed))]
                 other_state_texts = [
@@ -362,11 +371,16 @@ class Campbell(SavedResult):
                     if crossing_mode == mode
                 ]
                 state_texts = [STATE_TEXT_BY_KIND[kind] for kind in kinds_at_crossing]
-                text += f" with the crack {' before and '.join(state_texts)}"
-                text += " after" if len(kinds_at_crossing) > 1 else ""
-                text += " (bilinear estimate)" if "bilinear" in kinds_at_crossing else ""
-                text += f"; it would be {', '.join(other_state_texts)}" if other_state_texts else ""
-            yield text + f"; there d ln f / d ln n = {self.stiffening(speed, order * speed):.2g}"
+                crossing_text += f" with the crack {' before and '.join(state_texts)}"
+                crossing_text += " after" if len(kinds_at_crossing) > 1 else ""
+                crossing_text += " (bilinear estimate)" if "bilinear" in kinds_at_crossing else ""
+                crossing_text += (
+                    f"; it would be {', '.join(other_state_texts)}" if other_state_texts else ""
+                )
+            yield (
+                crossing_text
+                + f"; there d ln f / d ln n = {self.stiffening(speed, order * speed):.2g}"
+            )
 
     def stiffening(self, speed: float, omega: float) -> float:
         """Return d ln w / d ln W for the mode nearest to a frequency.
@@ -387,11 +401,13 @@ class Campbell(SavedResult):
         omega_of_nearest_kind = np.select(
             [nearest_kind == kind for kind in STATE_TEXT_BY_KIND], omega_of_kinds
         )
-        squares, slopes = self._interpolate_squares_and_slopes(speed, omega_of_nearest_kind)
+        squares, squared_omega_slopes = self._interpolate_squares_and_slopes(
+            speed, omega_of_nearest_kind
+        )
         mode_index = int(np.abs(np.sqrt(np.maximum(squares, 0.0)) - omega).argmin())
-        return float(slopes[mode_index] * speed**2 / squares[mode_index])
+        return float(squared_omega_slopes[mode_index] * speed**2 / squares[mode_index])
 
-    def between(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
+    def interpolate_open_and_tied(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
         """Interpolate the frequencies with open and bonded crack at a speed.
 
         ``speed`` is in rad/s. Squares of the frequencies are linear in the square of the speed,
@@ -524,8 +540,8 @@ def campbell(
     >>> diagram = fc.campbell(blade, [0.0, 150.0, 300.0], count=2)
     """
     if scene.disk is not None:
-        requirement = "left out of a Campbell diagram; nodal_diameters has its frequencies"
-        raise InputError("disk", "a table", requirement)
+        requirement_text = "left out of a Campbell diagram; nodal_diameters has its frequencies"
+        raise InputError("disk", "a table", requirement_text)
     scene.given("rotation")
     _, rotation_axis = scene.axis_point_and_direction
     check_count("count", few if count is None else count, 1)
@@ -544,8 +560,10 @@ def campbell(
     count = min(few, max_modes) if count is None else count
     # The bonded mode with an open mode's shape may come later, if the bond moves it past others.
     n_bonded = min(count + 2, max_modes) if top_structure.n_pairs else 0
-    start, stop = speed_array[[0, -1]]
-    projection = RitzProjection.of_range(top_structure.damped(None), start, stop, count, n_bonded)
+    start_speed, stop_speed = speed_array[[0, -1]]
+    projection = RitzProjection.of_range(
+        top_structure.damped(None), start_speed, stop_speed, count, n_bonded
+    )
     complex_load = projection.force[1] - 1j * projection.force[2]
     peak_amplitude_function = partial(_find_modal_peak_amplitudes, complex_load, top_structure)
 
@@ -630,12 +648,14 @@ def report_of_campbell(diagram: Campbell) -> Report:
         "frequency" if scene.is_frequency_in_hertz or scene.is_speed_in_rpm else "omega"
     )
     orders = [load_engine_order] if load_engine_order else [*range(1, MAX_REPORTED_ORDER + 1)]
-    notes = [text for order in orders for text in diagram.meetings(order)]
+    notes = [
+        crossing_text for order in orders for crossing_text in diagram.yield_crossing_texts(order)
+    ]
     if not notes and load_engine_order is None:
         notes = [f"engine orders 1 to {MAX_REPORTED_ORDER} meet none"]
-    if text := describe_coriolis(diagram.coriolis):
+    if coriolis_text := describe_coriolis(diagram.coriolis):
         speed_axis = choose_speed_factor_name_unit(scene.is_speed_in_rpm)
-        notes.append(f"at {format_in_unit(speed_axis, diagram.speed[-1])} {text}")
+        notes.append(f"at {format_in_unit(speed_axis, diagram.speed[-1])} {coriolis_text}")
     column_names = ["rpm" if scene.is_speed_in_rpm else "speed", "mode"]
     column_names += [
         *(f"{frequency_prefix}_{kind}" for kind in diagram.kinds),
@@ -734,7 +754,7 @@ def _find_modal_peak_amplitudes(
         Modes, normalised by mass.
     """
     modal_forces = np.abs(complex_load @ modes.shapes)
-    denominators = 2.0 * damping_ratios(damped_structure, modes.omega) * modes.omega**2
+    denominators = 2.0 * list_modal_damping_ratios(damped_structure, modes.omega) * modes.omega**2
     return np.divide(
         modal_forces,
         denominators,

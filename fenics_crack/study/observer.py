@@ -149,9 +149,9 @@ def compute_clamp_reactions(record: Record) -> ClampReactions:
             )
         )
     subharmonic, base_omega = record.subharmonic, load_omega / record.subharmonic
-    phases = base_omega * record.time
+    base_phases = base_omega * record.time
     forces_and_moments = clamp.reaction_of_waves(
-        record.coefficients, base_omega, subharmonic, rayleigh_mass_factor, phases
+        record.coefficients, base_omega, subharmonic, rayleigh_mass_factor, base_phases
     )
     return ClampReactions(*forces_and_moments)
 
@@ -199,7 +199,7 @@ class CrackTipHistory(NamedTuple):
     ----------
     K_I, K_II, K_III : (n,) [Pa m^1/2]
         Values at n instants; K_III is None for a plate.
-    n_load_periods : float
+    duration_in_load_periods : float
         Duration of the record, or period of the motion, in load periods.
     growth_law : Growth or None
         Table ``[growth]`` of the scene: law of fatigue crack growth.
@@ -210,7 +210,7 @@ class CrackTipHistory(NamedTuple):
 
     K_I: np.ndarray
     K_II: np.ndarray
-    n_load_periods: float
+    duration_in_load_periods: float
     growth_law: Growth | None
     K_III: np.ndarray | None = None
     closed_front_error: float = 0.0
@@ -219,7 +219,7 @@ class CrackTipHistory(NamedTuple):
     def equivalent_range(self) -> float:
         """Range of K_I from 0 with the same growth per load period.
 
-            (sum_i (delta K_i / (1 - R_i)^(1 - gamma))^m / n_load_periods)^(1 / m) [Pa m^1/2]
+            (sum_i (delta K_i / (1 - R_i)^(1 - gamma))^m / T)^(1 / m) [Pa m^1/2]
 
         The sum is over the rainflow cycles i of max(K_I, 0). Each has the range delta K_i and the
         ratio R_i of minimum to maximum. gamma and m are ``ratio_exponent`` and ``exponent`` of the
@@ -227,19 +227,21 @@ class CrackTipHistory(NamedTuple):
         """
         assert self.growth_law is not None
         maxima, minima = find_rainflow_cycles(np.maximum(self.K_I, 0.0)).T
-        ranges = maxima - minima
-        if not ranges.size:
+        cycle_ranges = maxima - minima
+        if not cycle_ranges.size:
             return 0.0
         load_ratios = np.minimum(minima / maxima, 1.0 - 1e-9)
-        driving_ranges = ranges / (1.0 - load_ratios) ** (1.0 - self.growth_law.ratio_exponent)
-        is_growing = ranges >= min(self.growth_law.threshold, ranges.max())
+        driving_ranges = cycle_ranges / (1.0 - load_ratios) ** (
+            1.0 - self.growth_law.ratio_exponent
+        )
+        is_growing = cycle_ranges >= min(self.growth_law.threshold, cycle_ranges.max())
         relative_growth_terms = (
             np.where(is_growing, driving_ranges / driving_ranges.max(), 0.0)
             ** self.growth_law.exponent
         )
         return float(
             driving_ranges.max()
-            * (relative_growth_terms.sum() / self.n_load_periods)
+            * (relative_growth_terms.sum() / self.duration_in_load_periods)
             ** (1.0 / self.growth_law.exponent)
         )
 

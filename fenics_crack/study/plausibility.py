@@ -88,7 +88,7 @@ class KeyFigures:
         Bilinear frequencies of the open modes.
     damping_ratios : (at most 4,)
         Ratios of critical damping of the open modes.
-    speed_slopes : (at most 4,)
+    squared_omega_slopes : (at most 4,)
         S = d(w^2) / d(W^2) of the open modes with frequency w, over the rotor speed W; 0 without
         rotation.
     face_stiffness : (n_pairs,) [N/m]
@@ -121,7 +121,7 @@ class KeyFigures:
     omega_tied: np.ndarray
     omega_bilinear: np.ndarray
     damping_ratios: np.ndarray
-    speed_slopes: np.ndarray
+    squared_omega_slopes: np.ndarray
     face_stiffness: np.ndarray
     contact_stiffness_ratio: np.ndarray | None
     opening_under_mean_load: float
@@ -147,7 +147,7 @@ def find_key_figures(study: Study) -> KeyFigures:
     search_modes, modes, bonded_modes, static_displacements, face_compliance = (
         _solve_modes_and_static_responses(structure)
     )
-    modal_damping_ratios = damping_ratios(structure, modes.omega)
+    modal_damping_ratios = list_modal_damping_ratios(structure, modes.omega)
     bilinear_frequencies = BilinearFrequencies(
         modes.omega, bonded_modes.omega[find_bonded_mode_indices(modes, bonded_modes)]
     )
@@ -196,7 +196,7 @@ def find_key_figures(study: Study) -> KeyFigures:
         n_face_elements=_count_elements_along_face(scene, structure),
         omega_open=modes.omega, omega_tied=bonded_modes.omega,
         omega_bilinear=bilinear_frequencies.omega_bilinear,
-        damping_ratios=modal_damping_ratios, speed_slopes=_slopes_of_squared_omegas(modes),
+        damping_ratios=modal_damping_ratios, squared_omega_slopes=_slopes_of_squared_omegas(modes),
         face_stiffness=face_stiffness,
         contact_stiffness_ratio=None if pair_stiffness is None else pair_stiffness / face_stiffness,
         opening_under_mean_load=float(np.max(-mean_load_gaps, initial=0.0)) + 0.0,
@@ -234,15 +234,15 @@ def _solve_modes_and_static_responses(
     )
     n_modes = min(N_KEY_FIGURE_MODES, n_available_modes)
     n_search_modes = min(N_SEARCH_MODES, n_available_modes)
-    with Factor(structure.stiffness, definite=True) as factor:
-        search_modes = solve_modes_with_factor(factor, structure, n_search_modes)
+    with Factor(structure.stiffness, definite=True) as stiffness_factor:
+        search_modes = solve_modes_with_factor(stiffness_factor, structure, n_search_modes)
         modes = Modes(search_modes.omega[:n_modes], search_modes.shapes[:, :n_modes], structure)
-        static_displacements = _static_displacements(factor, modes, structure.force)
+        static_displacements = _static_displacements(stiffness_factor, modes, structure.force)
         face_compliance = structure.apply_bt(
-            _static_displacements(factor, modes, structure.gap.T.toarray())
+            _static_displacements(stiffness_factor, modes, structure.gap.T.toarray())
         )
         bonded_modes = (
-            solve_bonded_modes(structure, n_modes, factor) if structure.n_pairs else modes
+            solve_bonded_modes(structure, n_modes, stiffness_factor) if structure.n_pairs else modes
         )
     return search_modes, modes, bonded_modes, static_displacements, face_compliance
 
@@ -339,7 +339,7 @@ def _count_modes_below(structure: Structure, modes: Modes, omega: float) -> int:
     return count_modes_below(structure, omega**2)
 
 
-def _static_displacements(factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
+def _static_displacements(stiffness_factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
     """Return static displacements under forces: (m, n_local) [m] (collective).
 
     For a structure with rigid-body motions it is the deformation alone, while the structure
@@ -347,7 +347,7 @@ def _static_displacements(factor: Factor, modes: Modes, forces: np.ndarray) -> n
 
     Parameters
     ----------
-    factor : Factor
+    stiffness_factor : Factor
         Factor of the stiffness.
     modes : Modes
         Modes with open crack, rigid-body motions first.
@@ -359,9 +359,9 @@ def _static_displacements(factor: Factor, modes: Modes, forces: np.ndarray) -> n
         structure, rigid_body_shapes, np.zeros(rigid_body_shapes.shape[1]), structure.gap
     )
     return (
-        residual_flexibility.solve(factor, forces)
+        residual_flexibility.solve(stiffness_factor, forces)
         if rigid_body_shapes.size
-        else factor.solve(forces)
+        else stiffness_factor.solve(forces)
     )
 
 
@@ -436,7 +436,7 @@ def distances_from_clamp(whole_structure: Structure, dofs: Sequence[int]) -> np.
     )
 
 
-def damping_ratios(whole_structure: Structure, natural_omegas: np.ndarray) -> np.ndarray:
+def list_modal_damping_ratios(whole_structure: Structure, natural_omegas: np.ndarray) -> np.ndarray:
     """Return the modes' ratios of critical damping: (n,).
 
     Modes without damping, and all modes of a structure with a damping matrix, have 0.
@@ -455,14 +455,14 @@ def damping_ratios(whole_structure: Structure, natural_omegas: np.ndarray) -> np
             out=np.zeros_like(natural_omegas),
             where=natural_omegas > 0.0,
         )
-    ratios = np.zeros(len(natural_omegas))
+    modal_damping_ratios = np.zeros(len(natural_omegas))
     if isinstance(damping_rule, ModalDamping):
         n_damped_modes = min(count_damped_modes(whole_structure), len(natural_omegas))
         given_ratio = np.asarray(damping_rule.ratio)
-        ratios[:n_damped_modes] = (
+        modal_damping_ratios[:n_damped_modes] = (
             given_ratio if given_ratio.ndim == 0 else given_ratio[:n_damped_modes]
         )
-    return ratios
+    return modal_damping_ratios
 
 
 def _modal_receptance_increase(
@@ -585,7 +585,10 @@ def propose_curve_or_none(scene: Scene, key_figures: KeyFigures) -> Curve | None
         return None
     bonded_omega = 1.0 / (2.0 / bilinear_omega - 1.0 / open_omega)  # of the same mode
     find_crossing_parameter = partial(
-        _curve_parameter_at_crossing, scene, parameter, slope=key_figures.speed_slopes[mode_index]
+        _curve_parameter_at_crossing,
+        scene,
+        parameter,
+        slope=key_figures.squared_omega_slopes[mode_index],
     )
     lowest_resonance_parameter, highest_resonance_parameter, start, stop = map(
         find_crossing_parameter,
@@ -709,7 +712,7 @@ class RemarkRule(NamedTuple):
         Plausible range; a number outside gets a remark.
     text_template : str
         Text with fields for the number, further values, {kind} and {faces}.
-    compute_number : callable, optional
+    number_function : callable, optional
         Function of the value, the scene, and in some tables the structure or the key figures. It
         returns the number, or a tuple of the number and further values; None if the rule does not
         apply. Default: the largest value of the key.
@@ -721,7 +724,7 @@ class RemarkRule(NamedTuple):
     lower_limit: float
     upper_limit: float
     text_template: str
-    compute_number: Callable[..., Any] = lambda value, *_: float(np.max(value))
+    number_function: Callable[..., Any] = lambda value, *_: float(np.max(value))
     factor_by_unit: Mapping[str, float] = MappingProxyType({})
 
 
@@ -759,24 +762,24 @@ def _iterate_remarks(
     geometry_table = scene.geometry
     body_kind = "structure" if geometry_table is None else geometry_table.kind
     for rule in rules:
-        for key, value in _entries_of_first_given_key(scene, rule.keys_text):
-            number_and_values = rule.compute_number(value, scene, *rule_arguments)
-            number, *further_values = (
+        for key, value in _list_first_given_key_and_value(scene, rule.keys_text):
+            number_and_values = rule.number_function(value, scene, *rule_arguments)
+            checked_number, *further_values = (
                 number_and_values if isinstance(number_and_values, tuple) else (number_and_values,)
             )
-            if number is None or rule.lower_limit <= number <= rule.upper_limit:
+            if checked_number is None or rule.lower_limit <= checked_number <= rule.upper_limit:
                 continue
             remark_text = rule.text_template.format(
-                number, *further_values, kind=body_kind, faces=word_for_crack_faces(scene)
+                checked_number, *further_values, kind=body_kind, faces=word_for_crack_faces(scene)
             )
-            for unit, factor in rule.factor_by_unit.items():
-                if rule.lower_limit <= factor * number <= rule.upper_limit:
-                    remark_text += f"; in {unit}? then {factor * float(np.max(value)):g}"  # type: ignore[call-overload]
+            for unit, unit_factor in rule.factor_by_unit.items():
+                if rule.lower_limit <= unit_factor * checked_number <= rule.upper_limit:
+                    remark_text += f"; in {unit}? then {unit_factor * float(np.max(value)):g}"  # type: ignore[call-overload]
                     break
             yield Remark(key, list(value) if isinstance(value, tuple) else value, remark_text)
 
 
-def _entries_of_first_given_key(scene: Scene, keys: str) -> list[tuple[str, object]]:
+def _list_first_given_key_and_value(scene: Scene, keys: str) -> list[tuple[str, object]]:
     """Return the first key with a nonzero value, and the value.
 
     If all values are zero, it is the first given key. A key of the table "crack" yields an entry
@@ -811,7 +814,7 @@ def _entries_of_first_given_key(scene: Scene, keys: str) -> list[tuple[str, obje
 # --- numbers of rules -----------------------------------------------------------------------------
 
 
-def _side_if_longest(side_length: float, scene: Scene) -> float | None:
+def _longest_side_or_none(side_length: float, scene: Scene) -> float | None:
     """Return a plate's side [m] if none is longer, else None."""
     geometry_table = scene.geometry
     return (
@@ -953,12 +956,14 @@ def _clamp_bending_ratio_and_stress(
         rotation.force[free_dofs].sum(axis=0),
         (clamp.inertia[3:, free_dofs] @ in_plane_offset).sum(axis=1),
     ]
-    force, moment = rotation.speed**2 * structure.sum_over_ranks(np.stack(local_force_and_moment))
+    clamp_force, clamp_moment = rotation.speed**2 * structure.sum_over_ranks(
+        np.stack(local_force_and_moment)
+    )
     first_side, second_side = np.delete(clamp_sides, normal_axis_index)
     bending_force = 6.0 * (
-        np.abs(np.delete(moment, normal_axis_index)) @ [1.0 / second_side, 1.0 / first_side]
+        np.abs(np.delete(clamp_moment, normal_axis_index)) @ [1.0 / second_side, 1.0 / first_side]
     )
-    return bending_force / float(np.linalg.norm(force)), 1e-6 * bending_force / (
+    return bending_force / float(np.linalg.norm(clamp_force)), 1e-6 * bending_force / (
         first_side * second_side
     )
 
@@ -1017,9 +1022,9 @@ def _make_frequency_unit_check(other_unit_factor: float) -> Callable[..., tuple[
         first_omega, omega = float(key_figures.omega_open[0]), scene.excitation.omega
         natural_omegas = np.concatenate([key_figures.omega_open, key_figures.omega_tied])
         first_omegas = natural_omegas[[0, len(key_figures.omega_open)]]
-        is_other_unit = not _is_near(omega, natural_omegas) and _is_near(
-            other_unit_factor * omega, first_omegas
-        )
+        is_other_unit = not _is_near_natural_frequency(
+            omega, natural_omegas
+        ) and _is_near_natural_frequency(other_unit_factor * omega, first_omegas)
         return (
             (omega / first_omega, first_omega / RAD_PER_TURN, first_omega)
             if is_other_unit and first_omega > 0.0
@@ -1029,7 +1034,7 @@ def _make_frequency_unit_check(other_unit_factor: float) -> Callable[..., tuple[
     return compare_in_other_unit
 
 
-def _is_near(omega: float, natural_omegas: np.ndarray) -> bool:
+def _is_near_natural_frequency(omega: float, natural_omegas: np.ndarray) -> bool:
     """Return True if any natural frequency is within 10 %."""
     return bool(np.any(np.abs(natural_omegas - omega) < 0.1 * natural_omegas))
 
@@ -1056,7 +1061,7 @@ def _missed_first_omega_and_text(
             _curve_parameter_at_crossing,
             scene,
             curve_table.parameter,
-            slope=key_figures.speed_slopes[0],
+            slope=key_figures.squared_omega_slopes[0],
         )
     )
     curve_start, curve_end = sorted(curve_table.parameter_and_range[1:])
@@ -1074,13 +1079,13 @@ def _missed_first_omega_and_text(
     unit = FACTOR_AND_UNIT_BY_CURVE_PARAMETER[curve_table.parameter][1]
     first_omega_range = key_figures.omega_open[0], key_figures.omega_tied[0]
     range_text = format_in_unit(choose_frequency_factor_name_unit(True), *first_omega_range)
-    text = f"{curve_table.stop:g} {unit}: the first is between {range_text}"
+    end_and_range_text = f"{curve_table.stop:g} {unit}: the first is between {range_text}"
     if proposed_curve_table is not None:
-        text += (
+        end_and_range_text += (
             f"; start = {proposed_curve_table.start:g} and stop = {proposed_curve_table.stop:g} "
             "hold one"
         )
-    return float(first_omega_range[0]), text
+    return float(first_omega_range[0]), end_and_range_text
 
 
 def _peak_rotation_and_displacement(
@@ -1099,7 +1104,7 @@ def _peak_rotation_and_displacement(
     )
 
 
-def _n_face_elements_if_chosen(_: object, scene: Scene, key_figures: KeyFigures) -> int | None:
+def _n_face_elements_or_none(_: object, scene: Scene, key_figures: KeyFigures) -> int | None:
     """Return the number of elements along each crack face, or None.
 
     None for a grid without patches, whose columns and rows set the number. None, too, for contact
@@ -1157,7 +1162,7 @@ SCENE_REMARK_RULES = (
             0.0,
             MAX_PLAUSIBLE_SIDE,
             "a {kind} of {:g} m",
-            _side_if_longest,
+            _longest_side_or_none,
             FACTOR_BY_MILLIMETRE_UNIT,
         )
         for side in ("width", "height")
@@ -1319,7 +1324,7 @@ KEY_FIGURE_REMARK_RULES = (
         4,
         math.inf,
         "elements or patches longer than a quarter of the crack; 4 to 20 along each face are usual",
-        _n_face_elements_if_chosen,
+        _n_face_elements_or_none,
     ),
     RemarkRule(
         STIFFNESS_KEYS_TEXT,

@@ -373,7 +373,7 @@ def estimate_reduction_memory(structure: Structure, n_modes: int, method: str) -
     )
     peak_bytes = max(static_bytes, _estimate_mode_memory(structure, n_reference_modes))
     return (
-        _measure_held_memory(structure)
+        _measure_memory_of_all_ranks(structure)
         + _estimate_factor_memory(structure)
         + 8.0 * n_dofs * n_reference_modes
         + peak_bytes
@@ -396,10 +396,10 @@ def estimate_wheel_memory(wheel: Wheel, n_families: int) -> float:
     # Responses of the sectors to the crack's opening, their products with a matrix, and as much
     # again while either is made. Bonds have up to 40 force patterns beyond those of the pairs.
     n_opening_columns = min(
-        2 * sector.structure.n_pairs + 40, len(sector.dof_numbering.upper_members)
+        2 * sector.structure.n_pairs + 40, len(sector.dof_numbering.upper_face_members)
     )
     opening_bytes = 32.0 * sector.n_sectors * n_dofs * n_opening_columns
-    return _measure_held_memory(wheel) + wheel.comm.size * (
+    return _measure_memory_of_all_ranks(wheel) + wheel.comm.size * (
         solver_bytes + bytes_of_modes + opening_bytes
     )
 
@@ -410,7 +410,9 @@ def estimate_unreduced_memory(structure: Structure, n_harmonics: int) -> float:
     Each harmonic 0 to ``n_harmonics`` keeps a factor of its dynamic stiffness. The memory held
     already is included.
     """
-    return _measure_held_memory(structure) + (n_harmonics + 1) * _estimate_factor_memory(structure)
+    return _measure_memory_of_all_ranks(structure) + (n_harmonics + 1) * _estimate_factor_memory(
+        structure
+    )
 
 
 def estimate_run_up_memory(structure: Structure, n_modes: int) -> float:
@@ -425,7 +427,7 @@ def estimate_run_up_memory(structure: Structure, n_modes: int) -> float:
         _estimate_factor_memory(structure) + _estimate_mode_memory(structure, n_modes) + basis_bytes
     )
     return (
-        _measure_held_memory(structure)
+        _measure_memory_of_all_ranks(structure)
         + _estimate_matrix_memory(structure)
         + max(bytes_of_modes, 3.0 * basis_bytes)
     )
@@ -467,7 +469,7 @@ def release_freed_memory() -> None:
         ctypes.CDLL(None).malloc_trim(0)
 
 
-def _measure_held_memory(structure: Structure) -> float:
+def _measure_memory_of_all_ranks(structure: Structure) -> float:
     """Return the memory that all ranks hold now [byte] (collective)."""
     return float(structure.comm.allreduce(process_memory("VmRSS")))
 
@@ -532,8 +534,8 @@ def contact_law(contact: Contact, structure: Structure | None = None) -> Contact
     if not contact.friction:
         return law
     if structure is not None and structure.tangential is None:
-        requirement = "0, or left out, of a structure without tangents"
-        raise InputError("contact.friction", contact.friction, requirement)
+        requirement_text = "0, or left out, of a structure without tangents"
+        raise InputError("contact.friction", contact.friction, requirement_text)
     stiffness_per_area = contact.tangential_stiffness_per_area
     if stiffness_per_area is None:
         return CoulombFriction(law, contact.friction)
@@ -552,10 +554,10 @@ def _required_pair_areas(
     key of ``[contact]`` and its value in the message.
     """
     if structure is None or structure.pair_areas is None:
-        requirement = (
+        requirement_text = (
             "used with a structure made from a mesh: contact_law(scene.contact, structure)"
         )
-        raise InputError(f"contact.{stiffness_key}", stiffness_per_area, requirement)
+        raise InputError(f"contact.{stiffness_key}", stiffness_per_area, requirement_text)
     return structure.pair_areas
 
 

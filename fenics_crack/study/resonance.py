@@ -143,7 +143,7 @@ def order_crossing_speed(
 
 
 def find_study_resonance(
-    study: Study, estimated_omegas: np.ndarray, speed_slopes: np.ndarray
+    study: Study, estimated_omegas: np.ndarray, squared_omega_slopes: np.ndarray
 ) -> LoadResonance:
     """Find the resonance of an unreduced study under its scene's load (collective).
 
@@ -153,7 +153,7 @@ def find_study_resonance(
     ----------
     estimated_omegas : (m,) [rad/s]
         Estimated resonance frequencies of m modes, at the study's rotor speed.
-    speed_slopes : (m,)
+    squared_omega_slopes : (m,)
         S = d(w^2) / d(W^2) of each natural frequency w over the speed W, for an engine order.
 
     Returns
@@ -174,7 +174,7 @@ def find_study_resonance(
     try:
         if engine_order is not None and whole_structure.rotation is not None and scene.disk is None:
             crossing_speed = order_crossing_speed(
-                engine_order, scene.speed, estimated_omega, speed_slopes[mode_index]
+                engine_order, scene.speed, estimated_omega, squared_omega_slopes[mode_index]
             )
             if math.isnan(crossing_speed):
                 raise ConvergenceError(f"engine order {engine_order} does not meet it")

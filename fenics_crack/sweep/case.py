@@ -34,7 +34,7 @@ from fenics_crack.motion.motions import dof_selection_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCE_KEYS
 from fenics_crack.study.observer import make_requested_rows_and_readers
-from fenics_crack.study.plausibility import damping_ratios
+from fenics_crack.study.plausibility import list_modal_damping_ratios
 from fenics_crack.study.prepare import (
     REFUSAL_EXCEPTIONS,
     Study,
@@ -210,8 +210,8 @@ def build_sweep_geometry(
     structure = many_mode_study.structure
     if not is_small(structure):
         reduction_method = "off" if scene.reduction is None else scene.reduction.method
-        requirement = f"one that leaves fewer than {structure.n_dofs} coordinates"
-        raise InputError("reduction.method", reduction_method, requirement)
+        requirement_text = f"one that leaves fewer than {structure.n_dofs} coordinates"
+        raise InputError("reduction.method", reduction_method, requirement_text)
     make_requested_rows_and_readers(many_mode_study)
     crack_lengths = [crack.length for crack in many_mode_study.scene.crack_by_name.values()]
     crack_length = crack_lengths[0] if crack_lengths and crack_lengths[0] is not None else np.nan
@@ -397,11 +397,15 @@ class CaseSolver:
     def solve_as_requested(self, case: Scene, case_options: SharedCaseOptions) -> PeriodicSolution:
         """Solve a case at its frequency or, if requested, at resonance.
 
-        Raises as :meth:`solve`.
+        Raises as :meth:`solve_at_given_frequency`.
         """
-        return self.solve_at_resonance(case) if case_options.at_resonance else self.solve(case)
+        return (
+            self.solve_at_resonance(case)
+            if case_options.at_resonance
+            else self.solve_at_given_frequency(case)
+        )
 
-    def solve(self, case: Scene) -> PeriodicSolution:
+    def solve_at_given_frequency(self, case: Scene) -> PeriodicSolution:
         """Solve a case at its own load frequency.
 
         Without contact the solution is linear. If the computation fails, an exception from
@@ -438,7 +442,8 @@ class CaseSolver:
 
         The phase resonance of the mode with the nearest bilinear frequency is sought. If several
         modes respond together, the peak of the response curve is used instead. Friction and smooth
-        laws have no phase resonance and use the peak, too. Raises as :meth:`solve`.
+        laws have no phase resonance and use the peak, too. Raises as
+        :meth:`solve_at_given_frequency`.
         """
         balance_table = case.harmonic_balance
         self._set_structure_and_law(case)
@@ -457,7 +462,7 @@ class CaseSolver:
             omega, self._last_solution = self._find_peak_omega_and_solution(problem)
         else:
             omega, self._last_solution = resonance.omega, resonance.solution
-        return self.solve(case.replace({"excitation.omega": omega}))
+        return self.solve_at_given_frequency(case.replace({"excitation.omega": omega}))
 
     def _find_peak_omega_and_solution(self, problem: Problem) -> tuple[float, PeriodicSolution]:
         """Return frequency and solution at the peak of the response curve.
@@ -475,13 +480,15 @@ class CaseSolver:
         """
         natural_frequencies = self._geometry.bilinear_frequencies
         nearest_value_by_name = natural_frequencies.nearest(problem.omega)
-        mode_damping_ratios = damping_ratios(
+        mode_damping_ratios = list_modal_damping_ratios(
             self._geometry.structure.whole, natural_frequencies.omega_open
         )
         damping_ratio = float(mode_damping_ratios[int(nearest_value_by_name["mode"]) - 1])
         if not 0.0 < 2.0 * damping_ratio < 1.0:  # widths to either side where it is looked for
-            requirement = "above 0 and below 0.5 of critical, of the mode, with sweep.at_resonance"
-            raise InputError("damping", damping_ratio, requirement)
+            requirement_text = (
+                "above 0 and below 0.5 of critical, of the mode, with sweep.at_resonance"
+            )
+            raise InputError("damping", damping_ratio, requirement_text)
         start_omega = (1.0 - 2.0 * damping_ratio) * float(nearest_value_by_name["omega_open"])
         stop_omega = (1.0 + 2.0 * damping_ratio) * float(nearest_value_by_name["omega_tied"])
         response_curve = continue_frequency(

@@ -113,7 +113,9 @@ UNIT_AND_TYPE_BY_COLUMN: dict[str, tuple[str, str]] = {
     },
     **{
         name: (UNIT_BY_NAME[name], "f8")
-        for name in observable_names(Place.FACES, Place.MODES, excluded_flags=REQUIRES_FRICTION)
+        for name in observable_names(
+            Place.FACES, Place.NEAREST_MODE, excluded_flags=REQUIRES_FRICTION
+        )
     },
     **{name: (unit, "f8") for name, (_, unit) in LABEL_AND_UNIT_BY_FREQUENCY_COLUMN.items()},
     "multiplier": ("1", "f8"),
@@ -278,8 +280,8 @@ class SweepFile:
         converged, any other case failed.
         """
         if not self._is_file_still_at_path():
-            requirement = "left alone while the sweep runs; it has been removed or replaced"
-            raise WriteError("path", str(self._path), requirement)
+            requirement_text = "left alone while the sweep runs; it has been removed or replaced"
+            raise WriteError("path", str(self._path), requirement_text)
         case_states = np.array(
             [
                 CaseState.CONVERGED if "gap" in case_values else CaseState.FAILED
@@ -571,8 +573,8 @@ def _read_matching_header(path: Path, scene: Scene) -> store.StoredFile:
             else ""
         )
         path_text = f"{path}{difference_text and f', begun with {difference_text}'}"
-        requirement = "the file of the same scene; for another one choose a new folder"
-        raise InputError("path", path_text, requirement)
+        requirement_text = "the file of the same scene; for another one choose a new folder"
+        raise InputError("path", path_text, requirement_text)
     if (version := sweep_header.attributes["version"]) != VERSION:
         raise sweep_header.refusal(
             f"a new name: it was begun by version {version}, this is {VERSION}"
@@ -599,8 +601,8 @@ def _check_omitted_options_match(
     ]
     if changed_option_texts:
         path_text = f"{sweep_header.path}, begun with {', '.join(changed_option_texts)}"
-        requirement = "continued as it was begun; for other columns choose a new folder"
-        raise InputError("path", path_text, requirement)
+        requirement_text = "continued as it was begun; for other columns choose a new folder"
+        raise InputError("path", path_text, requirement_text)
 
 
 # --- reading --------------------------------------------------------------------------------------
@@ -632,8 +634,10 @@ def scene_of_sweep(sweep_header: store.StoredFile) -> Scene:
     ):
         stored_column = sweep_header.columns.get(column_name)
         if stored_column is None:
-            requirement = f"a sweep with a column {column_name!r}: this one is of an older version"
-            raise sweep_header.refusal(f"{requirement}; solve it anew in another folder")
+            requirement_text = (
+                f"a sweep with a column {column_name!r}: this one is of an older version"
+            )
+            raise sweep_header.refusal(f"{requirement_text}; solve it anew in another folder")
         column_type = np.dtype(unit_and_type_by_dataset[column_name][1])
         if stored_column.shape != scene.given("sweep").shape or stored_column.dtype != column_type:
             raise sweep_header.refusal("a whole sweep")
@@ -730,9 +734,9 @@ def _read_intact_states(sweep_header: store.StoredFile, scene: Scene) -> np.ndar
     case_states: np.ndarray = _read_columns_and_find_damage(sweep_header, scene)[0][
         "state"
     ].reshape(scene.given("sweep").shape)
-    for index in np.argwhere(case_states == CaseState.CONVERGED):
-        if _read_intact_coefficients(sweep_header, tuple(map(int, index))) is None:
-            case_states[tuple(index)] = CaseState.PENDING
+    for case_index in np.argwhere(case_states == CaseState.CONVERGED):
+        if _read_intact_coefficients(sweep_header, tuple(map(int, case_index))) is None:
+            case_states[tuple(case_index)] = CaseState.PENDING
     return case_states
 
 
@@ -794,10 +798,10 @@ def read_gap_and_force_coefficients(
     sweep_header.check_kind(KIND)
     waves = _read_intact_coefficients(sweep_header, index)
     if waves is None:
-        requirement = (
+        requirement_text = (
             f"a whole sweep: its case {index} is damaged; the command sweep computes it again"
         )
-        raise sweep_header.refusal(requirement)
+        raise sweep_header.refusal(requirement_text)
     return waves
 
 

@@ -48,7 +48,7 @@ from fenics_crack.basics.observables import (
 )
 from fenics_crack.basics.progress import add_progress_text
 from fenics_crack.basics.ranks import StopRequest, on_root
-from fenics_crack.basics.suggestions import check_calls
+from fenics_crack.basics.suggestions import check_calls, with_old_names
 from fenics_crack.basics.tables import (
     Conclusion,
     Tabular,
@@ -205,6 +205,10 @@ VERDICTS_NOT_STABLE = "unstable", "irregular", "undecided"
 """Verdicts on stability with which a solution may not appear in reality."""
 
 
+@with_old_names(
+    failed="failed_indices_and_reasons", undecided="undecided_indices_and_reasons",
+    contradicted="contradicted_indices_and_verdicts", errors="error_parts",
+)  # fmt: skip
 @dataclass(frozen=True, repr=False)
 class SweepResult(Tabular):
     """Result of a sweep: a table of cases, read from a file.
@@ -293,7 +297,7 @@ class SweepResult(Tabular):
         return self["state"] == CaseState.CONVERGED
 
     @property
-    def errors(self) -> np.ndarray:
+    def error_parts(self) -> np.ndarray:
         """Estimated relative errors, by part and case.
 
         The shape is (4, ...), then that of the axes. The four are truncation, reduction, sampling
@@ -306,9 +310,9 @@ class SweepResult(Tabular):
         """True for solved cases with a total error above 5 %.
 
         This bool array has the shape of the axes. The limit ``LARGE_ERROR`` holds for the sum of
-        :attr:`errors` in a case.
+        :attr:`error_parts` in a case.
         """
-        return self.converged & (self.errors.sum(axis=0) > LARGE_ERROR)
+        return self.converged & (self.error_parts.sum(axis=0) > LARGE_ERROR)
 
     @property
     def not_stable(self) -> np.ndarray:
@@ -319,7 +323,7 @@ class SweepResult(Tabular):
         return np.isin(self["verdict"], VERDICTS_NOT_STABLE)
 
     @property
-    def failed(self) -> list[tuple[tuple[int, ...], str]]:
+    def failed_indices_and_reasons(self) -> list[tuple[tuple[int, ...], str]]:
         """Index and reason for each case that could not be solved.
 
         The index is the position on each axis. Cases with natural frequencies only are included.
@@ -327,7 +331,7 @@ class SweepResult(Tabular):
         return self._find_indices_and_statuses(self["state"] == CaseState.FAILED)
 
     @property
-    def undecided(self) -> list[tuple[tuple[int, ...], str]]:
+    def undecided_indices_and_reasons(self) -> list[tuple[tuple[int, ...], str]]:
         """Index and reason for each case with undecided stability.
 
         The index is the position on each axis.
@@ -336,12 +340,12 @@ class SweepResult(Tabular):
             self.converged & (self["verdict"] == "undecided")
         )
         return [
-            (index, status.partition(UNDECIDED_PREFIX)[2] or "its reason is not kept")
-            for index, status in indices_and_statuses
+            (case_index, status.partition(UNDECIDED_PREFIX)[2] or "its reason is not kept")
+            for case_index, status in indices_and_statuses
         ]
 
     @property
-    def contradicted(self) -> list[tuple[tuple[int, ...], str]]:
+    def contradicted_indices_and_verdicts(self) -> list[tuple[tuple[int, ...], str]]:
         """Index of each case whose verdict changes with more modes.
 
         A text with the verdict on stability by more modes follows each index (position on each
@@ -352,8 +356,8 @@ class SweepResult(Tabular):
             self.converged & (self["verdict"] != "undecided")
         )
         return [
-            (index, contradiction_text)
-            for index, status in indices_and_statuses
+            (case_index, contradiction_text)
+            for case_index, status in indices_and_statuses
             if (contradiction_text := status.partition(CONTRADICTION_PREFIX)[2])
         ]
 
@@ -365,8 +369,8 @@ class SweepResult(Tabular):
         ``is_selected`` is a bool array in the shape of the axes.
         """
         return [
-            (tuple(map(int, index)), str(self["status"][tuple(index)]))
-            for index in np.argwhere(is_selected)
+            (tuple(map(int, case_index)), str(self["status"][tuple(case_index)]))
+            for case_index in np.argwhere(is_selected)
         ]
 
     def gap(self, index: tuple[int, ...] | int) -> np.ndarray:
@@ -558,7 +562,7 @@ class SweepResult(Tabular):
         The command prints this sentence.
         """
         is_converged, clause_texts = self.converged, []
-        total_errors = self.errors.sum(axis=0)[is_converged]
+        total_errors = self.error_parts.sum(axis=0)[is_converged]
         cases_text = format_count(is_converged.size, "case")
         if np.any(
             np.isfinite(
@@ -655,19 +659,19 @@ def iterate_texts_by_reason(
         Outcome shared by the cases, for the text: "3 cases {outcome_text}, the first at ...".
     """
     indices_and_reasons_by_pattern: dict[str, list[tuple[tuple[int, ...], str]]] = {}
-    for index, reason in indices_and_reasons:
+    for case_index, reason in indices_and_reasons:
         indices_and_reasons_by_pattern.setdefault(
             re.sub(r"[-+]?\d[\d.e+-]*", "#", reason), []
-        ).append((index, reason))
-    groups = sorted(indices_and_reasons_by_pattern.values(), key=len, reverse=True)
+        ).append((case_index, reason))
+    groups_largest_first = sorted(indices_and_reasons_by_pattern.values(), key=len, reverse=True)
     n_described_groups = 4
-    for group_indices_and_reasons in groups[:n_described_groups]:
-        index, reason = group_indices_and_reasons[0]
+    for group_indices_and_reasons in groups_largest_first[:n_described_groups]:
+        case_index, reason = group_indices_and_reasons[0]
         count_text = (
             f"{format_count(len(group_indices_and_reasons), 'case')} {outcome_text}, the first at"
         )
-        yield f"{count_text} {describe_swept_values(sweep_result.axes, index)}: {reason}"
-    if further_groups := groups[n_described_groups:]:
+        yield f"{count_text} {describe_swept_values(sweep_result.axes, case_index)}: {reason}"
+    if further_groups := groups_largest_first[n_described_groups:]:
         n_further_cases = sum(map(len, further_groups))
         yield (
             f"{format_count(n_further_cases, 'case')} {outcome_text} for other reasons: "

@@ -88,7 +88,7 @@ def test_frequency_that_follows_the_speed(stiffening: float) -> None:
     assert np.nanstd(measured_motion - fitted_motion) < 3e-6
     constant_fit = fc.fit_passage(record, 100.0, [order])
     assert constant_fit.damping == pytest.approx(damping / (1.0 - stiffening), rel=0.15)
-    assert constant_fit.disagree and constant_fit.disagreement.startswith(
+    assert constant_fit.disagree and constant_fit.disagreement_in_words.startswith(
         "passages differ by more than their errors"
     )
     catch_error(

@@ -202,7 +202,7 @@ def test_the_sweep_of_a_new_scene_meets_its_tolerance(
     axis_option = f"sweep.over={{'{key}' = [{value}], 'crack.length' = [0.02, 0.03]}}"
     run_command("sweep", tmp_path / "plate.toml", "--output", tmp_path, sets=[axis_option])
     sweep = fc.SweepResult.load(tmp_path / "sweep.h5")
-    assert sweep.errors.sum(axis=0).max() < sweep.scene.given("harmonic_balance").tolerance
+    assert sweep.error_parts.sum(axis=0).max() < sweep.scene.given("harmonic_balance").tolerance
 
 
 def test_new_scene_of_a_name_too_long(run_command: RunCommand) -> None:

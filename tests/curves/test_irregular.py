@@ -122,6 +122,6 @@ def test_sweep(tmp_path: Path) -> None:
     sweep = fc.run_sweep(fc.Scene.load(SCENE).replace(changes), tmp_path / "sweep.h5")
     assert sweep["verdict"].tolist() == 2 * ["irregular"] and sweep.not_stable.all()
     assert np.all(sweep["multiplier"] > 1.0) and "; irregular: no orbit" in sweep["status"][0]
-    assert not sweep.undecided and "stability: 2 irregular of 2 cases" in [
+    assert not sweep.undecided_indices_and_reasons and "stability: 2 irregular of 2 cases" in [
         *yield_sweep_warnings(sweep)
     ]

@@ -22,7 +22,7 @@ from fenics_crack.fatigue import growth
 from fenics_crack.fatigue.ellipse import (
     EFFECTIVE_RANGE_COLUMN_NAMES,
     EQUIVALENT_RANGE_COLUMN_NAMES,
-    EllipsePath,
+    EllipseSizePath,
     EllipseTable,
     integrate_ellipse_growth,
 )
@@ -152,10 +152,12 @@ def test_cycles_of_few_shapes(count: int) -> None:
         path = integrate_ellipse_growth(table, law(exponent), 2)
         exact = brute_force(start, end, stress, exponent)
         assert path.cycles[-1] == pytest.approx(exact[2], rel=0.015)
-        assert [path.depth[-1], path.length[-1]] == pytest.approx(list(exact[:2]), rel=0.02)
+        assert [path.depth[-1], path.length_along_face[-1]] == pytest.approx(
+            list(exact[:2]), rel=0.02
+        )
         stated_error = growth.estimate_ellipse_life_error(table, path, law(exponent), 2)
         shares.append(abs(math.log(path.cycles[-1] / exact[2])) / stated_error)
-        zeros += bool(both(path.depth, path.length, stress)[0].min() == 0.0)
+        zeros += bool(both(path.depth, path.length_along_face, stress)[0].min() == 0.0)
     assert np.median(shares) < 1.0 and np.max(shares) < 15.0
     assert zeros == (2 if count == 25 else 0)
 
@@ -166,13 +168,13 @@ def test_ends_of_the_path() -> None:
     start, stress = (0.0015, 0.006), (0.0, 1.0)
     table = table_of(5, start, 0.0045, stress)
 
-    def path_of(**others: Any) -> EllipsePath:
+    def path_of(**others: Any) -> EllipseSizePath:
         return integrate_ellipse_growth(table, law(**others), 2)
 
     deepest, ends = (float(x) for x in both(*np.array(start), stress))  # type: ignore[arg-type]
     broken = path_of(toughness=1.3 * ends)
     assert broken.end_reason == "broken"
-    last_shape = np.array([broken.depth[-1], broken.length[-1]])
+    last_shape = np.array([broken.depth[-1], broken.length_along_face[-1]])
     assert max(both(*last_shape, stress)) == pytest.approx(1.3 * ends, rel=5e-3)
     assert path_of(toughness=0.9 * ends).cycles.tolist() == [0.0]
     resting_path = path_of(threshold=1.01 * ends)
@@ -183,11 +185,11 @@ def test_ends_of_the_path() -> None:
     )
     limit = 0.5 * (deepest + ends)
     threshold_path = path_of(threshold=limit)
-    assert threshold_path.end_reason == "side" and threshold_path.length[-1] == pytest.approx(
-        growth.MAX_ELLIPSE_LENGTH_FRACTION * WIDTH
-    )
+    assert threshold_path.end_reason == "side" and threshold_path.length_along_face[
+        -1
+    ] == pytest.approx(growth.MAX_ELLIPSE_LENGTH_FRACTION * WIDTH)
     ranges = table.interpolate_column(
-        EFFECTIVE_RANGE_COLUMN_NAMES[0], threshold_path.depth, threshold_path.length
+        EFFECTIVE_RANGE_COLUMN_NAMES[0], threshold_path.depth, threshold_path.length_along_face
     )
     assert (
         ranges[0] == pytest.approx(deepest)

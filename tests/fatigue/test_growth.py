@@ -164,7 +164,7 @@ def test_every_opening_makes_the_crack_grow() -> None:
     twice = {"excitation.frequency": 418.0, "excitation.omega": None, "damping.ratio": 0.001}
     scene = plate(until=0.0352, life_tolerance=1.0).replace(twice)
     stress_intensity = fc.stress_intensity(fc.solve(scene))
-    mode_one = np.tile(np.maximum(stress_intensity.one[:, 0], 0.0), 3)
+    mode_one = np.tile(np.maximum(stress_intensity.K_I[:, 0], 0.0), 3)
     peaks, peak_properties = find_peaks(mode_one, prominence=1e-9 * mode_one.max())
     middle_indices = np.flatnonzero(
         (peaks >= len(stress_intensity.time)) & (peaks < 2 * len(stress_intensity.time))

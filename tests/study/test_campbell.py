@@ -46,7 +46,9 @@ def test_between_speeds() -> None:
     )
     for speed in (30.0, 90.0, 175.0):
         squares = np.array([4e4, 8e4]) + 2.0 * speed**2
-        assert np.ravel(diagram.between(speed)) ** 2 == pytest.approx(squares, rel=1e-12)
+        assert np.ravel(diagram.interpolate_open_and_tied(speed)) ** 2 == pytest.approx(
+            squares, rel=1e-12
+        )
         stiffening = diagram.stiffening(speed, float(np.sqrt(squares[0])))
         assert stiffening == pytest.approx(2.0 * speed**2 / squares[0], rel=1e-12)
 
@@ -144,7 +146,10 @@ def test_a_crossing_has_the_state_of_the_crack_at_it(mean: float, does: str) -> 
     through it, and rises but where the crack changes."""
     scene = cracked(1.0, mean).replace({"excitation.force_sin": [0.5, 0.0]})
     wide_campbell = fc.campbell(scene, [0.0, 1200.0], 1)
-    [[_, speed]], [text] = wide_campbell.crossings(12, "real"), wide_campbell.meetings(12)
+    [[_, speed]], [text] = (
+        wide_campbell.crossings(12, "real"),
+        wide_campbell.yield_crossing_texts(12),
+    )
     near_campbell = fc.campbell(scene, [0.99 * speed, 1.01 * speed], 1)
     assert near_campbell.crossings(12, "real")[:, 1] == pytest.approx([speed], rel=1e-4)
     if does == "changes":

@@ -25,7 +25,7 @@ DEMOS = ROOT / "demos"
 def at_load(scene: fc.Scene) -> LoadResonance:
     study = fc.prepare(scene, MPI.COMM_SELF, whole=True)
     figures = find_key_figures(study)
-    return find_study_resonance(study, figures.omega_bilinear, figures.speed_slopes)
+    return find_study_resonance(study, figures.omega_bilinear, figures.squared_omega_slopes)
 
 
 def test_plate() -> None:
@@ -114,7 +114,7 @@ def test_proposed_curve_meets_its_peak() -> None:
     scene = fc.Scene.load(DEMOS / "blade.toml").replace({"curve": None})
     study = fc.prepare(scene, MPI.COMM_SELF, whole=True)
     figures = find_key_figures(study)
-    resonance = find_study_resonance(study, figures.omega_bilinear, figures.speed_slopes)
+    resonance = find_study_resonance(study, figures.omega_bilinear, figures.squared_omega_slopes)
     curve = propose_curve_or_none(study.scene, replace(figures, load_resonance=resonance))
     start, stop = curve.parameter_and_range[1:]
     assert (

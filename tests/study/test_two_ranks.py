@@ -32,7 +32,7 @@ def of_tips(scene: fc.Scene, comm: MPI.Comm) -> np.ndarray:
 def of_fronts(scene: fc.Scene, comm: MPI.Comm) -> np.ndarray:
     """Return K_I, K_II and K_III (3, n) at all instants and stations (collective)."""
     stress_intensity = fc.stress_intensity(fc.solve(scene, comm))
-    return np.array([stress_intensity.one, stress_intensity.two, stress_intensity.three]).reshape(
+    return np.array([stress_intensity.K_I, stress_intensity.K_II, stress_intensity.K_III]).reshape(
         3, -1
     )
 

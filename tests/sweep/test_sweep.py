@@ -99,7 +99,7 @@ def test_table_is_the_product_of_the_axes(paper_scene: fc.Scene, tmp_path: Path)
     """Numbered with the last axis fastest; values, waves and solutions as solved by hand."""
     scene = swept(paper_scene, FAST | {"contact.stiffness": [1e9, 2e9, 4e9]})
     result = run_sweep(scene, tmp_path / "sweep.h5")
-    assert result.shape == (2, 2, 3) and result.complete and result.failed == []
+    assert result.shape == (2, 2, 3) and result.complete and result.failed_indices_and_reasons == []
     names, rows = result.table().columns, result.table().rows
     assert names[:5] == [
         "excitation.omega [rad/s]", "harmonic_balance.harmonics", "contact.stiffness [N/m]",
@@ -203,7 +203,7 @@ def test_a_case_leaves_the_solution_of_another_alone(paper_scene: fc.Scene, redu
     geometry = sweep_case.build_sweep_geometry(
         cases[1], MPI.COMM_SELF, sweep_case.SharedCaseOptions(has_unit_loads=True)
     )
-    solutions = [sweep_case.CaseSolver(geometry).solve(case) for case in cases]
+    solutions = [sweep_case.CaseSolver(geometry).solve_at_given_frequency(case) for case in cases]
     for solution, (load, clearance) in zip(solutions, given, strict=True):
         structure = solution.structure
         assert structure.body is geometry.structure.body
@@ -250,7 +250,7 @@ def test_a_tolerance_out_of_reach(paper_scene: fc.Scene, tmp_path: Path) -> None
     sweep_axes = {"excitation.omega": [1700.0, 1800.0], "harmonic_balance.tolerance": [1e-12, 0.03]}
     result = run_sweep(swept(paper_scene, sweep_axes, SOFT), tmp_path / "sweep.h5")
     assert result.converged.tolist() == [[False, True], [False, True]]
-    for reason in dict(result.failed).values():
+    for reason in dict(result.failed_indices_and_reasons).values():
         assert re.search(r"truncation error, .* with H = \d+, stays above 1e-12", reason)
 
 
@@ -308,7 +308,7 @@ def test_failures_are_recorded_and_the_others_go_on(paper_scene: fc.Scene, tmp_p
     result = run_sweep(swept(paper_scene, sweep_axes), tmp_path / "sweep.h5")
     assert result.complete
     assert result.converged[0, 0].all() and np.count_nonzero(result.converged) == 2
-    reasons = dict(result.failed)
+    reasons = dict(result.failed_indices_and_reasons)
     assert len(reasons) == 10
     assert "shorter than the plate" in reasons[1, 0, 0]
     assert "whole number of grid cells" in reasons[2, 1, 1]
@@ -401,9 +401,9 @@ def test_what_is_told_of_a_verdict_is_kept(paper_scene: fc.Scene, tmp_path: Path
     file.write_pending_cases(np.arange(2), cases)
     file.close()
     stored_sweep = SweepResult.load(path)
-    assert stored_sweep.undecided == [((0,), reason)] and stored_sweep.contradicted == [
-        ((1,), "it leaves")
-    ]
+    assert stored_sweep.undecided_indices_and_reasons == [
+        ((0,), reason)
+    ] and stored_sweep.contradicted_indices_and_verdicts == [((1,), "it leaves")]
 
 
 def test_a_file_from_before_an_observable(
@@ -577,7 +577,11 @@ def refused_and_broken(folder: Path, refused: fc.Scene, good: fc.Scene, comm: MP
     Check what it is told of input that cannot be used, and of a full disk.
     """
     catch_error(lambda: run_sweep(refused, folder / "sweep.h5", comm), "sweep", None)
-    solve_case, calls, meeting_path = sweep_case.CaseSolver.solve, [], folder / "met"
+    solve_case, calls, meeting_path = (
+        sweep_case.CaseSolver.solve_at_given_frequency,
+        [],
+        folder / "met",
+    )
 
     def broken(*given: Any) -> Any:
         calls.append(given)
@@ -593,7 +597,7 @@ def refused_and_broken(folder: Path, refused: fc.Scene, good: fc.Scene, comm: MP
         return solve_case(*given)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sweep_case.CaseSolver, "solve", broken)
+        patch.setattr(sweep_case.CaseSolver, "solve_at_given_frequency", broken)
         failure = catch_error(lambda: run_sweep(good, folder / "sweep.h5", comm), kind=RuntimeError)
     write_column, written = SweepFile._write_column, list[str]()
 

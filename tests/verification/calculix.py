@@ -419,7 +419,7 @@ def vibrating_tip() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     roots = np.sqrt(2.0 * np.pi / distance[is_near])
     intensities = YOUNG / 8.0 * roots * -structure.apply_bt(displacements)[:, is_near]
     theirs = np.polyfit(distance[is_near], intensities.T, 1)[-1]
-    return intensity.time, intensity.one[:, 0], np.interp(intensity.time, instants, theirs)
+    return intensity.time, intensity.K_I[:, 0], np.interp(intensity.time, instants, theirs)
 
 
 def draw_vibrating_tip(axes: Any) -> None:

@@ -22,7 +22,7 @@ from study.test_fronts import STRESS, YOUNG, solid
 
 import fenics_crack as fc
 from fenics_crack.fatigue import growth
-from fenics_crack.fatigue.ellipse import EllipsePath, integrate_ellipse_growth
+from fenics_crack.fatigue.ellipse import EllipseSizePath, integrate_ellipse_growth
 from fenics_crack.fem.fronts import TETRAHEDRON_EDGES, front_functionals
 from fenics_crack.study.prepare import prepare
 
@@ -389,7 +389,7 @@ def fronts_on_coarse_meshes() -> list[Row]:
 
 
 @cache
-def lives() -> tuple[list[EllipsePath], list[np.ndarray], list[float]]:
+def lives() -> tuple[list[EllipseSizePath], list[np.ndarray], list[float]]:
     """Of all cases the path by as many shapes as the program solves; depth, length and cycles
     without a table; and cycles by 8 x 8 shapes."""
     paths, exact, fine_cycles = [], [], []
@@ -410,7 +410,9 @@ def draw_lives(axes: Any) -> None:
     for number in range(5, 10):
         tension, bending = CASES[number][2]
         name = f"tension {tension:g}, bending {bending:g}"
-        [drawn_line] = axes.plot(paths[number].length * 1e3, paths[number].depth * 1e3, label=name)
+        [drawn_line] = axes.plot(
+            paths[number].length_along_face * 1e3, paths[number].depth * 1e3, label=name
+        )
         axes.plot(exact[number][1] * 1e3, exact[number][0] * 1e3, "x", color=drawn_line.get_color())
     axes.set(xlabel="length on the face [mm]", ylabel="depth [mm]", ylim=(0.0, None))
     axes.legend(title="x: ends without a table", fontsize=8)

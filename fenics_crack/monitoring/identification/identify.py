@@ -137,13 +137,11 @@ def identify(
         measurements = on_root(comm, lambda: Measurements.read(measurement_path))
     measurements.check(scene)
     measurement_rows = measurements.rows
-    load_frequencies = [
-        measurement.frequency for measurement in measurement_rows if not measurement.natural
-    ]
+    load_frequencies = [row.frequency for row in measurement_rows if not row.is_natural_frequency]
     frequency_only_loads = [
         load_frequency
-        for measurement in measurement_rows
-        if measurement.natural and (load_frequency := measurement.load(scene))
+        for row in measurement_rows
+        if row.is_natural_frequency and (load_frequency := row.get_load_frequency(scene))
     ]
     uncracked_plate = _solve_uncracked_plate(scene, comm)
     has_other_unknowns = any(
@@ -282,7 +280,7 @@ def _select_predictable_measurements(
         swept_frequencies = solved_cases.swept_loads.frequencies
         failed_cases_and_reasons = [
             (case_index, reason_text)
-            for case_index, reason_text in sweep_result.failed
+            for case_index, reason_text in sweep_result.failed_indices_and_reasons
             if swept_frequencies[case_index[-1]] in load_frequencies
             or np.isnan(sweep_result["omega_open_1"][case_index])
         ]
@@ -319,7 +317,7 @@ def list_measurement_limit_remarks(scene: Scene, measurements: Measurements) -> 
         is_edge_given
         and crack is not None
         and crack.edge
-        and all(measurement.natural for measurement in measurement_rows)
+        and all(measurement.is_natural_frequency for measurement in measurement_rows)
     ):
         other_edge = {"left": "right", "right": "left"}[crack.edge]
         remark_texts.append(
@@ -332,7 +330,7 @@ def list_measurement_limit_remarks(scene: Scene, measurements: Measurements) -> 
             "meshes twice as fine"
         )
     if any(
-        measurement.shape for measurement in measurement_rows
+        measurement.depends_on_shape_alone for measurement in measurement_rows
     ) and not has_load_independent_motion_shape(scene):
         remark_texts.append(
             "with a clearance or a steady load, the shape of the motion depends on the size of the "
@@ -354,7 +352,7 @@ def _yield_unresolved_resonance_remarks(
     loads_and_points = dict.fromkeys(
         (measurement.frequency, measurement.point)
         for measurement in measurements.rows
-        if measurement.shape
+        if measurement.depends_on_shape_alone
     )
     for model, (load_frequency, point_name) in itertools.product(
         forward_models.cracked_model_by_words.values(), loads_and_points
@@ -561,8 +559,8 @@ class _ForwardSweeper:
         Folder of the files.
     comm : MPI.Comm
         Ranks that share the cases.
-    progress : bool
-        Show progress bars.
+    shows_progress : bool
+        True to show progress bars.
     """
 
     coarse_scene: Scene
@@ -572,7 +570,7 @@ class _ForwardSweeper:
     frequency_only_indices: list[int]
     folder: Path
     comm: MPI.Comm
-    progress: bool
+    shows_progress: bool
 
     @property
     def mesh_file_axes(self) -> list[Axis]:
@@ -602,7 +600,7 @@ class _ForwardSweeper:
                 swept_scene,
                 self.folder / f"{sweep_name}_{file_name_digest}.h5",
                 self.comm,
-                progress=self.progress,
+                progress=self.shows_progress,
                 verdicts=False,
                 judged=False,
                 natural=self.frequency_only_indices,
@@ -728,10 +726,10 @@ def _join_sweeps(
 def _count_allowed_cases(scene: Scene) -> int:
     """Return the maximum number of solved cases: 8 times those in ``[identify.unknown]``.
 
-    8 is :attr:`Options.max_case_ratio`.
+    8 is :attr:`Options.max_solved_case_ratio`.
     """
     unknown_axes = scene.given("identify").unknown
-    return OPTIONS.max_case_ratio * math.prod(
+    return OPTIONS.max_solved_case_ratio * math.prod(
         len(unknown_axis.values) for unknown_axis in unknown_axes
     )
 

@@ -170,7 +170,7 @@ class Interpolation:
                 for axis_index, axis_values in enumerate(unknown_grid.axes)
             )
             self._node_errors_along_axes = [
-                OPTIONS.leave_one_out_fraction * errors_along_axis.reshape(node_values.shape)
+                OPTIONS.error_per_leave_one_out_error * errors_along_axis.reshape(node_values.shape)
                 for errors_along_axis in leave_one_out_errors_along_axes
             ]
             if fill_errors.any():
@@ -216,7 +216,7 @@ class Interpolation:
         node_coordinates = self.unknown_grid.find_node_coordinates(self.unknown_grid.nodes)
         weight_exponents = (
             -0.5
-            / OPTIONS.error_average_width**2
+            / OPTIONS.error_averaging_width_in_nodes**2
             * cdist(self.unknown_grid.find_node_coordinates(x), node_coordinates, "sqeuclidean")
         )
         n_averaged_nodes = min(OPTIONS.max_averaged_nodes, len(node_coordinates))
@@ -516,7 +516,7 @@ class SolvedCases:
         return solved_frequencies.index(load_frequency)
 
     @cached_property
-    def split_root_and_frequencies(self) -> np.ndarray:
+    def frequency_split_root_and_frequencies(self) -> np.ndarray:
         """Return data for the poles of harmonics: (n, n_loads, 1 + 2 modes).
 
         At all n combinations of the unknowns and all loads, columns are sqrt(s), the bilinear
@@ -587,16 +587,20 @@ class Feature:
         For a ratio of harmonics the numerator comes first. A resonance has the three frequencies of
         :data:`RESONANCE_STATE_NAMES`, a displacement all harmonics.
         """
-        if measurement.natural:
+        if measurement.is_natural_frequency:
             state_name = measurement.quantity.removeprefix("frequency_")
             crack_states = RESONANCE_STATE_NAMES if state_name == "resonance" else (state_name,)
             return tuple(
-                cls(crack_state, measurement.mode, load_frequency=measurement.load(scene))
+                cls(
+                    crack_state,
+                    measurement.mode,
+                    load_frequency=measurement.get_load_frequency(scene),
+                )
                 for crack_state in crack_states
             )
-        harmonic_orders = measurement.orders or KEPT_HARMONIC_ORDERS
+        harmonic_orders = measurement.harmonic_orders or KEPT_HARMONIC_ORDERS
         return tuple(
-            cls("", 0, measurement.point, measurement.load(scene), harmonic_order)
+            cls("", 0, measurement.point, measurement.get_load_frequency(scene), harmonic_order)
             for harmonic_order in harmonic_orders
         )
 
@@ -635,8 +639,8 @@ class Feature:
     def split_exponent(self) -> int:
         """Return the exponent n if the harmonic is proportional to s^n.
 
-        The split s is in :attr:`SolvedCases.split_root_and_frequencies`. n is 1 for even harmonics,
-        2 for odd ones above 1, and 0 for the first harmonic and natural frequencies.
+        The split s is in :attr:`SolvedCases.frequency_split_root_and_frequencies`. n is 1 for even
+        harmonics, 2 for odd ones above 1, and 0 for the first harmonic and natural frequencies.
         """
         return 1 + self.harmonic_order % 2 if self.harmonic_order > 1 else 0
 
@@ -652,7 +656,9 @@ class Feature:
 
 
 def compute_ratios_and_pole_factors(
-    features: Sequence[Feature], damping_ratios: np.ndarray, split_root_and_frequencies: np.ndarray
+    features: Sequence[Feature],
+    damping_ratio_of_points: np.ndarray,
+    frequency_split_root_and_frequencies: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return frequency ratios r and pole factors of each mode: (m, f, modes) each.
 
@@ -664,19 +670,23 @@ def compute_ratios_and_pole_factors(
     ----------
     features : sequence of Feature
         f natural frequencies and harmonics.
-    damping_ratios : (m, 1)
+    damping_ratio_of_points : (m, 1)
         Damping ratios z at m values of the unknowns.
-    split_root_and_frequencies : (m, f, 1 + 2 modes)
-        :attr:`SolvedCases.split_root_and_frequencies` at the load of each feature.
+    frequency_split_root_and_frequencies : (m, f, 1 + 2 modes)
+        :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each feature.
     """
-    mode_frequencies = split_root_and_frequencies[..., KEPT_MODE_NUMBERS]
+    mode_frequencies = frequency_split_root_and_frequencies[..., KEPT_MODE_NUMBERS]
     harmonic_frequencies = np.array(
         [feature.harmonic_order * feature.load_frequency for feature in features]
     )
-    r = harmonic_frequencies[:, None] / np.where(
+    harmonic_to_mode_ratios = harmonic_frequencies[:, None] / np.where(
         np.isfinite(mode_frequencies), mode_frequencies, np.inf
     )
-    return r, 1.0 - r**2 + 2j * damping_ratios[..., None] * r
+    return harmonic_to_mode_ratios, (
+        1.0
+        - harmonic_to_mode_ratios**2
+        + 2j * damping_ratio_of_points[..., None] * harmonic_to_mode_ratios
+    )
 
 
 def compute_log_factors_by_first_harmonic(
@@ -698,7 +708,7 @@ def compute_log_factors_by_first_harmonic(
     )
 
 
-def list_first_harmonic_features(features: Sequence[Feature]) -> list[Feature]:
+def replace_by_driving_first_harmonics(features: Sequence[Feature]) -> list[Feature]:
     """List the first harmonic at the point and load of each higher harmonic.
 
     Natural frequencies and first harmonics get order 0, for which
@@ -711,8 +721,8 @@ def list_first_harmonic_features(features: Sequence[Feature]) -> list[Feature]:
 
 def compute_smoothing_factors(
     features: Sequence[Feature],
-    damping_ratios: np.ndarray,
-    split_root_and_frequencies: np.ndarray,
+    damping_ratio_of_points: np.ndarray,
+    frequency_split_root_and_frequencies: np.ndarray,
     relative_crack_sizes: np.ndarray,
 ) -> np.ndarray:
     """Return factors that make features smooth functions of the unknowns: (m, f).
@@ -725,10 +735,12 @@ def compute_smoothing_factors(
     split_exponents = np.array([feature.split_exponent for feature in features])
     is_cracked_frequency = np.array([feature.is_cracked_frequency for feature in features])
     harmonic_factors = compute_ratios_and_pole_factors(
-        features, damping_ratios, split_root_and_frequencies
-    )[1].prod(axis=2) / split_root_and_frequencies[..., 0] ** (2 * split_exponents)
+        features, damping_ratio_of_points, frequency_split_root_and_frequencies
+    )[1].prod(axis=2) / frequency_split_root_and_frequencies[..., 0] ** (2 * split_exponents)
     first_harmonic_pole_factors = compute_ratios_and_pole_factors(
-        list_first_harmonic_features(features), damping_ratios, split_root_and_frequencies
+        replace_by_driving_first_harmonics(features),
+        damping_ratio_of_points,
+        frequency_split_root_and_frequencies,
     )[1].prod(axis=2)
     harmonic_factors = harmonic_factors * np.exp(
         compute_log_factors_by_first_harmonic(np.log(first_harmonic_pole_factors), features)

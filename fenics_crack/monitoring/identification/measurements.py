@@ -22,7 +22,7 @@ from fenics_crack.basics.errors import (
     check_number,
     report_read_errors,
 )
-from fenics_crack.basics.suggestions import check_calls, fit_argument_to_annotation
+from fenics_crack.basics.suggestions import check_calls, fit_argument_to_annotation, with_old_names
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN, Tabular, format_count
 from fenics_crack.basics.untrusted_files import convert_heading_to_si, read_numbered_csv_rows
 from fenics_crack.monitoring.identification.options import OPTIONS
@@ -70,6 +70,10 @@ UNIVERSAL_FILE_SUFFIXES = (".uff", ".unv")
 """Suffixes of universal files, with frequency responses."""
 
 
+@with_old_names(
+    natural="is_natural_frequency", resonance="is_resonant", shape="depends_on_shape_alone",
+    orders="harmonic_orders", load="get_load_frequency",
+)  # fmt: skip
 @dataclass(frozen=True)
 class Measurement:
     """One measured number.
@@ -127,7 +131,7 @@ class Measurement:
         is_displacement = self.quantity == "displacement"
         check_number("measurements.value", self.value, -math.inf if is_displacement else 0.0)
         check_number("measurements.deviation", self.deviation, 0.0, excludes_bound=True)
-        if self.natural:
+        if self.is_natural_frequency:
             if not (isinstance(self.mode, Integral) and 1 <= self.mode <= N_LOWEST_MODES):
                 allowed_text = f"a whole number from 1 to {N_LOWEST_MODES} with {self.quantity}"
                 raise InputError("measurements.mode", self.mode, allowed_text)
@@ -147,7 +151,7 @@ class Measurement:
         natural_frequency_keys = ("mode", "rpm", "temperature")
         allowed_keys = (
             natural_frequency_keys
-            if self.natural
+            if self.is_natural_frequency
             else ("frequency", "point", *["phase"] * is_displacement)
         )
         for key in OPTIONAL_COLUMN_NAMES:
@@ -170,48 +174,48 @@ class Measurement:
                 )
 
     @property
-    def natural(self) -> bool:
+    def is_natural_frequency(self) -> bool:
         """Return True for a natural frequency, False for a quantity under a load."""
         return self.quantity.startswith("frequency_")
 
     @property
-    def resonance(self) -> bool:
+    def is_resonant(self) -> bool:
         """Return True for "frequency_resonance", a resonance with a breathing crack."""
         return self.quantity == "frequency_resonance"
 
     @property
-    def shape(self) -> bool:
+    def depends_on_shape_alone(self) -> bool:
         """Return True if the measurement does not depend on the load's size.
 
         This is so for ratios and displacements, whose load is fitted.
         """
-        return not self.natural and not self.quantity.startswith("harmonic")
+        return not self.is_natural_frequency and not self.quantity.startswith("harmonic")
 
     @property
-    def orders(self) -> tuple[int, ...]:
+    def harmonic_orders(self) -> tuple[int, ...]:
         """Return the orders of the quantity's harmonics, the numerator first.
 
         The tuple is empty for natural frequencies, and for displacements, which have all harmonics.
         """
-        return () if self.natural else tuple(map(int, self.quantity.split("_")[1:]))
+        return () if self.is_natural_frequency else tuple(map(int, self.quantity.split("_")[1:]))
 
     @property
     def name(self) -> str:
         """Return the name in words: "frequency_open of mode 2", "ratio_2_1 at 250 Hz of tip.ux"."""
-        if self.natural:
+        if self.is_natural_frequency:
             speed_text = "" if math.isnan(self.rpm) else f" at {self.rpm:g} rpm"
             return f"{self.quantity} of mode {self.mode}{speed_text}"
         point_text = f" of {self.point}" if self.point else ""
         phase_text = "" if math.isnan(self.phase) else f" and {self.phase:.3g} rad"
         return f"{self.quantity} at {self.frequency:g} Hz{phase_text}{point_text}"
 
-    def load(self, scene: Scene) -> float:
+    def get_load_frequency(self, scene: Scene) -> float:
         """Return the load frequency [Hz] to solve for this measurement.
 
         For a natural frequency at a rotor speed, it is the engine order's frequency at this speed;
         0 stands for the scene's own speed.
         """
-        if not self.natural:
+        if not self.is_natural_frequency:
             return float(self.frequency)
         if math.isnan(self.rpm):
             return 0.0
@@ -250,7 +254,8 @@ class Measurement:
                 "give identify.uncracked"
             )
             raise InputError("measurements.quantity", self.quantity, allowed_text)
-        highest_order, n_harmonics = max(self.orders, default=0), scene.harmonic_balance.harmonics
+        highest_order = max(self.harmonic_orders, default=0)
+        n_harmonics = scene.harmonic_balance.harmonics
         if n_harmonics < highest_order:
             allowed_text = f"at least {highest_order} for {self.quantity}"
             raise InputError("harmonic_balance.harmonics", n_harmonics, allowed_text)
@@ -414,7 +419,7 @@ class Measurements(Tabular):
         if noise is not None:
             mean_angle_deviations = rotor_speed * noise / np.sqrt(n_arrivals_of_probes)
             deviations = arrivals.tip_radius * np.hypot(mean_angle_deviations, angle_deviation)
-        elif probe_statistics.scatter <= arrivals.rounding:
+        elif probe_statistics.scatter <= arrivals.displacement_rounding:
             raise InputError("noise", None, "given in s, since these arrivals have no scatter")
         elif np.isnan(
             variance_factor := student_variance_ratio(probe_statistics.freedom_within_groups)
@@ -603,7 +608,7 @@ class Measurements(Tabular):
         return values_by_column
 
     def _repr_text(self) -> str:
-        n_natural = sum(measurement.natural for measurement in self.rows)
+        n_natural = sum(measurement.is_natural_frequency for measurement in self.rows)
         return f"{n_natural} natural frequencies, {len(self) - n_natural} at loads"
 
 

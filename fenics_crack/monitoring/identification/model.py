@@ -313,7 +313,7 @@ class ForwardModel:
         """Make a predictor for measurements, and for candidates for further measurements."""
         return MeasurementPredictor(self, measured_rows, candidate_rows)
 
-    def get_damping_ratios(self, x: np.ndarray) -> np.ndarray:
+    def get_damping_ratio_of_points(self, x: np.ndarray) -> np.ndarray:
         """Return the damping ratio at values x (m, d) of the unknowns: (m, 1).
 
         An unknown damping ratio is in x. Otherwise all are equal: the scene's ratio, the mean of
@@ -330,7 +330,7 @@ class ForwardModel:
             (len(x), 1), 0.01 if scene_damping_ratios is None else np.mean(scene_damping_ratios)
         )  # of a matrix
 
-    def compute_relative_crack_sizes(self, x: np.ndarray) -> np.ndarray:
+    def compute_crack_sizes_relative_to_largest(self, x: np.ndarray) -> np.ndarray:
         """Return crack sizes at values x (m, d), relative to the largest: (m,).
 
         A size is the product of length and depth, each over its upper bound; 1 if neither is an
@@ -409,26 +409,26 @@ class FeaturePrediction(NamedTuple):
 
     Attributes
     ----------
-    damping_ratios : (m, 1)
+    damping_ratio_of_points : (m, 1)
         Damping ratios.
-    split_root_and_frequencies : (m, f, 1 + 2 modes)
-        :attr:`SolvedCases.split_root_and_frequencies` at the load of each feature.
+    frequency_split_root_and_frequencies : (m, f, 1 + 2 modes)
+        :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each feature.
     smoothing_factors : (m, f)
         Factors that make features smooth (:func:`compute_smoothing_factors`).
     feature_values : (m, f)
         Features: logarithms of natural frequencies [Hz], and complex harmonics [m].
     interpolation_variances : (m, f)
         Mean squares of the features' interpolation errors.
-    smooth_covariance : (m, 2f, 2f)
+    smooth_form_covariance : (m, 2f, 2f)
         Covariance of smooth forms (feature times factor), real and imaginary parts in turn.
     """
 
-    damping_ratios: np.ndarray
-    split_root_and_frequencies: np.ndarray
+    damping_ratio_of_points: np.ndarray
+    frequency_split_root_and_frequencies: np.ndarray
     smoothing_factors: np.ndarray
     feature_values: np.ndarray
     interpolation_variances: np.ndarray
-    smooth_covariance: np.ndarray
+    smooth_form_covariance: np.ndarray
 
 
 class MeasurementPredictor:
@@ -457,13 +457,17 @@ class MeasurementPredictor:
         self._is_uncracked_feature = np.array(
             [feature.crack_state == "uncracked" for feature in self._features]
         )
-        split_root_and_frequencies = model.coarse_cases.split_root_and_frequencies
+        frequency_split_root_and_frequencies = (
+            model.coarse_cases.frequency_split_root_and_frequencies
+        )
         self._split_root_and_frequency_interpolation = Interpolation(
             model.unknown_grid,
-            split_root_and_frequencies.reshape(len(split_root_and_frequencies), -1),
+            frequency_split_root_and_frequencies.reshape(
+                len(frequency_split_root_and_frequencies), -1
+            ),
         )
         self._highest_mode_frequency = float(
-            np.nanmax(split_root_and_frequencies[..., KEPT_MODE_NUMBERS], initial=0.0)
+            np.nanmax(frequency_split_root_and_frequencies[..., KEPT_MODE_NUMBERS], initial=0.0)
         )
         self._load_index_of_features = [
             model.coarse_cases.find_load_index(feature.load_frequency) for feature in self._features
@@ -490,7 +494,7 @@ class MeasurementPredictor:
         )
         self._face_states = (
             _list_face_states(model)
-            if any(measurement.resonance for measurement in self.rows)
+            if any(measurement.is_resonant for measurement in self.rows)
             else (BREATHING_STATE,)
         )
         self._scales_with_load_at_rest = is_response_proportional_to_load(
@@ -659,7 +663,7 @@ class MeasurementPredictor:
             feature_values
             * self._compute_smoothing_factors(
                 solved_cases.unknown_grid.nodes,
-                self._interpolate_split_root_and_frequencies(solved_cases.unknown_grid.nodes),
+                self._interpolate_frequency_split_and_frequencies(solved_cases.unknown_grid.nodes),
             )
         )
 
@@ -694,7 +698,7 @@ class MeasurementPredictor:
         return np.repeat(np.sqrt(np.maximum(variance_ratios, 1.0)), 2)
 
     def _compute_smoothing_factors(
-        self, x: np.ndarray, split_root_and_frequencies: np.ndarray
+        self, x: np.ndarray, frequency_split_root_and_frequencies: np.ndarray
     ) -> np.ndarray:
         """Return factors that make features smooth, at values x (m, d): (m, f).
 
@@ -703,23 +707,23 @@ class MeasurementPredictor:
         """
         return compute_smoothing_factors(
             self._features,
-            self.model.get_damping_ratios(x),
-            split_root_and_frequencies,
-            self.model.compute_relative_crack_sizes(x),
+            self.model.get_damping_ratio_of_points(x),
+            frequency_split_root_and_frequencies,
+            self.model.compute_crack_sizes_relative_to_largest(x),
         )
 
-    def _interpolate_split_root_and_frequencies(self, x: np.ndarray) -> np.ndarray:
-        """Interpolate :attr:`SolvedCases.split_root_and_frequencies` to values x (m, d).
+    def _interpolate_frequency_split_and_frequencies(self, x: np.ndarray) -> np.ndarray:
+        """Interpolate :attr:`SolvedCases.frequency_split_root_and_frequencies` to values x (m, d).
 
         Shape (m, f, 1 + 2 modes), at the load of each feature; nan without enough solved cases.
         """
-        split_root_and_frequencies = np.where(
+        frequency_split_root_and_frequencies = np.where(
             self._split_root_and_frequency_interpolation.has_enough_known_nodes,
             self._split_root_and_frequency_interpolation.interpolate(x),
             np.nan,
         )
-        return split_root_and_frequencies.reshape(
-            len(x), *self.model.coarse_cases.split_root_and_frequencies.shape[1:]
+        return frequency_split_root_and_frequencies.reshape(
+            len(x), *self.model.coarse_cases.frequency_split_root_and_frequencies.shape[1:]
         )[:, self._load_index_of_features]
 
     def __call__(self, x: np.ndarray) -> MeasurementPrediction:
@@ -748,12 +752,12 @@ class MeasurementPredictor:
         zero_smooth_features = np.zeros((len(x), 2 * len(self._features)))
 
         def propagate_to_variances(covariance: np.ndarray) -> np.ndarray:
-            changed_prediction = feature_prediction._replace(smooth_covariance=covariance)
+            changed_prediction = feature_prediction._replace(smooth_form_covariance=covariance)
             prediction = self._predict_measurements(changed_prediction, None, self._face_states[0])
             return np.diagonal(prediction.covariance, axis1=1, axis2=2)
 
         variances_without_interpolation = propagate_to_variances(
-            np.zeros_like(feature_prediction.smooth_covariance)
+            np.zeros_like(feature_prediction.smooth_form_covariance)
         )
         variances_along_unknowns = []
         for weighted_errors in self._coarse_interpolation.list_weighted_node_errors_along_axes(x)[
@@ -769,7 +773,7 @@ class MeasurementPredictor:
                 - variances_without_interpolation
             )
         return np.stack(variances_along_unknowns, axis=1), propagate_to_variances(
-            feature_prediction.smooth_covariance
+            feature_prediction.smooth_form_covariance
         )
 
     def _predict_features(self, x: np.ndarray) -> FeaturePrediction:
@@ -788,17 +792,17 @@ class MeasurementPredictor:
             remaining_mesh_errors = self._remaining_mesh_fraction * mesh_difference
             smooth_features = smooth_features + mesh_difference + remaining_mesh_errors
             interpolation_errors.append(self._mesh_correction.list_weighted_node_errors(x))
-        damping_ratios = self.model.get_damping_ratios(x)
-        split_root_and_frequencies = self._interpolate_split_root_and_frequencies(x)
-        smoothing_factors = self._compute_smoothing_factors(x, split_root_and_frequencies)
+        damping_ratio_of_points = self.model.get_damping_ratio_of_points(x)
+        frequency_split_root_and_frequencies = self._interpolate_frequency_split_and_frequencies(x)
+        smoothing_factors = self._compute_smoothing_factors(x, frequency_split_root_and_frequencies)
         feature_values = (
             smooth_features[:, ::2] + 1j * smooth_features[:, 1::2]
         ) / smoothing_factors
         uncracked_plate = self.model.uncracked_plate
         prior_sensitivities = uncracked_plate.compute_feature_sensitivities(
             self._features,
-            damping_ratios,
-            split_root_and_frequencies,
+            damping_ratio_of_points,
+            frequency_split_root_and_frequencies,
             self._mode_prior_sensitivities,
         )
         prior_sensitivities = (
@@ -827,8 +831,8 @@ class MeasurementPredictor:
             axis=2,
         )
         return FeaturePrediction(
-            damping_ratios,
-            split_root_and_frequencies,
+            damping_ratio_of_points,
+            frequency_split_root_and_frequencies,
             smoothing_factors,
             feature_values,
             interpolation_variances,
@@ -856,7 +860,10 @@ class MeasurementPredictor:
             )
         predictions, complex_slopes, common_errors, independent_variances = (
             self._predict_all_but_displacements(
-                feature_prediction.damping_ratios, feature_values, smoothing_factors, face_state
+                feature_prediction.damping_ratio_of_points,
+                feature_values,
+                smoothing_factors,
+                face_state,
             )
         )
         predictions *= self.baseline_changes.temperature_frequency_factors
@@ -875,15 +882,13 @@ class MeasurementPredictor:
             omitted_orders, omitted_squares = self._estimate_omitted_orders_and_squares(
                 self._features[feature_indices[0]],
                 harmonic_mean_squares,
-                feature_prediction.damping_ratios,
-                feature_prediction.split_root_and_frequencies[:, feature_indices[:1]],
+                feature_prediction.damping_ratio_of_points,
+                feature_prediction.frequency_split_root_and_frequencies[:, feature_indices[:1]],
             )
             group_block_index = np.ix_(range(len(feature_values)), row_indices, row_indices)
-            squared_load_sizes = load_sizes[:, None, None] ** 2
-            omitted_covariance[group_block_index] = squared_load_sizes * np.tensordot(
-                omitted_squares,
-                probe_group.compute_displacement_covariances(omitted_orders),
-                axes=1,
+            order_covariances = probe_group.compute_displacement_covariances(omitted_orders)
+            omitted_covariance[group_block_index] = load_sizes[:, None, None] ** 2 * np.tensordot(
+                omitted_squares, order_covariances, axes=1
             )
             complex_slopes[:, np.array(row_indices)[:, None], feature_indices] = (
                 displacement_slopes / smoothing_factors[:, None, feature_indices]
@@ -895,9 +900,8 @@ class MeasurementPredictor:
         if is_zero_feature is not None:
             complex_slopes[..., is_zero_feature] = 0.0
         real_slopes = _split_complex_columns(complex_slopes.conj())
-        covariance = (
-            real_slopes @ feature_prediction.smooth_covariance @ real_slopes.transpose(0, 2, 1)
-            + omitted_covariance
+        covariance = omitted_covariance + (
+            real_slopes @ feature_prediction.smooth_form_covariance @ real_slopes.transpose(0, 2, 1)
         )
         shared_errors = np.concatenate(
             [predictions[..., None] * self.baseline_changes.frequency_changes, common_errors],
@@ -915,8 +919,8 @@ class MeasurementPredictor:
         self,
         first_harmonic_feature: Feature,
         mean_squares: np.ndarray,
-        damping_ratios: np.ndarray,
-        split_root_and_frequencies: np.ndarray,
+        damping_ratio_of_points: np.ndarray,
+        frequency_split_root_and_frequencies: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Estimate the harmonics above those of the solved cases, at resonances of modes.
 
@@ -932,10 +936,10 @@ class MeasurementPredictor:
             First harmonic of a point.
         mean_squares : (m, K) [m^2]
             Mean squares of the known harmonics of this point.
-        damping_ratios : (m, 1)
+        damping_ratio_of_points : (m, 1)
             Damping ratios z.
-        split_root_and_frequencies : (m, 1, 1 + 2 modes)
-            :attr:`SolvedCases.split_root_and_frequencies` at the load.
+        frequency_split_root_and_frequencies : (m, 1, 1 + 2 modes)
+            :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load.
 
         Returns
         -------
@@ -961,13 +965,14 @@ class MeasurementPredictor:
             for harmonic_order in range(1, n_harmonics + 1)
         ]
         squared_compliances = (
-            np.nan_to_num(split_root_and_frequencies[..., KEPT_MODE_NUMBERS], nan=np.inf) ** -4.0
+            np.nan_to_num(frequency_split_root_and_frequencies[..., KEPT_MODE_NUMBERS], nan=np.inf)
+            ** -4.0
         )
         relative_squares = np.sum(
             squared_compliances
             / np.abs(
                 compute_ratios_and_pole_factors(
-                    harmonic_features, damping_ratios, split_root_and_frequencies
+                    harmonic_features, damping_ratio_of_points, frequency_split_root_and_frequencies
                 )[1]
             )
             ** 2,
@@ -988,7 +993,7 @@ class MeasurementPredictor:
 
     def _predict_all_but_displacements(
         self,
-        damping_ratios: np.ndarray,
+        damping_ratio_of_points: np.ndarray,
         feature_values: np.ndarray,
         smoothing_factors: np.ndarray,
         face_state: CrackFaceState,
@@ -1043,11 +1048,11 @@ class MeasurementPredictor:
         ):
             if row.quantity == "displacement" or not self.is_predictable[row_index]:
                 continue
-            row_face_state = (
+            row_state = (
                 BREATHING_STATE if row.rpm == 0.0 and self._scales_with_load_at_rest else face_state
             )
             state_index = (
-                RESONANCE_STATE_NAMES.index(row_face_state.resonance_state) if row.resonance else 0
+                RESONANCE_STATE_NAMES.index(row_state.resonance_state) if row.is_resonant else 0
             )
             predictions[:, row_index], row_size_slopes = _combine_features_with_slopes(
                 row, feature_sizes[:, feature_indices], state_index
@@ -1055,11 +1060,11 @@ class MeasurementPredictor:
             complex_slopes[:, row_index, feature_indices] = (
                 row_size_slopes * size_slopes[:, feature_indices]
             )
-            if row.resonance:
+            if row.is_resonant:
                 _, open_frequencies, bonded_frequencies = feature_sizes[:, feature_indices].T
                 frequency_split = bonded_frequencies - open_frequencies
-                damping_shift = predictions[:, row_index] * damping_ratios[:, 0] ** 2
-                common_errors[:, row_index, 0] = row_face_state.common_deviation * frequency_split
+                damping_shift = predictions[:, row_index] * damping_ratio_of_points[:, 0] ** 2
+                common_errors[:, row_index, 0] = row_state.common_deviation * frequency_split
                 mode_deviation = (
                     identify_table.first_resonance_deviation
                     if row.mode == 1
@@ -1069,7 +1074,7 @@ class MeasurementPredictor:
                     (state_index == 0) * mode_deviation * frequency_split
                 )
                 independent_variances[:, row_index] = (
-                    row_face_state.independent_deviation * frequency_split
+                    row_state.independent_deviation * frequency_split
                 ) ** 2 + damping_shift**2
         for cracked_index, uncracked_index in zip(
             self._cracked_indices, self._uncracked_indices, strict=True
@@ -1200,16 +1205,16 @@ def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
     if has_load_independent_motion_shape(model.scene):
         return (BREATHING_STATE,)
     resonance_deviation = model.identify_table.resonance_deviation
-    closed_share_of_cases = model.coarse_cases.sweep_result["closed_share"][
+    closed_time_share_of_cases = model.coarse_cases.sweep_result["closed_share"][
         model.coarse_cases.word_selection_index
     ]
-    smallest_closed_share, largest_closed_share = (
-        reduce_function.reduce(closed_share_of_cases, axis=None)
+    smallest_closed_time_share, largest_closed_time_share = (
+        reduce_function.reduce(closed_time_share_of_cases, axis=None)
         for reduce_function in (np.fmin, np.fmax)
     )
     held_states = itertools.compress(
         (CrackFaceState("open"), CrackFaceState("tied")),
-        (smallest_closed_share < 1.0, largest_closed_share > 0.0),
+        (smallest_closed_time_share < 1.0, largest_closed_time_share > 0.0),
     )
     # Breathing for another part of the period at each resonance, or for the same at all.
     partly_open_states = (
@@ -1255,7 +1260,7 @@ def _combine_features_with_slopes(
     (m, k)
         Slopes by the sizes.
     """
-    if measurement.natural or feature_sizes.shape[1] == 1:
+    if measurement.is_natural_frequency or feature_sizes.shape[1] == 1:
         return feature_sizes[:, state_index], np.eye(1, feature_sizes.shape[1], state_index).repeat(
             len(feature_sizes), axis=0
         )

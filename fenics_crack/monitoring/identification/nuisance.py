@@ -60,7 +60,7 @@ from fenics_crack.monitoring.identification.interpolation import (
     Feature,
     compute_log_factors_by_first_harmonic,
     compute_ratios_and_pole_factors,
-    list_first_harmonic_features,
+    replace_by_driving_first_harmonics,
 )
 from fenics_crack.monitoring.identification.measurements import Measurement, Measurements
 from fenics_crack.scene.scene import Scene
@@ -234,8 +234,8 @@ class UncrackedPlate:
     def compute_feature_sensitivities(
         self,
         features: Sequence[Feature],
-        damping_ratios: np.ndarray,
-        split_root_and_frequencies: np.ndarray,
+        damping_ratio_of_points: np.ndarray,
+        frequency_split_root_and_frequencies: np.ndarray,
         mode_sensitivities: np.ndarray,
     ) -> np.ndarray:
         """Return relative changes of features by the priors: (m, f, s).
@@ -247,10 +247,10 @@ class UncrackedPlate:
         ----------
         features : sequence of Feature
             f features: natural frequencies and harmonics.
-        damping_ratios : (m, 1)
+        damping_ratio_of_points : (m, 1)
             Damping ratios at m values of the unknowns.
-        split_root_and_frequencies : (m, f, 1 + 2 n)
-            :attr:`SolvedCases.split_root_and_frequencies` at the load of each feature.
+        frequency_split_root_and_frequencies : (m, f, 1 + 2 n)
+            :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each feature.
         mode_sensitivities : (f, n, s)
             :meth:`compute_prior_sensitivities` at the rotor speed of each feature.
         """
@@ -260,7 +260,7 @@ class UncrackedPlate:
             for attribute_name in ("is_natural_frequency", "is_cracked_frequency")
         )
         mode_numbers = np.array([feature.mode for feature in features])[:, None]
-        slope_shape = len(split_root_and_frequencies), len(mode_numbers), n_modes
+        slope_shape = len(frequency_split_root_and_frequencies), len(mode_numbers), n_modes
         slopes_by_mode = np.broadcast_to(
             is_natural_frequency & (mode_numbers == 1 + np.arange(n_modes)), slope_shape
         )
@@ -269,16 +269,18 @@ class UncrackedPlate:
         if not is_natural_frequency.all():
             with np.errstate(invalid="ignore"):
                 log_bilinear_frequencies, log_uncracked_frequencies = np.split(
-                    np.log(split_root_and_frequencies[..., 1:]), 2, axis=2
+                    np.log(frequency_split_root_and_frequencies[..., 1:]), 2, axis=2
                 )
             log_frequency_shifts_by_crack = np.nan_to_num(
                 log_bilinear_frequencies - log_uncracked_frequencies
             )[..., :n_modes]
             pole_slopes, damping_slopes = _differentiate_harmonic_logs(
-                features, damping_ratios, split_root_and_frequencies
+                features, damping_ratio_of_points, frequency_split_root_and_frequencies
             )
             first_pole_slopes, first_damping_slopes = _differentiate_harmonic_logs(
-                list_first_harmonic_features(features), damping_ratios, split_root_and_frequencies
+                replace_by_driving_first_harmonics(features),
+                damping_ratio_of_points,
+                frequency_split_root_and_frequencies,
             )
             pole_slopes = (
                 pole_slopes + compute_log_factors_by_first_harmonic(first_pole_slopes, features)
@@ -382,7 +384,9 @@ class UncrackedPlate:
         if all natural frequencies seem to be in rad/s. Otherwise a frequency without the crack must
         be nearest to this plate's frequency of the same mode.
         """
-        for row in [row for row in measurements.rows if load_frequencies and not row.natural]:
+        for row in [
+            row for row in measurements.rows if load_frequencies and not row.is_natural_frequency
+        ]:
             nearest_load_frequency = load_frequencies[
                 int(np.abs(np.log(np.divide(load_frequencies, row.frequency))).argmin())
             ]
@@ -394,7 +398,7 @@ class UncrackedPlate:
                     f"so that the value seems to be in {unit_name}"
                 )
                 raise InputError(f"measurements.frequency, {row.name}", row.frequency, allowed_text)
-        rows = [row for row in measurements.rows if row.natural and row.value > 0.0]
+        rows = [row for row in measurements.rows if row.is_natural_frequency and row.value > 0.0]
         rows = [row for row in rows if row.mode <= len(self.natural_frequencies_hz)]
         speed_ratios = [
             1.0 if np.isnan(row.rpm) else RAD_PER_S_PER_RPM * row.rpm / self.rotor_speed
@@ -506,7 +510,7 @@ class BaselineChanges:
         for row_index, (measurement, speed_ratio) in enumerate(
             zip(rows, speed_ratios, strict=True)
         ):
-            if measurement.natural and measurement.mode <= n_modes:
+            if measurement.is_natural_frequency and measurement.mode <= n_modes:
                 clamp_sensitivities, temperature_sensitivities = sensitivities_by_speed_ratio[
                     speed_ratio
                 ]
@@ -602,18 +606,22 @@ def _build_rigid_clamp_motions(modes: Modes) -> tuple[np.ndarray, int]:
 
 
 def _differentiate_harmonic_logs(
-    features: Sequence[Feature], damping_ratios: np.ndarray, split_root_and_frequencies: np.ndarray
+    features: Sequence[Feature],
+    damping_ratio_of_points: np.ndarray,
+    frequency_split_root_and_frequencies: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return derivatives of ln(harmonic) through the poles: two arrays (m, f, modes).
 
     The first is by ln w_j, with the natural frequency w_j of each mode; the second by ln z, with
     the damping ratio z. Parameters are as in :func:`compute_ratios_and_pole_factors`.
     """
-    r, pole_factors = compute_ratios_and_pole_factors(
-        features, damping_ratios, split_root_and_frequencies
+    harmonic_to_mode_ratios, pole_factors = compute_ratios_and_pole_factors(
+        features, damping_ratio_of_points, frequency_split_root_and_frequencies
     )
-    damping_slopes = 2j * damping_ratios[..., None] * r / pole_factors
-    return damping_slopes - 2.0 * r**2 / pole_factors, -damping_slopes
+    damping_slopes = (
+        2j * damping_ratio_of_points[..., None] * harmonic_to_mode_ratios / pole_factors
+    )
+    return damping_slopes - 2.0 * harmonic_to_mode_ratios**2 / pole_factors, -damping_slopes
 
 
 def compute_deviations_from_equivalent_crack(

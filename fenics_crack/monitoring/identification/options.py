@@ -27,17 +27,17 @@ class Options:
 
     Above this part more cases are solved. A part of 0.2 raises the standard deviation 1.12 times.
     """
-    max_case_ratio: int = 8
+    max_solved_case_ratio: int = 8
     """Maximum number of solved cases over the number of cases in ``[identify.unknown]``."""
 
     # Interpolation.
-    leave_one_out_fraction: float = 0.3
+    error_per_leave_one_out_error: float = 0.3
     """Interpolation error over the error with a solved value left out.
 
     Without the value the spacing is doubled: the ratio is 1/16 for smooth quantities, and 3/4 if
     meshes make quantities uneven.
     """
-    error_average_width: float = 1.25
+    error_averaging_width_in_nodes: float = 1.25
     """Width of the Gaussian weights in averages of errors over grid nodes [node spacings]."""
     max_averaged_nodes: int = 16
     """Maximum number of grid nodes in an average of interpolation errors."""
@@ -45,7 +45,7 @@ class Options:
     # Posterior.
     max_least_squares_starts: int = 8
     """Maximum number of start points for least squares."""
-    refined_half_width: float = 5.0
+    refined_half_width_in_deviations: float = 5.0
     """Half width of the refined grid around an optimum [standard deviations]."""
     allowed_optimum_log_drop: float = 8.0
     """Maximum distance of log L below the best optimum; lower optima are neglected."""
@@ -54,7 +54,7 @@ class Options:
 
     Lower points keep values that are interpolated on the first grid.
     """
-    batch_size: int = 500
+    points_per_batch: int = 500
     """Number of grid points in one evaluation of the likelihood, to limit the memory."""
     min_part_probability: float = 0.03
     """Minimum probability of a separate part of the credible region in reports.

@@ -304,11 +304,11 @@ class PosteriorBranch:
         model = likelihood.predictor.model
         best_optima = self.optima[:3]
         optimum_half_widths = [
-            OPTIONS.refined_half_width * np.sqrt(np.diag(optimum.covariance))
+            OPTIONS.refined_half_width_in_deviations * np.sqrt(np.diag(optimum.covariance))
             for optimum in best_optima
         ]
         crack_half_widths = [
-            OPTIONS.refined_half_width
+            OPTIONS.refined_half_width_in_deviations
             * model.compute_deviations_from_equivalent_crack(optimum.x[None])[0]
             for optimum in best_optima
         ]
@@ -498,8 +498,8 @@ def _evaluate_log_likelihood(likelihood: Likelihood, points: np.ndarray) -> np.n
 
 
 def _split_points_into_batches(points: np.ndarray) -> list[np.ndarray]:
-    """Split points (n, d) into batches of at most ``OPTIONS.batch_size``."""
-    return np.array_split(points, -(-len(points) // OPTIONS.batch_size))
+    """Split points (n, d) into batches of at most ``OPTIONS.points_per_batch``."""
+    return np.array_split(points, -(-len(points) // OPTIONS.points_per_batch))
 
 
 def _find_optima(

@@ -224,11 +224,12 @@ def fit_resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
         raise InputError(
             "responses", f"{len(responses)} responses", "all measured at the same frequencies"
         )
-    is_positive = frequencies > 0.0
-    omega = RAD_PER_TURN * frequencies[is_positive]
+    is_positive_frequency = frequencies > 0.0
+    omega = RAD_PER_TURN * frequencies[is_positive_frequency]
     receptances = np.stack(
         [
-            response.response_values[is_positive] / (1j * omega) ** response.derivative_order
+            response.response_values[is_positive_frequency]
+            / (1j * omega) ** response.derivative_order
             for response in responses
         ]
     )

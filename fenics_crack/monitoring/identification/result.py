@@ -26,6 +26,7 @@ import numpy as np
 
 from fenics_crack.basics.atomic_files import write_file_whole
 from fenics_crack.basics.errors import InputError, check_number
+from fenics_crack.basics.suggestions import with_old_names
 from fenics_crack.basics.tables import Table, Tabular, format_count
 from fenics_crack.files.store import IDENTIFICATION_KIND, write_result_file
 from fenics_crack.monitoring.identification.measurements import Measurement, Measurements
@@ -56,6 +57,10 @@ FIT_COLUMN_NAMES = "measurement", "value", "deviation", "predicted", "of the mod
 """
 
 
+@with_old_names(
+    information="information_gains", deviations="improved_deviations_by_key",
+    now="current_deviation_by_key",
+)  # fmt: skip
 @dataclass(frozen=True, repr=False)
 class Worth(Tabular):
     """Result of :meth:`Identification.where_to_measure`: candidates, most informative first.
@@ -65,18 +70,18 @@ class Worth(Tabular):
     measurements : tuple of Measurement
         n candidates for one more measurement, with predicted values and assumed standard
         deviations.
-    information : (n,)
+    information_gains : (n,)
         Information that each adds [nats].
-    deviations : dict of str to (n,)
+    improved_deviations_by_key : dict of str to (n,)
         Standard deviation of each unknown with the candidate, by key.
-    now : dict of str to float
+    current_deviation_by_key : dict of str to float
         Standard deviation of each unknown without a further measurement, by key.
     """
 
     measurements: tuple[Measurement, ...]
-    information: np.ndarray
-    deviations: dict[str, np.ndarray]
-    now: dict[str, float]
+    information_gains: np.ndarray
+    improved_deviations_by_key: dict[str, np.ndarray]
+    current_deviation_by_key: dict[str, float]
 
     def to_dict(self) -> dict[str, Any]:
         """Return columns by name, with a row for every candidate."""
@@ -85,21 +90,23 @@ class Worth(Tabular):
             "measurement": [measurement.name for measurement in rows],
             "value": [measurement.value for measurement in rows],
             "deviation": [measurement.deviation for measurement in rows],
-            "information": self.information.tolist(),
+            "information": self.information_gains.tolist(),
         }
         return values_by_column | {
             f"left_of_{key}": deviation_array.tolist()
-            for key, deviation_array in self.deviations.items()
+            for key, deviation_array in self.improved_deviations_by_key.items()
         }
 
     def _unit_by_name(self) -> Mapping[str, str]:
-        unit_by_column = {f"left_of_{key}": unit_of_key(key) for key in self.now}
+        unit_by_column = {
+            f"left_of_{key}": unit_of_key(key) for key in self.current_deviation_by_key
+        }
         return unit_by_column | {"information": "nats"}
 
     def _repr_text(self) -> str:
         if not self.measurements:
             return "nothing to measure"
-        return f"{self.measurements[0].name} adds {self.information[0]:.3g} nats"
+        return f"{self.measurements[0].name} adds {self.information_gains[0]:.3g} nats"
 
 
 def rank_measurements_by_information(
@@ -150,11 +157,11 @@ def rank_measurements_by_information(
     )
     covariance_and_slopes = _compute_scaled_covariance_and_slopes(predictor, x, all_deviations)
     measured_indices = np.arange(n_measured_rows)
-    measured_log_determinant, measured_deviation_by_key = _compute_log_determinant_and_deviations(
+    measured_log_information, measured_deviation_by_key = _compute_information_and_deviations(
         model, x, covariance_and_slopes, measured_indices
     )
     candidate_results = [
-        _compute_log_determinant_and_deviations(
+        _compute_information_and_deviations(
             model,
             x,
             covariance_and_slopes,
@@ -162,11 +169,11 @@ def rank_measurements_by_information(
         )
         for candidate_index in range(len(candidate_rows))
     ]
-    candidate_log_determinants = np.array(
-        [log_determinant for log_determinant, _ in candidate_results]
+    candidate_log_information = np.array(
+        [log_information for log_information, _ in candidate_results]
     )
     # Below 0 by rounding.
-    information_gains = 0.5 * np.maximum(candidate_log_determinants - measured_log_determinant, 0.0)
+    information_gains = 0.5 * np.maximum(candidate_log_information - measured_log_information, 0.0)
     ranked_indices = [
         int(candidate_index)
         for candidate_index in np.argsort(-information_gains, kind="stable")
@@ -207,7 +214,7 @@ def _assume_candidate_deviations(
         [measurement.quantity == "displacement" for measurement in candidate_rows]
     )
     row_relative_deviations = np.where(
-        [measurement.natural for measurement in candidate_rows], *relative_deviations
+        [measurement.is_natural_frequency for measurement in candidate_rows], *relative_deviations
     )
     return np.where(is_at_probe, own_deviations, row_relative_deviations * predictions)
 
@@ -220,10 +227,9 @@ def list_advice_texts(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> li
     estimate.
     """
     model, measured_rows = likelihood.predictor.model, likelihood.predictor.rows
-    measured_modes = {measurement.mode for measurement in measured_rows if measurement.natural} or {
-        1,
-        2,
-    }
+    measured_modes = {
+        measurement.mode for measurement in measured_rows if measurement.is_natural_frequency
+    } or {1, 2}
     calibrated_modes = {
         measurement.mode
         for measurement in measured_rows
@@ -252,7 +258,8 @@ def list_advice_texts(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> li
             f"natural frequenc{modes_text} without the crack (frequency_uncracked)"
         )
         if gain_text := _describe_gain_or_empty(
-            worth.now, _compute_deviation_by_key_with(likelihood, x, missing_measurements)
+            worth.current_deviation_by_key,
+            _compute_deviation_by_key_with(likelihood, x, missing_measurements),
         ):
             advice_texts.append(
                 f"{missing_frequencies_text}, with a standard deviation of "
@@ -260,9 +267,10 @@ def list_advice_texts(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> li
             )
     if worth.measurements:
         deviation_by_key = {
-            key: float(deviations[0]) for key, deviations in worth.deviations.items()
+            key: float(deviations[0])
+            for key, deviations in worth.improved_deviations_by_key.items()
         }
-        if gain_text := _describe_gain_or_empty(worth.now, deviation_by_key):
+        if gain_text := _describe_gain_or_empty(worth.current_deviation_by_key, deviation_by_key):
             advice_texts.append(f"{worth.measurements[0].name}: {gain_text}")
     return advice_texts
 
@@ -305,7 +313,7 @@ def _compute_deviation_by_key_with(
             [measurement.deviation for measurement in further_measurements],
         ]
     )
-    return _compute_log_determinant_and_deviations(
+    return _compute_information_and_deviations(
         model,
         x,
         _compute_scaled_covariance_and_slopes(predictor, x, all_deviations),
@@ -313,7 +321,7 @@ def _compute_deviation_by_key_with(
     )[1]
 
 
-def _compute_log_determinant_and_deviations(
+def _compute_information_and_deviations(
     model: ForwardModel,
     x: np.ndarray,
     covariance_and_slopes: tuple[np.ndarray, np.ndarray],
@@ -350,8 +358,8 @@ def _compute_log_determinant_and_deviations(
     crack_and_fit_deviations = np.hypot(
         equivalent_deviations, model.compute_deviations_from_equivalent_crack(x[None])[0]
     )
-    information_log_determinant = float(np.linalg.slogdet(fisher_information)[1])
-    return information_log_determinant, dict(
+    log_information = float(np.linalg.slogdet(fisher_information)[1])
+    return log_information, dict(
         zip(model.unknown_keys, crack_and_fit_deviations.tolist(), strict=True)
     )
 
@@ -864,7 +872,7 @@ def _list_small_deviation_warnings(measurements: Measurements) -> list[str]:
     rows = [
         measurement
         for measurement in measurements.rows
-        if measurement.natural and measurement.deviation < 1e-5 * measurement.value
+        if measurement.is_natural_frequency and measurement.deviation < 1e-5 * measurement.value
     ]
     return [
         f"{measurement.name} has a standard deviation of {measurement.deviation:.3g} Hz, less than "
@@ -946,7 +954,7 @@ def _describe_single_crack_condition_or_empty(identification: Identification) ->
         measurement.mode for measurement in rows if measurement.quantity != "frequency_uncracked"
     }
     if (
-        not all(measurement.natural for measurement in rows)
+        not all(measurement.is_natural_frequency for measurement in rows)
         or len(measured_modes) > 2 * n_crack_unknowns
     ):
         return ""
@@ -1062,14 +1070,15 @@ def _describe_intervals(identification: Identification) -> str:
         identification.posterior.best_words_and_unknowns[0]
     ].likelihood.predictor.model.unknown_grid
     interval_texts = []
-    for (key, interval_ends), lower_bound in zip(
+    for (key, interval_ends), search_lower_bound in zip(
         identification.intervals.items(), unknown_grid.lower_bounds, strict=True
     ):
         lower_text, upper_text = (
             value_in_words(key, interval_end) for interval_end in interval_ends
         )
         below_bound_text = (
-            f", or below {value_in_words(key, lower_bound)}, outside the bounds of the search"
+            f", or below {value_in_words(key, search_lower_bound)}, "
+            "outside the bounds of the search"
         )
         interval_text = f"{key_in_words(key)} {lower_text} to {upper_text}"
         interval_texts.append(interval_text + below_bound_text * (key in CRACK_SIZE_KEYS))

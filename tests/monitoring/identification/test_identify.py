@@ -145,8 +145,11 @@ def test_a_crack_is_found_on_five_lengths(scene: fc.Scene, tmp_path: Path) -> No
     identification = fc.identify(scene, rows, lengths, folder=tmp_path)
     assert identification.verdict == "crack" and identification.contains({"crack.length": 0.022})
     worth = identification.where_to_measure()
-    assert np.all(np.diff(worth.information) <= 0.0) and worth.information[0] > 0.0
-    assert np.all(worth.deviations["crack.length"] <= worth.now["crack.length"] * 1.000001)
+    assert np.all(np.diff(worth.information_gains) <= 0.0) and worth.information_gains[0] > 0.0
+    assert np.all(
+        worth.improved_deviations_by_key["crack.length"]
+        <= worth.current_deviation_by_key["crack.length"] * 1.000001
+    )
 
 
 FEW_HEIGHTS = [(0.028, 0.048), (0.029, 0.056), (0.013, 0.262)]
@@ -285,13 +288,13 @@ def test_crack_from_arrivals(scene: fc.Scene, folder: Path) -> None:
     assert len(displacement_rows) == 24 and all(
         row.deviation == displacement_rows[0].deviation for row in displacement_rows
     )
-    gains = [gain for row, gain in zip(worth.measurements, worth.information, strict=True)
+    gains = [gain for row, gain in zip(worth.measurements, worth.information_gains, strict=True)
              if row.quantity == "displacement"]  # fmt: skip
     assert gains[0] > 1.5 * gains[-1] >= 0.0
     lone = single_identification.where_to_measure(
         displacement_rows
     )  # one probe alone has no information on an unknown load
-    assert lone.information.max() < 0.02
+    assert lone.information_gains.max() < 0.02
 
 
 SPINNING = """
@@ -557,11 +560,11 @@ def test_coarser_mesh_for_most(scene: fc.Scene, tmp_path: Path) -> None:
 def test_edges_of_the_same_frequencies(scene: fc.Scene, folder: Path) -> None:
     """It is said; and with the edge unknown both cracks are reported."""
     rows = measured(scene, {"crack.length": 0.02, "crack.height": 0.08}, 5)
-    measurements = fc.Measurements(tuple(row for row in rows.rows if row.natural))
+    measurements = fc.Measurements(tuple(row for row in rows.rows if row.is_natural_frequency))
     identification = fc.identify(scene, measurements, folder=folder)
     assert "right edge" in identification.remarks[0]
     at_load = fc.Measurement("ratio_2_1", 0.01, 0.001, frequency=700.0)  # that of the scene
-    assert identification.where_to_measure([at_load]).information[0] > 0.0
+    assert identification.where_to_measure([at_load]).information_gains[0] > 0.0
     unknown_values = {"crack.length": [0.01, 0.018, 0.026, 0.034], "crack.edge": ["left", "right"]}
     plain_scene = scene.replace({"identify.finer": 1.0, "crack.height": 0.08})
     joint_identification = fc.identify(plain_scene, measurements, unknown_values, folder=folder)
@@ -572,7 +575,7 @@ def test_edges_of_the_same_frequencies(scene: fc.Scene, folder: Path) -> None:
 
 def before(rows: fc.Measurements) -> fc.Measurements:
     """Frequencies of a plate, as those before it had a crack, beside its others."""
-    natural_rows = (row for row in rows.rows if row.natural)
+    natural_rows = (row for row in rows.rows if row.is_natural_frequency)
     return fc.Measurements(
         tuple(replace(row, quantity="frequency_uncracked") for row in natural_rows)
     )
@@ -580,7 +583,7 @@ def before(rows: fc.Measurements) -> fc.Measurements:
 
 def natural_of(rows: fc.Measurements) -> fc.Measurements:
     """The natural frequencies among some rows."""
-    return fc.Measurements(tuple(row for row in rows.rows if row.natural))
+    return fc.Measurements(tuple(row for row in rows.rows if row.is_natural_frequency))
 
 
 @pytest.mark.nightly
@@ -762,7 +765,9 @@ def test_intervals_that_the_bounds_cut(
 def test_loads_in_other_units(scene: fc.Scene, folder: Path, factor: float, unit: str) -> None:
     """Are named, before anything is solved."""
     rows = measured(scene, {"crack.length": 0.02}, 1).rows
-    wrong_rows = [row if row.natural else replace(row, frequency=factor * 700.0) for row in rows]
+    wrong_rows = [
+        row if row.is_natural_frequency else replace(row, frequency=factor * 700.0) for row in rows
+    ]
     catch_error(
         lambda: fc.identify(scene, fc.Measurements(tuple(wrong_rows)), folder=folder / "nothing"),
         f"measurements.frequency, ratio_2_1 at {factor * 700.0:g} Hz of tip.ux",

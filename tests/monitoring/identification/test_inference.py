@@ -234,12 +234,12 @@ def test_linear_model() -> None:
     later_covariance = np.linalg.inv(
         weights.T @ weights + np.outer(matrix[0], matrix[0]) / 0.01 + np.diag([0.12, 0.03])
     )
-    assert worth.deviations["crack.length"][0] == pytest.approx(
+    assert worth.improved_deviations_by_key["crack.length"][0] == pytest.approx(
         math.sqrt(later_covariance[0, 0]), rel=1e-3
     )
     earlier_covariance = np.linalg.inv(weights.T @ weights + np.diag([0.12, 0.03]))
     gain = 0.5 * math.log(np.linalg.det(earlier_covariance) / np.linalg.det(later_covariance))
-    assert worth.information[0] == pytest.approx(gain, rel=1e-3)
+    assert worth.information_gains[0] == pytest.approx(gain, rel=1e-3)
 
 
 def test_misfit_of_what_is_fitted() -> None:
@@ -459,7 +459,7 @@ def test_modes_of_resonances(
     used."""
     fit = replace(PASSED, **changes)
     frequencies = 1500.0 * np.array([opened, tied])
-    diagram: Any = SimpleNamespace(between=lambda speed: frequencies)
+    diagram: Any = SimpleNamespace(interpolate_open_and_tied=lambda speed: frequencies)
     mode, said = match_mode_or_give_reason(fit, diagram)
     assert mode == (not why) and said.startswith(why) and bool(said) == bool(why)
     words = describe_passage(fit, mode, said)
