@@ -99,7 +99,7 @@ class BlockSystem(Snes):
         n_pairs, n_rows = structure.n_pairs, len(linear_displacement)
         global_gap = sparse.vstack(structure.comm.allgather(structure.gap))
         self._pair_force_matrix = sparse.kron(sparse.identity(n_rows), structure.gap, "csr")
-        self._slow_gap_matrix = self._group_columns_by_rank(
+        self._matrix_to_gap_without_static_part = self._group_columns_by_rank(
             sparse.kron(sparse.identity(n_rows), global_gap.T), linear_coo.shape[1]
         )
         self._gap_at_zero_unknown = structure.gap_of(np.zeros(linear_displacement.shape))
@@ -108,7 +108,7 @@ class BlockSystem(Snes):
             linear_csr = linear_coo.tocsr()[: linear_displacement.size] * (
                 self.force_unit / self.length_unit
             )
-            self._slow_gap_matrix -= (
+            self._matrix_to_gap_without_static_part -= (
                 sparse.kron(sparse.identity(n_rows), static_response.T) @ linear_csr
             )
             self._gap_at_zero_unknown += self._load @ static_response
@@ -125,7 +125,9 @@ class BlockSystem(Snes):
         )
         # Absolute values do not cancel: no entry is missed.
         contact_pattern = (
-            abs(self._pair_force_matrix) @ tangent_pattern @ abs(self._slow_gap_matrix)
+            abs(self._pair_force_matrix)
+            @ tangent_pattern
+            @ abs(self._matrix_to_gap_without_static_part)
         ).tocoo()
         entries = np.append(linear_coo.data, 0.0 * contact_pattern.data)
         entry_indices = (np.append(linear_coo.row, contact_pattern.row),
@@ -134,7 +136,9 @@ class BlockSystem(Snes):
             sparse.coo_matrix((entries, entry_indices), linear_coo.shape), structure.comm
         )
         self._linear_matrix = jacobian.duplicate(copy=True)
-        self._local_slow_gap_matrix = self._slow_gap_matrix[:, slice(*jacobian.getOwnershipRange())]
+        self._local_matrix_to_gap_without_static_part = self._matrix_to_gap_without_static_part[
+            :, slice(*jacobian.getOwnershipRange())
+        ]
         self.rounding = residual_rounding(10.0 * jacobian.norm() / math.sqrt(linear_coo.shape[1]))
         """Least tolerance for |F| / |x|; rounding alone leaves about a tenth."""
         super().__init__(jacobian, history)
@@ -225,7 +229,9 @@ class BlockSystem(Snes):
         sparse_tangent = sparse.csr_matrix(
             (tangent.ravel(), self._tangent_entry_indices), (n_gap_coefficients, n_gap_coefficients)
         )
-        return sparse.csr_matrix(self._pair_force_matrix @ sparse_tangent @ self._slow_gap_matrix)
+        return sparse.csr_matrix(
+            self._pair_force_matrix @ sparse_tangent @ self._matrix_to_gap_without_static_part
+        )
 
     def _set_linear_solver_type(self, solver: Any) -> None:
         solver.getPC().setType("lu")
@@ -239,7 +245,9 @@ class BlockSystem(Snes):
 
     def slow_gap(self, unknown: np.ndarray) -> np.ndarray:
         """Return the slow gap s from this rank's unknowns: (2H+1, n_pairs) [m] (collective)."""
-        scaled_gap = self.structure.sum_over_ranks(self._local_slow_gap_matrix @ unknown)
+        scaled_gap = self.structure.sum_over_ranks(
+            self._local_matrix_to_gap_without_static_part @ unknown
+        )
         return self._gap_at_zero_unknown + self.length_unit * scaled_gap.reshape(
             self._gap_at_zero_unknown.shape
         )
@@ -252,13 +260,13 @@ class BlockSystem(Snes):
         )
         return np.append(relative_displacement, modal_part if comm.rank == comm.size - 1 else [])
 
-    def evaluate(self, unknown_vector: Any, residual_vector: Any) -> None:
+    def write_residual(self, unknown_vector: Any, residual_vector: Any) -> None:
         force = self.integrals.force(self.slow_gap(unknown_vector.array_r))
         self._linear_matrix.mult(unknown_vector, residual_vector)
         contact_less_load = (self.structure.apply_b(force) - self._load).ravel() / self.force_unit
         residual_vector.array_w[: len(contact_less_load)] += contact_less_load
 
-    def linearise(self, unknown_vector: Any) -> None:
+    def update_jacobian(self, unknown_vector: Any) -> None:
         forces = self.integrals.linearise(self.slow_gap(unknown_vector.array_r))
         tangent = forces.tangent() if self.integrals.has_coupled_pairs else forces.tangent
         contact_part = self._contact_jacobian_rows(self.length_unit / self.force_unit * tangent)

@@ -90,11 +90,12 @@ class DynamicStiffness:
             )
         system_matrix, border_columns = self._undamped_dynamic_stiffness, None
         if self._damping_matrix is not None:
-            coupling, negative_coupling = self._damping_matrix.copy(), self._damping_matrix.copy()
-            coupling.scale(omega)
-            negative_coupling.scale(-omega)
+            omega_times_damping = self._damping_matrix.copy()
+            minus_omega_times_damping = self._damping_matrix.copy()
+            omega_times_damping.scale(omega)
+            minus_omega_times_damping.scale(-omega)
             system_matrix = PETSc.Mat().createNest(
-                [[system_matrix, coupling], [negative_coupling, system_matrix]],
+                [[system_matrix, omega_times_damping], [minus_omega_times_damping, system_matrix]],
                 comm=system_matrix.comm,
             )
             system_matrix = system_matrix.convert("aij", PETSc.Mat())
@@ -107,12 +108,12 @@ class DynamicStiffness:
                 == omega
             ):
                 raise InputError("omega", omega, "away from the frequency of an undamped mode")
-            factored_receptance = np.divide(
+            factored_modal_receptance = np.divide(
                 1.0, modal_stiffness, out=np.zeros_like(modal_stiffness), where=~is_near
             )
             self._receptance_correction = (
                 1.0 / (modal_stiffness + 1j * omega * self._damped_modes.damping_rates)
-                - factored_receptance
+                - factored_modal_receptance
             )
             if is_near.any():
                 border_columns = sparse.csr_matrix(self._damped_modes.mass_shapes[:, is_near])

@@ -89,7 +89,7 @@ DYNAMIC_TO_SOFT_PAIR_COMPLIANCE = 0.05
 Below this ratio the solution is unique and close to the linear one.
 """
 
-ParameterDerivativeFunction = Callable[["ContactPoint"], np.ndarray]
+ResidualDerivativeFunction = Callable[["ContactPoint"], np.ndarray]
 """Callable from a point to dF/dp, the derivative of F by a parameter."""
 
 
@@ -259,12 +259,16 @@ class ContactSystem:
         )
 
     def linearise_with_derivative(
-        self, unknown: np.ndarray, parameter_derivative_function: ParameterDerivativeFunction
+        self,
+        unknown: np.ndarray,
+        residual_derivative_by_parameter_function: ResidualDerivativeFunction,
     ) -> ContactPoint:
         """Return residual F and Jacobian at an unknown, with a given function for dF/dp.
 
         ``unknown`` has the coefficients of the slow gap s, the gap less its quasi-static part."""
-        return ContactPoint(self, unknown, self.integrals, parameter_derivative_function)
+        return ContactPoint(
+            self, unknown, self.integrals, residual_derivative_by_parameter_function
+        )
 
     def max_contact_stiffness(self, law: ContactLaw) -> float:
         """Return the largest stiffness d lambda / ds for a law [N/m].
@@ -319,11 +323,11 @@ class ContactPoint(DenseLinearisation):
         system: ContactSystem,
         unknown: np.ndarray,
         integrals: ContactIntegrals,
-        parameter_derivative_function: ParameterDerivativeFunction,
+        residual_derivative_by_parameter_function: ResidualDerivativeFunction,
     ) -> None:
         self.system = system
         self.unknown = unknown
-        self._derivative_function = parameter_derivative_function
+        self._residual_derivative_by_parameter_function = residual_derivative_by_parameter_function
         self.linearised_forces = integrals.linearise(unknown)
         self.force = self.linearised_forces.force
         """Coefficients of the contact force, (2H+1, n_pairs) [N]."""
@@ -387,7 +391,7 @@ class ContactPoint(DenseLinearisation):
 
     @cached_property
     def by_parameter(self) -> np.ndarray:
-        return self._derivative_function(self)
+        return self._residual_derivative_by_parameter_function(self)
 
     def gap_change(self, slow_gap_change: np.ndarray) -> np.ndarray:
         """Return the gap's change by a change of s, both (2H+1, n_pairs) [m]."""

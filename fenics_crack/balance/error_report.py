@@ -58,7 +58,7 @@ hundredth on.
 """
 NOT_CONFIRMED_TEXT = "not confirmed by an orbit"
 """Mark of an error whose truncation part is stated without an orbit."""
-ERROR_PARTS = ("truncation", "reduction", "sampling", "residual")
+PART_NAMES_OF_TOTAL_ERROR = ("truncation", "reduction", "sampling", "residual")
 """Parts of a total error; of equal parts the first is reported."""
 
 
@@ -118,14 +118,14 @@ class ErrorReport(Described):
 
         Of equal parts the first is named.
         """
-        return max(ERROR_PARTS, key=lambda part_name: getattr(self, part_name))
+        return max(PART_NAMES_OF_TOTAL_ERROR, key=lambda part_name: getattr(self, part_name))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the errors by their names, and the total."""
         return {
-            part_name: part_error
-            for part_name, part_error in (asdict(self) | {"total": self.total}).items()
-            if part_name != "confirmed"
+            error_name: error
+            for error_name, error in (asdict(self) | {"total": self.total}).items()
+            if error_name != "confirmed"
         }
 
     def _unit_by_name(self) -> dict[str, str]:

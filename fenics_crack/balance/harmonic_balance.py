@@ -603,7 +603,7 @@ def _states_with_more_modes(
     more_modes = assessment.more_modes
     if more_modes and more_modes.orbit and more_modes.flow.n_modes == flow.n_modes:
         return more_modes.orbit.period_samples.whole_states[SEGMENT_START_SLICE]
-    return MoreModes(flow, assessment.wave, orbit).states_at_period_parts
+    return MoreModes(flow, assessment.wave, orbit).nearest_orbit_states_with_static_new_modes
 
 
 def _solver_for(solver: Solver, problem: Problem) -> Solver:
@@ -882,7 +882,7 @@ def find_line_angles_and_turning(
     """
     tangential_gap_matrix = motion.structure.tangential
     assert tangential_gap_matrix is not None
-    [motion_record] = motion.records(tangential_gap_matrix.T.toarray())
+    [motion_record] = motion.yield_records_of_row_products(tangential_gap_matrix.T.toarray())
     n_pairs = motion.structure.n_pairs
     slip = motion_record.row_products.reshape(len(motion_record.row_products), 2, n_pairs)
     normal_force = motion_record.forces[:, :n_pairs]

@@ -344,17 +344,19 @@ def _table_entries_of_orbit(
             for quantity_samples in displacement_gaps_forces
         )
     )
-    gap_error = displacement_gaps_forces[1] - wave.basis_gaps_and_forces_over_period(n_instants)[1]
+    gap_error_samples = (
+        displacement_gaps_forces[1] - wave.basis_gaps_and_forces_over_period(n_instants)[1]
+    )
     watched_displacement = displacement_gaps_forces[0] @ watched_dof_row.T
     truncation_error = (
         0.0
         if are_crack_faces_still(orbit_samples)
         else change_relative_to_motion(
-            gap_error, displacement_gaps_forces[1] + wave.structure_with_row_pairs.clearance
+            gap_error_samples, displacement_gaps_forces[1] + wave.structure_with_row_pairs.clearance
         )
     )
-    multiplier = abs(orbit.multipliers[0])
-    verdict = "stable" if multiplier < 1.0 else "unstable"
+    largest_multiplier_modulus = abs(orbit.multipliers[0])
+    stability_verdict = "stable" if largest_multiplier_modulus < 1.0 else "unstable"
     return {
         "amplitude": 0.5
         * (
@@ -363,10 +365,12 @@ def _table_entries_of_orbit(
         ),
         "opening": max(0.0, _interpolated_overall_maximum(-orbit_samples.gap)),
         "closed_share": contact_track.mean_time_share(contact_track.sets > 0),
-        "multiplier": multiplier,
+        "multiplier": largest_multiplier_modulus,
         "truncation": truncation_error,
         "states": orbit.state,
-        "verdict": "undecided" if abs(multiplier - 1.0) <= MULTIPLIER_TOLERANCE else verdict,
+        "verdict": "undecided"
+        if abs(largest_multiplier_modulus - 1.0) <= MULTIPLIER_TOLERANCE
+        else stability_verdict,
     }
 
 

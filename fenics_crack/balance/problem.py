@@ -107,7 +107,7 @@ from fenics_crack.numerics.path import HOMOTOPY_OPTIONS, EndReason, Path, PathOp
 
 CUTOFF_TO_HIGHEST_HARMONIC = 2.0
 """Frequency above which modes are quasi-static, relative to the highest harmonic."""
-MAX_CURVE_UNKNOWNS_PER_CALL = 15_000
+MAX_UNKNOWNS_TIMES_POINTS_PER_CALL = 15_000
 """Unknowns that one kernel call computes along a curve, summed over points. Ctrl-C waits for the
 call, a second or two."""
 REMEDY_IF_SINGULAR = (
@@ -497,7 +497,7 @@ class Search:
                 begin_stage(start_strategy.name)
                 iterations_before = self.iterations
                 for slow_gap_guess in start_strategy.generate_candidates():
-                    point = self._take_newton_steps(snes, slow_gap_guess)
+                    point = self._point_after_newton_steps_or_at_guess(snes, slow_gap_guess)
                     if self.has_converged or self._is_budget_spent:
                         break
                 self.append_attempt_text(start_strategy.name, iterations_before)
@@ -509,7 +509,7 @@ class Search:
         ):  # for the history
             iterations_before = self.iterations
             with SystemSnes(system, self.snes_residual_norms) as snes:
-                point = self._take_newton_steps(snes, point.unknown)
+                point = self._point_after_newton_steps_or_at_guess(snes, point.unknown)
             if self.has_converged:
                 self.append_attempt_text("full steps of SNES", iterations_before)
             else:
@@ -523,7 +523,9 @@ class Search:
             f"{start_name}: {outcome_text} ({self.iterations - iterations_before} iterations)"
         )
 
-    def _take_newton_steps(self, snes: SystemSnes | None, guess: np.ndarray) -> Linearisation:
+    def _point_after_newton_steps_or_at_guess(
+        self, snes: SystemSnes | None, guess: np.ndarray
+    ) -> Linearisation:
         """Return the point that full Newton steps reach, by SNES or the kernel.
 
         Sets ``has_converged``. If the kernel's steps fail, the point is that of the guess.

@@ -72,7 +72,7 @@ class ReturnToParent(Event):
         for crossing_event in self._crossing_events:
             crossing_point = crossing_event.locate(system, ends, rtol)
             if crossing_point is not None:
-                relative_change = self._system.relative_half_period_change(
+                relative_change = self._system.relative_motion_change_over_half_period(
                     crossing_point.unknown, crossing_point.parameter
                 )
                 if relative_change <= math.sqrt(MIN_RESOLVED_DISTANCE):
@@ -160,7 +160,7 @@ def find_branch_start_point(
             # On a doubled branch (multiplier -1), half a period changes x by twice the step.
             is_new = (
                 not is_doubling
-                or system.relative_half_period_change(
+                or system.relative_motion_change_over_half_period(
                     candidate_point.unknown, candidate_point.parameter
                 )
                 > step_length
@@ -196,14 +196,15 @@ def _branch_tangent(
         tangent_vector = np.append(scipy.linalg.svd(linearisation.jacobian)[2][-1], 0.0)
     else:
         residual_by_parameter = linearisation.by_parameter.reshape(-1, 1)
-        null_vectors = scipy.linalg.svd(
+        null_vectors_with_parameter = scipy.linalg.svd(
             np.hstack([linearisation.jacobian, residual_by_parameter * parameter_scale])
         )[2][-2:]
-        parent_components = null_vectors @ np.append(
+        parent_components = null_vectors_with_parameter @ np.append(
             parent_tangent.x.ravel(), parent_tangent.p / parameter_scale
         )
         tangent_vector = (
-            parent_components[1] * null_vectors[0] - parent_components[0] * null_vectors[1]
+            parent_components[1] * null_vectors_with_parameter[0]
+            - parent_components[0] * null_vectors_with_parameter[1]
         )
     parameter_component = float(tangent_vector[-1]) * parameter_scale
     tangent_length = math.sqrt(

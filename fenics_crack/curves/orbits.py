@@ -78,7 +78,7 @@ class OrbitEquations(CurveSystem):
 
     def problem_at(self, value: float) -> Problem:
         """Return the problem at a parameter value."""
-        return self.balance_class.vary(self.problem, value)
+        return self.balance_class.vary_problem(self.problem, value)
 
     def omega(self, value: float, unknown: np.ndarray | None = None) -> float:
         return self.balance_class.load_frequency(self.problem, value)
@@ -120,13 +120,13 @@ class OrbitEquations(CurveSystem):
         return MultiplierStepControl(longest_step)
 
     @cached_property
-    def _scaled_rest_and_change(self) -> np.ndarray:
+    def _scaled_rest_state_and_change_along_curve(self) -> np.ndarray:
         """Scaled rest state x_0 at the start, and its change x_1: (2, n_unknowns)."""
-        start_rest, end_rest = (
+        start_rest_state, end_rest_state = (
             self._scale_state(self.flow(value).rest_state, value)
             for value in (self.start, self.end)
         )
-        return np.array([start_rest, end_rest - start_rest])
+        return np.array([start_rest_state, end_rest_state - start_rest_state])
 
     def curve_points_row(self, unknown: np.ndarray, value: float) -> np.ndarray:
         """Return the state z at phase zero for unknowns x at a parameter value."""
@@ -150,8 +150,12 @@ class OrbitEquations(CurveSystem):
 
     def _scaled_rest_state(self, value: float) -> np.ndarray:
         """Return the scaled rest state x_0 + p x_1 under the mean load."""
-        rest_start, rest_change = self._scaled_rest_and_change
-        return np.asarray(rest_start + self.parameter(value) * rest_change)
+        rest_state_at_start, rest_state_change_along_curve = (
+            self._scaled_rest_state_and_change_along_curve
+        )
+        return np.asarray(
+            rest_state_at_start + self.parameter(value) * rest_state_change_along_curve
+        )
 
     def _state_transformation(self, value: float) -> np.ndarray:
         """Return the matrix that converts states to the modes at a speed.
@@ -178,10 +182,12 @@ class OrbitEquations(CurveSystem):
         self, unknown: np.ndarray, parameter: float, period_fraction: float = 1.0
     ) -> np.ndarray:
         """Return the motion's unknowns x after a fraction of the period."""
-        end_state = self._advance_motion(unknown, parameter, period_fraction).state
-        return self.unknown(end_state, self.value(parameter))
+        state_after_fraction = self._advance_motion(unknown, parameter, period_fraction).state
+        return self.unknown(state_after_fraction, self.value(parameter))
 
-    def relative_half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
+    def relative_motion_change_over_half_period(
+        self, unknown: np.ndarray, parameter: float
+    ) -> float:
         """Return an orbit's change over half its period, relative to its size."""
         unknown_change = self.advance_unknown(unknown, parameter, 0.5) - unknown
         return float(np.linalg.norm(unknown_change) / (np.linalg.norm(unknown) or 1.0))
@@ -200,8 +206,8 @@ class OrbitEquations(CurveSystem):
         omega_and_change = self.omega(self.start), self.omega(self.end) - self.omega(self.start)
         kernel_flow = start_flow = self._start_flow
         kernel_fields: dict[str, Any] = (
-            {"rest_states": self._scaled_rest_and_change}
-            if self._scaled_rest_and_change.any()
+            {"rest_states": self._scaled_rest_state_and_change_along_curve}
+            if self._scaled_rest_state_and_change_along_curve.any()
             else {}
         )
         if self.parameter_name != "omega":
@@ -261,11 +267,15 @@ class OrbitEquations(CurveSystem):
             unknown_change = self.state_factors * motion.track.derivative_by_softness(
                 state, softness_rate
             )
-            rest_change = self._scaled_rest_and_change[1]
-            return np.asarray(unknown_change + monodromy() @ rest_change - rest_change)
+            rest_state_change_along_curve = self._scaled_rest_state_and_change_along_curve[1]
+            return np.asarray(
+                unknown_change
+                + monodromy() @ rest_state_change_along_curve
+                - rest_state_change_along_curve
+            )
 
-        n_events, n_pieces = motion.n_events, motion.n_taylor_pieces
-        return OrbitPoint(unknown, residual, monodromy, by_parameter, n_events, n_pieces)
+        n_events, n_taylor_pieces = motion.n_events, motion.n_taylor_pieces
+        return OrbitPoint(unknown, residual, monodromy, by_parameter, n_events, n_taylor_pieces)
 
     def step_control_values(self, records: np.ndarray) -> np.ndarray:
         """Return Floquet multipliers and their counts (:func:`leading_multipliers_and_counts`).

@@ -33,7 +33,7 @@ from fenics_crack.curves.balance_equations import (
 from fenics_crack.curves.continuation import (
     GrowingCurve,
     StepLimits,
-    StepOptions,
+    StepLimitsKeywords,
     check_range,
     make_first_path_point,
 )
@@ -390,7 +390,7 @@ def problem_at_small_load(problem: Problem) -> Problem:
 
     Under a small load a crack stays open or closed if the mean load holds it.
     """
-    return EQUATIONS_CLASS_BY_PARAMETER["resonance"].vary(problem, SMALL_LOAD_FACTOR)
+    return EQUATIONS_CLASS_BY_PARAMETER["resonance"].vary_problem(problem, SMALL_LOAD_FACTOR)
 
 
 def follow_resonance(
@@ -402,7 +402,7 @@ def follow_resonance(
     tolerance: float | None = None,
     progress: bool = False,
     throw: bool = True,
-    **steps: Unpack[StepOptions],
+    **steps: Unpack[StepLimitsKeywords],
 ) -> ResponseCurve:
     """Follow a phase resonance over the load.
 
@@ -437,7 +437,7 @@ def follow_resonance(
     check_range(problem, "resonance", start, end)
     (problem, near), vary_load_factor = (
         _small_problem_and_start_omega(problem, near, tolerance),
-        EQUATIONS_CLASS_BY_PARAMETER["resonance"].vary,
+        EQUATIONS_CLASS_BY_PARAMETER["resonance"].vary_problem,
     )
     if tolerance is not None:
         end_point = _refined_point_and_error(

@@ -216,7 +216,7 @@ class Wheel(Structure):
         blade, sector_dof = self.blade_of(dof)
         return f"{self.sector.structure.dof_name(sector_dof)} of blade {blade}"
 
-    def with_harmonics(self, harmonics: Mapping[int, tuple[Any, Any]]) -> Structure:
+    def with_added_load_harmonics(self, harmonics: Mapping[int, tuple[Any, Any]]) -> Structure:
         """Raise InputError, as the load's harmonics turn with the engine order."""
         requirement = (
             "built from a scene with [[excitation.harmonics]]: a bladed disk cannot get them later"
@@ -685,5 +685,5 @@ def reduce_wheel(
         wheel_structure, modes=n_modes, method="massless", reference=n_reference_modes
     )
     return reduced_structure._in_setting(
-        wheel.setting, error_share_removed_by_reference=reference_share
+        wheel.setting, error_share_removed_by_larger_reduction=reference_share
     )

@@ -141,8 +141,10 @@ def _find_plate_columns_rows_and_slits(
     levels = [crack.height or 0.0 for crack in cracks]
     if scene.mesh.layout == "grid":
         crack_end_positions = [crack_end for span in spans for crack_end in span]
-        columns = _equal_intervals(width, scene.mesh.given("columns"), crack_end_positions)
-        rows = _equal_intervals(height, scene.mesh.given("rows"), levels)
+        columns = _intervals_with_equal_elements(
+            width, scene.mesh.given("columns"), crack_end_positions
+        )
+        rows = _intervals_with_equal_elements(height, scene.mesh.given("rows"), levels)
     else:
         columns, rows = _graded_columns_and_rows(scene, spans, levels)
     xs, ys = (
@@ -203,7 +205,9 @@ def plate_pair_upper_bound(scene: Scene) -> int:
     )
 
 
-def _equal_intervals(extent: float, n_elements: int, cuts: list[float]) -> list[ElementInterval]:
+def _intervals_with_equal_elements(
+    extent: float, n_elements: int, cuts: list[float]
+) -> list[ElementInterval]:
     """Divide a side into equal elements, cut at positions on grid lines."""
     position_by_grid_line = {
         round(cut_position / extent * n_elements): cut_position for cut_position in cuts
@@ -308,12 +312,12 @@ def _graded_columns_and_rows(
     tip_positions_and_element_lengths = [
         (face.tip_position, face.tip_element_length) for face in all_graded_faces
     ]
-    return _graded_intervals(
+    return _intervals_with_graded_elements(
         width, tip_positions_and_element_lengths, all_graded_faces, size
-    ), _graded_intervals(height, crack_levels_and_element_lengths, [], size)
+    ), _intervals_with_graded_elements(height, crack_levels_and_element_lengths, [], size)
 
 
-def _graded_intervals(
+def _intervals_with_graded_elements(
     extent: float,
     tip_positions_and_element_lengths: list[tuple[float, float]],
     faces: list[_GradedFace],

@@ -54,7 +54,7 @@ from fenics_crack.fem.cracks import (
     RELATIVE_POSITION_TOLERANCE,
     Cracks,
     locate_on_cracks,
-    make_front_pressure_matrix,
+    make_matrix_extending_pressures_to_front,
 )
 from fenics_crack.fem.elasticity import (
     assemble_rotation,
@@ -63,7 +63,7 @@ from fenics_crack.fem.elasticity import (
     thickness_constant,
 )
 from fenics_crack.fem.loads import assemble_loads, make_clamp
-from fenics_crack.fem.plate import Dofs, build_mesh
+from fenics_crack.fem.plate import Dofs, build_plate_or_solid_mesh
 from fenics_crack.fem.setting import clearance_of, damping_rule_of
 from fenics_crack.model.body import Body
 from fenics_crack.model.factor import local_rows
@@ -125,7 +125,7 @@ def pair_crack_faces(
         nodes = dofs.nodes_on(face_name, pressure_space)
         node_table = np.column_stack([nodes + first_node, node_areas[nodes], points[nodes]])
         node_table_by_face.append(gather_rows(dofs.comm, node_table))
-    lower_node_table, upper_node_table, crack_index, distances_on_crack, n_inside = (
+    lower_node_table, upper_node_table, crack_of_pair, distances_on_crack, n_inside = (
         _match_face_nodes(part_mesh.crack_paths_or_surfaces, *node_table_by_face)
     )
     lower_nodes = lower_node_table[:, 0].astype(int)
@@ -142,7 +142,7 @@ def pair_crack_faces(
             )
         else:
             pair_node_index, shares = _find_patch_nodes_and_shares(
-                points, crack_index, distances_on_crack, n_inside, max_patches
+                points, crack_of_pair, distances_on_crack, n_inside, max_patches
             )
         nodal_force_shares = sparse.csc_matrix(shares.multiply(areas[:, None]))
         areas[pair_node_index] = shares.T @ areas
@@ -156,20 +156,20 @@ def pair_crack_faces(
         if mouth_only:
             kept_pairs = np.array([*_watched_pair_by_name(
                 part_mesh.crack_paths_or_surfaces,
-                crack_index[:n_inside], distances_on_crack[:n_inside],
+                crack_of_pair[:n_inside], distances_on_crack[:n_inside],
             ).values()])  # fmt: skip
             fields = {"nodes": points, "pressure_matrix": shares[:, kept_pairs]} if fields else {}
         pair_node_index, gap, lower_gap = kept_pairs, gap[:, kept_pairs], lower_gap[:, kept_pairs]
-    points, areas, crack_index, distances_on_crack = (
-        values[pair_node_index] for values in (points, areas, crack_index, distances_on_crack)
+    points, areas, crack_of_pair, distances_on_crack = (
+        values[pair_node_index] for values in (points, areas, crack_of_pair, distances_on_crack)
     )
     if dimension == 3:
         fields["tangential_gap_matrix"] = _free_rows(
             _make_tangential_gap_matrix(gap, lower_gap, dofs.comm), dofs
         )
     pairs = Pairs(
-        points, areas, crack_index, distances_on_crack,
-        _watched_pair_by_name(part_mesh.crack_paths_or_surfaces, crack_index, distances_on_crack),
+        points, areas, crack_of_pair, distances_on_crack,
+        _watched_pair_by_name(part_mesh.crack_paths_or_surfaces, crack_of_pair, distances_on_crack),
         **fields,
     )  # fmt: skip
     tangential = _free_rows(_rotate_by_right_angle(gap), dofs) if dimension == 2 else None
@@ -200,7 +200,7 @@ def _front_pressure_share_matrix(
         (overlap_triplets[:, 2], overlap_triplets[:, :2].astype(int).T),
         (n_global_nodes, n_global_nodes),
     )
-    return make_front_pressure_matrix(
+    return make_matrix_extending_pressures_to_front(
         overlap_matrix[node_numbers[n_inside:]][:, node_numbers[:n_inside]]
     )
 
@@ -239,7 +239,7 @@ def _make_tangential_gap_matrix(gap: Any, lower_gap: Any, comm: MPI.Comm) -> spa
 
 def _find_patch_nodes_and_shares(
     points: np.ndarray,
-    crack_index: np.ndarray,
+    crack_of_pair: np.ndarray,
     distances_on_crack: np.ndarray,
     n_inside: int,
     max_patches: int,
@@ -251,7 +251,7 @@ def _find_patch_nodes_and_shares(
     points : (n, d) [m]
         Nodes of a face. The first ``n_inside`` are off tips and fronts, in order along each
         crack.
-    crack_index : (n,) int
+    crack_of_pair : (n,) int
         Crack of each node.
     distances_on_crack : (n,) [m]
         Distance of each node along its path, or from the front.
@@ -268,8 +268,8 @@ def _find_patch_nodes_and_shares(
         Values of the patches' pressure functions at all nodes, 0 to 1.
     """
     patch_nodes, pressure_shares = np.zeros(0, dtype=int), np.zeros((len(points), 0))
-    for crack_number in np.unique(crack_index):
-        crack_nodes = np.flatnonzero(crack_index[:n_inside] == crack_number)
+    for crack_number in np.unique(crack_of_pair):
+        crack_nodes = np.flatnonzero(crack_of_pair[:n_inside] == crack_number)
         n_patches = min(max_patches, len(crack_nodes))
         if points.shape[1] == 2:
             crack_nodes = crack_nodes[
@@ -290,7 +290,7 @@ def _find_patch_nodes_and_shares(
             [
                 pressure_shares,
                 *(
-                    patch_values * (crack_index == crack_number)
+                    patch_values * (crack_of_pair == crack_number)
                     for patch_values in patch_value_arrays
                 ),
             ]
@@ -398,7 +398,7 @@ def _match_face_nodes(
     lower_node_table, upper_node_table : (n, 2 + d)
         Partners in order along the cracks; nodes of tips and fronts come last. As both faces
         share these, their weights are halved.
-    crack_index : (n,) int
+    crack_of_pair : (n,) int
         Crack of each pair.
     distances_on_crack : (n,) [m]
         Distance along the path, or from the front.
@@ -408,18 +408,18 @@ def _match_face_nodes(
     crack_extent = np.ptp(lower_node_table[:, 2:], axis=0).max()
     is_front_node = np.isin(lower_node_table[:, 0], upper_node_table[:, 0])
     lower_node_table[is_front_node, 1] *= 0.5
-    crack_index, distances_on_crack = locate_on_cracks(cracks, lower_node_table[:, 2:])
+    crack_of_pair, distances_on_crack = locate_on_cracks(cracks, lower_node_table[:, 2:])
     # Equal distances, as along a front, are sorted by coordinates.
     sort_positions = np.round(lower_node_table[:, 2:] / crack_extent, 7).T
     node_order = np.lexsort(
         (
             *sort_positions,
             np.round(distances_on_crack / crack_extent, 7),
-            crack_index,
+            crack_of_pair,
             is_front_node,
         )
     )
-    lower_node_table, crack_index = lower_node_table[node_order], crack_index[node_order]
+    lower_node_table, crack_of_pair = lower_node_table[node_order], crack_of_pair[node_order]
     distances_on_crack = distances_on_crack[node_order]
     n_front = int(is_front_node.sum())
     n_inside = len(lower_node_table) - n_front
@@ -431,10 +431,10 @@ def _match_face_nodes(
             for lower_point in lower_node_table[:, 2:]
         ]
         nearest_distances = np.min(distances_to_upper_nodes, axis=1)
-        partners = np.argmin(distances_to_upper_nodes, axis=1)
+        upper_partner_indices = np.argmin(distances_to_upper_nodes, axis=1)
         has_matching_faces = (
             nearest_distances.max() <= RELATIVE_POSITION_TOLERANCE * crack_extent
-            and len(np.unique(partners)) == len(partners)
+            and len(np.unique(upper_partner_indices)) == len(upper_partner_indices)
         )
         position_text = ", ".join(
             f"{coordinate:g}"
@@ -443,21 +443,29 @@ def _match_face_nodes(
         mismatch_reason = f"the upper node nearest to the lower one at ({position_text})"
         mismatch_reason += f" is {nearest_distances.max():.2g} m away"
     if not has_matching_faces:
-        problem = f"{n_inside} lower and {len(upper_node_table) - n_front} upper nodes"
-        advice = "in a mesh file one curve or surface named 'crack' is split into two that do"
+        problem_text = f"{n_inside} lower and {len(upper_node_table) - n_front} upper nodes"
+        advice_text = "in a mesh file one curve or surface named 'crack' is split into two that do"
         requirement = "meshed identically, so that nodes of the two faces pair one to one"
-        raise InputError("lips", problem, f"{requirement}, but {mismatch_reason}; {advice}")
-    return lower_node_table, upper_node_table[partners], crack_index, distances_on_crack, n_inside
+        raise InputError(
+            "lips", problem_text, f"{requirement}, but {mismatch_reason}; {advice_text}"
+        )
+    return (
+        lower_node_table,
+        upper_node_table[upper_partner_indices],
+        crack_of_pair,
+        distances_on_crack,
+        n_inside,
+    )
 
 
 def _watched_pair_by_name(
-    cracks: Cracks, crack_index: np.ndarray, distances_on_crack: np.ndarray
+    cracks: Cracks, crack_of_pair: np.ndarray, distances_on_crack: np.ndarray
 ) -> dict[str, int]:
     """Return the index of each crack's watched pair, by name."""
     pair_by_name: dict[str, int] = {}
     crack: Any
     for crack_number, crack in enumerate(cracks):
-        crack_pairs = np.flatnonzero(crack_index == crack_number)
+        crack_pairs = np.flatnonzero(crack_of_pair == crack_number)
         place_name, watched_distance = crack.watched_name_and_position
         if len(cracks) > 1:
             place_name += f" of crack {crack_number + 1}"
@@ -528,7 +536,7 @@ def _assemble_structure_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure
     Of a bladed disk it is one sector, whose sides are free.
     """
     begin_stage("mesh")
-    part_mesh = build_mesh(scene, comm)
+    part_mesh = build_plate_or_solid_mesh(scene, comm)
     begin_stage("matrices")
     if (
         not part_mesh.has_cracks

@@ -278,7 +278,7 @@ def points_on_both_sides(
     return np.round(point - offset, 9).tolist(), np.round(point + offset, 9).tolist()
 
 
-def make_front_pressure_matrix(overlaps: sparse.csr_matrix) -> sparse.csr_matrix:
+def make_matrix_extending_pressures_to_front(overlaps: sparse.csr_matrix) -> sparse.csr_matrix:
     """Return the matrix that assigns pressures at fronts to their neighbours.
 
     The share of each neighbour is proportional to the overlap of basis functions.
@@ -293,8 +293,8 @@ def make_front_pressure_matrix(overlaps: sparse.csr_matrix) -> sparse.csr_matrix
     (n_inside + n_front, n_inside)
         Identity, then rows that sum to 1.
     """
-    inverse_totals = sparse.diags(1.0 / np.asarray(overlaps.sum(axis=1)).ravel())
-    return sparse.vstack([sparse.eye(overlaps.shape[1]), inverse_totals @ overlaps]).tocsr()
+    inverse_row_sums = sparse.diags(1.0 / np.asarray(overlaps.sum(axis=1)).ravel())
+    return sparse.vstack([sparse.eye(overlaps.shape[1]), inverse_row_sums @ overlaps]).tocsr()
 
 
 def upward_sign(normal: np.ndarray) -> float:
@@ -727,12 +727,13 @@ def _label_corner_stars(cells: Cells, is_passable: np.ndarray, is_split: np.ndar
     """
     from scipy.sparse.csgraph import connected_components
 
-    sorted_facets, owner, local_corners = cells.sorted_facets_and_owners
+    sorted_facets, cell_of_sorted_facet, local_corners = cells.sorted_facets_and_owners
     passable_facets = np.flatnonzero(is_passable & is_split[sorted_facets[:-1]].any(axis=1))
     is_split_corner = is_split[sorted_facets[passable_facets]]
     flat_corner_index, neighbour_corner_index = (
-        owner[facet_rows][:, None] * cells.n_corners + local_corners[facet_rows]
-        for facet_rows in (passable_facets, passable_facets + 1)
+        cell_of_sorted_facet[sorted_facet_indices][:, None] * cells.n_corners
+        + local_corners[sorted_facet_indices]
+        for sorted_facet_indices in (passable_facets, passable_facets + 1)
     )
     n_all_corners = len(cells.cell_nodes) * cells.n_corners
     graph_triplets = (

@@ -360,46 +360,49 @@ def _yield_smooth_front_parts(
     """
     corner_positions = crack.triangles.reshape(-1, 3)
     corner_tree, tolerance = cKDTree(corner_positions), RELATIVE_POSITION_TOLERANCE * crack.size
-    edges = np.sort(corner_tree.query(crack.front_chords.reshape(-1, 3))[1].reshape(-1, 2), axis=1)
-    links: dict[int, list[int]] = {}
+    corner_indices_of_edges = np.sort(
+        corner_tree.query(crack.front_chords.reshape(-1, 3))[1].reshape(-1, 2), axis=1
+    )
+    linked_nodes_by_node: dict[int, list[int]] = {}
     edge_end_nodes = np.array(
         [
             min(corner_tree.query_ball_point(corner_position, tolerance))
-            for corner_position in corner_positions[edges.ravel()]
+            for corner_position in corner_positions[corner_indices_of_edges.ravel()]
         ]
     )
-    for node, neighbour in edge_end_nodes.reshape(-1, 2):
-        links.setdefault(int(node), []).append(int(neighbour))
-        links.setdefault(int(neighbour), []).append(int(node))
+    for node, other_node in edge_end_nodes.reshape(-1, 2):
+        linked_nodes_by_node.setdefault(int(node), []).append(int(other_node))
+        linked_nodes_by_node.setdefault(int(other_node), []).append(int(node))
     triangle_sides = crack.triangles[:, 1:] - crack.triangles[:, :1]
     triangle_normals = np.cross(triangle_sides[:, 0], triangle_sides[:, 1])
     normal_signs = np.array([upward_sign(triangle_normal) for triangle_normal in triangle_normals])
     triangle_normals *= normal_signs[:, None]
     triangle_centres = crack.triangles.mean(axis=1)
-    while links:
+    while linked_nodes_by_node:
         first_node = min(
-            (node for node, neighbours in links.items() if len(neighbours) == 1), default=min(links)
+            (node for node, linked_nodes in linked_nodes_by_node.items() if len(linked_nodes) == 1),
+            default=min(linked_nodes_by_node),
         )
-        chain, is_closed = [first_node], len(links[first_node]) == 2
-        while links.get(chain[-1]):
-            next_node = links[chain[-1]].pop()
-            links[next_node].remove(chain[-1])
-            chain.append(next_node)
-        for node in chain:
-            links.pop(node, None)
-        points = corner_positions[chain]
-        point_normals, inward_vectors = np.empty_like(points), np.empty_like(points)
-        for index, point in enumerate(points):
+        chained_nodes, is_closed = [first_node], len(linked_nodes_by_node[first_node]) == 2
+        while linked_nodes_by_node.get(chained_nodes[-1]):
+            next_node = linked_nodes_by_node[chained_nodes[-1]].pop()
+            linked_nodes_by_node[next_node].remove(chained_nodes[-1])
+            chained_nodes.append(next_node)
+        for node in chained_nodes:
+            linked_nodes_by_node.pop(node, None)
+        chained_points = corner_positions[chained_nodes]
+        point_normals, inward_vectors = np.empty_like(chained_points), np.empty_like(chained_points)
+        for index, point in enumerate(chained_points):
             near_triangles = np.unique(
                 np.array(corner_tree.query_ball_point(point, tolerance)) // 3
             )
             point_normals[index] = triangle_normals[near_triangles].sum(axis=0)
             inward_vectors[index] = triangle_centres[near_triangles].mean(axis=0) - point
         point_normals /= np.linalg.norm(point_normals, axis=1)[:, None]
-        edge_vectors = np.diff(points, axis=0)
+        edge_vectors = np.diff(chained_points, axis=0)
         edge_side_vectors = np.cross(point_normals[:-1] + point_normals[1:], edge_vectors)
         if (edge_side_vectors * (inward_vectors[:-1] + inward_vectors[1:])).sum() > 0.0:
-            points = points[::-1]
+            chained_points = chained_points[::-1]
             point_normals = point_normals[::-1]
             edge_vectors = -edge_vectors[::-1]
         edge_vectors /= np.linalg.norm(edge_vectors, axis=1)[:, None]
@@ -409,9 +412,9 @@ def _yield_smooth_front_parts(
         ).tolist()
         if is_closed and corner_indices:
             start_index = corner_indices[0]
-            points, point_normals = (
+            chained_points, point_normals = (
                 np.concatenate([node_vectors[start_index:-1], node_vectors[: start_index + 1]])
-                for node_vectors in (points, point_normals)
+                for node_vectors in (chained_points, point_normals)
             )
             corner_indices = [corner_index - start_index for corner_index in corner_indices]
         for part_start, part_stop in pairwise(sorted({0, *corner_indices, len(edge_vectors)})):
@@ -420,7 +423,7 @@ def _yield_smooth_front_parts(
                 part_stop == len(edge_vectors) and not is_closed,
             )
             yield (
-                points[part_start : part_stop + 1],
+                chained_points[part_start : part_stop + 1],
                 point_normals[part_start : part_stop + 1],
                 is_closed and not corner_indices,
                 ends_at_surface,
@@ -668,7 +671,7 @@ def _rows_by_station(front: Front, rows: np.ndarray) -> np.ndarray:
     return rows
 
 
-def _weight_and_slope(radius_ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _weight_and_slope_by_radius_ratio(radius_ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the weight q and its derivative with respect to r / R.
 
     ``radius_ratio`` is r / R: distance from the front over the domain's radius. q is 1 at the front
@@ -744,24 +747,28 @@ class _IntegrationDomain:
 
     def __init__(self, scene: Scene, front: Front, points: np.ndarray, cells: np.ndarray) -> None:
         self.front = front
-        young, self.nu = scene.material.young, scene.material.poisson
-        self.mu = 0.5 * young / (1.0 + self.nu)
-        self.lame = young * self.nu / (1.0 + self.nu) / (1.0 - 2.0 * self.nu)
-        half_plane_strain_modulus = 0.5 * young / (1.0 - self.nu**2)
-        mode_moduli = np.repeat(
+        youngs_modulus, self.nu = scene.material.young, scene.material.poisson
+        self.mu = 0.5 * youngs_modulus / (1.0 + self.nu)
+        self.lame = youngs_modulus * self.nu / (1.0 + self.nu) / (1.0 - 2.0 * self.nu)
+        half_plane_strain_modulus = 0.5 * youngs_modulus / (1.0 - self.nu**2)
+        intensity_moduli_by_mode_and_station = np.repeat(
             [half_plane_strain_modulus, half_plane_strain_modulus, self.mu],
             len(front.station_parameters),
         )
-        self.intensity_per_integral = mode_moduli / np.tile(front.hat_integrals(), 3)
+        self.intensity_per_integral = intensity_moduli_by_mode_and_station / np.tile(
+            front.hat_integrals(), 3
+        )
         front_distances = front._sample_parameters_and_tree[1].query(points)[0][cells]
         # Cells with all corners outside R touch the domain only where q is below 1e-5.
-        is_near = front_distances.min(axis=1) < front.straight_domain_radius
-        self.nodes, local_nodes = np.unique(cells[is_near], return_inverse=True)
+        is_near_cell = front_distances.min(axis=1) < front.straight_domain_radius
+        self.nodes, local_nodes = np.unique(cells[is_near_cell], return_inverse=True)
         self.points, self.cells = points[self.nodes], local_nodes.reshape(-1, cells.shape[1])
         corner_positions = self.points[self.cells[:, :4]]
         # Nearest to the front first; equally near corners by position. So the order is the same
         # on all ranks, and the rule for an edge on the front takes its ends in a fixed order.
-        sort_keys = np.dstack([corner_positions, front_distances[is_near, :4]]).transpose(2, 0, 1)
+        sort_keys = np.dstack([corner_positions, front_distances[is_near_cell, :4]]).transpose(
+            2, 0, 1
+        )
         self.corner_order = corner_order = np.lexsort(
             np.round(sort_keys / (RELATIVE_POSITION_TOLERANCE * front.straight_domain_radius)),
             axis=-1,
@@ -770,29 +777,30 @@ class _IntegrationDomain:
             corner_positions, corner_order[..., None], axis=1
         )
         corner_nodes = np.take_along_axis(self.cells[:, :4], corner_order, axis=1)
-        facets = [
+        sorted_facets = [
             np.sort(np.delete(corner_nodes, corner_index, axis=1), axis=1)
             for corner_index in range(4)
         ]
-        facet_keys = np.ravel_multi_index(np.concatenate(facets).T, (len(self.points),) * 3)
+        facet_keys = np.ravel_multi_index(np.concatenate(sorted_facets).T, (len(self.points),) * 3)
         _, first_facets, facet_counts = np.unique(facet_keys, return_index=True, return_counts=True)
         self.is_outer_facet = (
             np.isin(facet_keys, facet_keys[first_facets[facet_counts == 1]]).reshape(4, -1).T
         )
-        edge_vectors = self.corner_positions[:, 1:] - self.corner_positions[:, :1]
-        self.volumes = np.abs(np.linalg.det(edge_vectors)) / 6.0
-        inverse_edge_matrices = np.linalg.inv(edge_vectors).swapaxes(
+        cell_edge_vectors = self.corner_positions[:, 1:] - self.corner_positions[:, :1]
+        self.volumes = np.abs(np.linalg.det(cell_edge_vectors)) / 6.0
+        inverse_cell_edge_matrices = np.linalg.inv(cell_edge_vectors).swapaxes(
             1, 2
         )  # rows: gradients of lambda_1 to lambda_3
         self.barycentric_gradients = np.concatenate(
-            [-inverse_edge_matrices.sum(axis=1, keepdims=True), inverse_edge_matrices], axis=1
+            [-inverse_cell_edge_matrices.sum(axis=1, keepdims=True), inverse_cell_edge_matrices],
+            axis=1,
         )
-        centres = self.corner_positions.mean(axis=1)
-        centre_parameters = front.nearest_parameters(centres)
+        cell_centres = self.corner_positions.mean(axis=1)
+        front_parameters_of_centres = front.nearest_parameters(cell_centres)
         self.side_signs = np.sign(
             (
-                (centres - front.curve_function(centre_parameters, 0))
-                * front.frame_and_curvature(centre_parameters)[0][:, 1]
+                (cell_centres - front.curve_function(front_parameters_of_centres, 0))
+                * front.frame_and_curvature(front_parameters_of_centres)[0][:, 1]
             ).sum(-1)
         )
 
@@ -961,7 +969,7 @@ class _IntegrationDomain:
         is_node_at_front = r < 1e-6 * domain_radius
         is_node_at_front[:, 4:] = is_node_at_front[:, np.array(TETRAHEDRON_EDGES)].all(axis=2)
         r = np.where(is_node_at_front, domain_radius, r)
-        q = np.where(is_node_at_front, 0.0, _weight_and_slope(r / domain_radius)[0])
+        q = np.where(is_node_at_front, 0.0, _weight_and_slope_by_radius_ratio(r / domain_radius)[0])
         mode_fields = []
         for mode in range(3):
             _, a_by_xi, _ = self._plane_field_and_derivatives(mode, xi, y, r)
@@ -1057,7 +1065,7 @@ class _IntegrationDomain:
         )
         if normals is not None:  # At a concave front, crack faces reach ahead of the curve.
             xi = np.where(np.abs(y) < 1e-9 * r, -r, xi)
-        q, q_slope = _weight_and_slope(r / radius)
+        q, q_slope = _weight_and_slope_by_radius_ratio(r / radius)
         q_slope /= radius
         metric = 1.0 + curvature * xi
         local_curvature = curvature / metric
@@ -1241,7 +1249,7 @@ def _contact_force_factors(structure: Structure, front: Front) -> np.ndarray:
         t = front.nearest_parameters(points)
         r = np.linalg.norm(points - front.curve_function(t, 0), axis=1)
         domain_radii = front.domain_radius(front.frame_and_curvature(t)[2])
-        kernel = _weight_and_slope(r / domain_radii)[0] / np.sqrt(r) * area_weights
+        kernel = _weight_and_slope_by_radius_ratio(r / domain_radii)[0] / np.sqrt(r) * area_weights
         corner_crack_nodes = crack_node_tree.query(triangle[corner_order])[1]
         factors[:, corner_crack_nodes] += front.hats_and_slopes(t)[0].T @ (
             kernel[:, None] * shape_values

@@ -135,10 +135,12 @@ def _outer_boundary_points(dofs: Dofs) -> np.ndarray:
     part_mesh = dofs.part_mesh
     topology = part_mesh.mesh.topology
     topology.create_connectivity(1, 2)
-    face_facets = np.concatenate([part_mesh.facets(name) for name in CRACK_FACE_NAMES])
-    outer_facets = np.setdiff1d(dolfinx.mesh.exterior_facet_indices(topology), face_facets).astype(
-        np.int32
+    crack_face_facets = np.concatenate(
+        [part_mesh.facets(crack_face_name) for crack_face_name in CRACK_FACE_NAMES]
     )
+    outer_facets = np.setdiff1d(
+        dolfinx.mesh.exterior_facet_indices(topology), crack_face_facets
+    ).astype(np.int32)
     nodes = dolfinx.fem.locate_dofs_topological(dofs.space, 1, outer_facets)
     return dofs.points[nodes[nodes < dofs.n_own_nodes]]
 

@@ -39,7 +39,7 @@ from fenics_crack.fem.cracks import (
     FACET_CORNERS_BY_CORNER_COUNT,
     RELATIVE_POSITION_TOLERANCE,
     find_unique_rows,
-    make_front_pressure_matrix,
+    make_matrix_extending_pressures_to_front,
 )
 from fenics_crack.fem.model_files import Model, read_model
 from fenics_crack.model.factor import local_rows, make_matrix_from_local_rows
@@ -503,7 +503,7 @@ class _TwinNodes:
             link_values_and_indices, (n_model_nodes + 1, n_model_nodes + 1)
         )[:n_model_nodes, :n_model_nodes]
         is_free_node = np.any(dofs >= 0, axis=1)
-        is_pair = is_free_node[node_pairs].all(axis=1) & ~np.isin(
+        is_contact_pair = is_free_node[node_pairs].all(axis=1) & ~np.isin(
             n_model_nodes * node_pairs[:, 0] + node_pairs[:, 1],
             n_model_nodes * node_links[0] + node_links[1],
         )
@@ -513,12 +513,12 @@ class _TwinNodes:
         self.is_in_half_held_pair[
             node_pairs[is_free_node[node_pairs[:, 0]] != is_free_node[node_pairs[:, 1]]]
         ] = True
-        self.first_nodes, self.second_nodes = node_pairs[is_pair].T
-        paired_nodes, n_pairs_of_node = np.unique(
+        self.first_nodes, self.second_nodes = node_pairs[is_contact_pair].T
+        unique_paired_nodes, n_pairs_of_node = np.unique(
             np.append(self.first_nodes, self.second_nodes), return_counts=True
         )
         if np.any(n_pairs_of_node > 1):
-            worst_node = paired_nodes[np.argmax(n_pairs_of_node)]
+            worst_node = unique_paired_nodes[np.argmax(n_pairs_of_node)]
             place_text = format_point(model.points[worst_node], "g")
             place_text += f", one of them {model.labels[worst_node]}"
             requirement = (
@@ -526,11 +526,11 @@ class _TwinNodes:
             )
             raise InputError("model", f"more than two nodes at {place_text}", requirement)
         if not len(self.first_nodes):
-            problem = (
+            problem_text = (
                 f"{len(node_pairs)} nodes in the same place as another, all of them joined or held"
             )
             raise InputError(
-                "model", problem, "one with two nodes at each place of a crack's faces"
+                "model", problem_text, "one with two nodes at each place of a crack's faces"
             )
         self.pair_index = np.full(n_model_nodes, -1)
         self.pair_index[self.first_nodes] = self.pair_index[self.second_nodes] = np.arange(
@@ -612,16 +612,18 @@ def _find_crack_of_each_pair(twins: _TwinNodes, twin_pair_index: np.ndarray) -> 
     links = links_in_same_order + twins.connectivity[first_node_of_pair][
         :, second_node_of_pair
     ].multiply(twins.connectivity[second_node_of_pair][:, first_node_of_pair])
-    n_cracks, crack_labels = connected_components(links)
-    centres = [
-        twins.points[first_node_of_pair[crack_labels == crack]].mean(axis=0)[[1, 0, 2]]
-        for crack in range(n_cracks)
+    n_cracks, unsorted_crack_of_pair = connected_components(links)
+    crack_centres = [
+        twins.points[first_node_of_pair[unsorted_crack_of_pair == unsorted_crack]].mean(axis=0)[
+            [1, 0, 2]
+        ]
+        for unsorted_crack in range(n_cracks)
     ]
     sorted_crack_number = np.empty(n_cracks, dtype=int)
-    sorted_crack_number[sorted(range(n_cracks), key=lambda crack: tuple(centres[crack]))] = (
-        np.arange(n_cracks)
-    )
-    return np.asarray(sorted_crack_number[crack_labels])
+    sorted_crack_number[
+        sorted(range(n_cracks), key=lambda unsorted_crack: tuple(crack_centres[unsorted_crack]))
+    ] = np.arange(n_cracks)
+    return np.asarray(sorted_crack_number[unsorted_crack_of_pair])
 
 
 # --- of facets ------------------------------------------------------------------------------------
@@ -641,7 +643,9 @@ def _crack_face_facets(model: Model, twins: _TwinNodes) -> list[Facets]:
     facet_sets = []
     for n_facet_corners in (3, 4):
         facets_and_centres_of_kinds = [
-            _all_cell_facets(model.points, cells, N_CORNERS_BY_VTK_TYPE[vtk_type], local_facets)
+            _cell_facets_and_cell_centres(
+                model.points, cells, N_CORNERS_BY_VTK_TYPE[vtk_type], local_facets
+            )
             for vtk_type, cells in model.cells_by_vtk_type.items()
             for local_facets in FACETS_BY_CORNER_COUNT[N_CORNERS_BY_VTK_TYPE[vtk_type]]
             if local_facets.shape[1] == n_facet_corners
@@ -665,7 +669,7 @@ def _crack_face_facets(model: Model, twins: _TwinNodes) -> list[Facets]:
     return facet_sets
 
 
-def _all_cell_facets(
+def _cell_facets_and_cell_centres(
     points: np.ndarray, cells: np.ndarray, n_corners: int, local_facets: np.ndarray
 ) -> Facets:
     """Return the facets of all cells of one kind.
@@ -814,7 +818,7 @@ def _assemble_patch_gap_matrix(
     gap = sparse.csr_matrix((integrals, (rows, patch_columns)), (twins.n_dofs, len(areas)))
     integrals, rows, patch_columns = map(np.concatenate, zip(*overlap_triplets, strict=True))
     overlap_matrix = sparse.csr_matrix((integrals, (rows, patch_columns)), (len(areas), len(areas)))
-    front_shares = make_front_pressure_matrix(overlap_matrix[n_pairs:, :n_pairs])
+    front_shares = make_matrix_extending_pressures_to_front(overlap_matrix[n_pairs:, :n_pairs])
     areas = front_shares.T @ areas
     twin_pair_index = np.flatnonzero(areas)
     gap = (gap @ front_shares)[:, twin_pair_index] @ sparse.diags(1.0 / areas[twin_pair_index])

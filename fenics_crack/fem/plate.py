@@ -75,7 +75,7 @@ class PartMesh:
         return ufl.ds(domain=self.mesh, subdomain_data=self.facet_tags)(tags)
 
 
-def build_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PartMesh:
+def build_plate_or_solid_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PartMesh:
     """Mesh the scene's plate or solid, or read its mesh file (collective).
 
     Raises
@@ -86,7 +86,7 @@ def build_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PartMesh:
     """
     with _gmsh_on_root_context(comm):
         (facet_tags_by_group, position_by_point_name), crack_paths_or_surfaces = on_root(
-            comm, lambda: _mesh_scene(scene)
+            comm, lambda: _fill_gmsh_model_from_scene(scene)
         )
         mesh, _, facet_tags = compat.model_to_mesh(gmsh.model, comm, scene.dimension)
     return PartMesh(
@@ -114,7 +114,7 @@ def write_msh(scene: Scene, path: str | Path) -> None:
     >>> fc.write_msh(scene, "plate.msh")
     """
     with _gmsh_on_root_context(MPI.COMM_SELF):
-        _mesh_scene(scene)
+        _fill_gmsh_model_from_scene(scene)
         with partial_file(path) as partial_path:
             gmsh.write(str(partial_path))
             if not read_regular_file(partial_path, None).endswith(
@@ -144,7 +144,7 @@ def _gmsh_on_root_context(comm: MPI.Comm) -> Iterator[None]:
                 gmsh.finalize()
 
 
-def _mesh_scene(scene: Scene) -> tuple[NamedParts, Cracks]:
+def _fill_gmsh_model_from_scene(scene: Scene) -> tuple[NamedParts, Cracks]:
     """Fill gmsh's current model with the mesh of a scene.
 
     Returns

@@ -73,24 +73,33 @@ def mesh_solid(scene: Scene) -> tuple[NamedParts, Cracks]:
     """
     from fenics_crack.fem.msh_file import load_mesh_into_gmsh, unpack_groups  # it splits cracks
 
-    contents, unit = _mesh_box(scene) if scene.geometry.file is None else _mesh_cad_part(scene)
+    mesh_array_by_name, length_unit_in_metres = (
+        _mesh_box(scene) if scene.geometry.file is None else _mesh_cad_part(scene)
+    )
     gmsh.model.remove()
     gmsh.model.add("fenics_crack")
     try:
         named_parts, crack_surfaces = load_mesh_into_gmsh(
-            (contents["numbers"], unit * contents["positions"], unpack_groups(contents)), 3
+            (
+                mesh_array_by_name["numbers"],
+                length_unit_in_metres * mesh_array_by_name["positions"],
+                unpack_groups(mesh_array_by_name),
+            ),
+            3,
         )
     except InputError as error:
         raise meshing_refusal(scene, f"{error.value}") from None
     crack_centres = np.array(
-        [surface.triangles.mean(axis=(0, 1)) for surface in crack_surfaces]  # type: ignore[union-attr]
+        [crack_surface.triangles.mean(axis=(0, 1)) for crack_surface in crack_surfaces]  # type: ignore[union-attr]
     )
-    drawn_centres = unit * contents["middles"]
-    surface_indices = [
+    drawn_centres = length_unit_in_metres * mesh_array_by_name["middles"]
+    crack_surface_indices = [
         np.linalg.norm(crack_centres - drawn_centre, axis=1).argmin()
         for drawn_centre in drawn_centres
     ]
-    return named_parts, tuple(crack_surfaces[surface_index] for surface_index in surface_indices)  # type: ignore[return-value]
+    return named_parts, tuple(
+        crack_surfaces[crack_surface_index] for crack_surface_index in crack_surface_indices
+    )  # type: ignore[return-value]
 
 
 def read_part_triangles_and_owners(part_file: str, unit: str | None) -> dict[str, np.ndarray]:

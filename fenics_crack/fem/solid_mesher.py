@@ -372,7 +372,7 @@ def insert_cracks(
             requirement = "such that the crack crosses and touches no other one"
             raise Refusal(f"{crack['key']}.point", requirement)
         if len(part_triangles):
-            _check_crack_is_inside(crack, surface_dim_tags[0][1], front, part_triangles)
+            _check_front_and_ligament_exist(crack, surface_dim_tags[0][1], front, part_triangles)
     return [surface_dim_tags[0][1] for surface_dim_tags in children[1:]], fronts
 
 
@@ -473,31 +473,33 @@ def _make_front_data(crack: CrackData, rim: set[int]) -> FrontData:
     }  # fmt: skip
 
 
-def _check_crack_is_inside(
-    crack: CrackData, surface: int, front: FrontData, part_triangles: np.ndarray
+def _check_front_and_ligament_exist(
+    crack: CrackData, surface_tag: int, front: FrontData, part_triangles: np.ndarray
 ) -> None:
     """Raise Refusal if a crack is in a face, or almost without ligament.
 
     A crack without a front inside the part is refused, too.
     """
-    key, shortest_length = f"{crack['key']}.point", front["shortest"]
-    centre = np.array([gmsh.model.occ.getCenterOfMass(2, surface)])
+    point_key, shortest_length = f"{crack['key']}.point", front["shortest"]
+    centre = np.array([gmsh.model.occ.getCenterOfMass(2, surface_tag)])
     if (
         not front["curves"]
         or pairwise_triangle_distances(centre, part_triangles).min()
         < MIN_LIGAMENT_IN_ELEMENTS * shortest_length
     ):
-        problem = "lies in a face of it" if front["curves"] else "has no front in it"
-        raise Refusal(key, f"such that the crack is inside the part: it {problem}")
+        problem_text = "lies in a face of it" if front["curves"] else "has no front in it"
+        raise Refusal(point_key, f"such that the crack is inside the part: it {problem_text}")
     points, end_points = front["points"], front["ends"]
     distances_to_nearest_end = np.linalg.norm(points[:, None] - end_points, axis=2).min(
         axis=1, initial=np.inf
     )
     points_off_ends = points[distances_to_nearest_end > 2.0 * shortest_length]
-    ligament = pairwise_triangle_distances(points_off_ends, part_triangles).min(initial=np.inf)
-    if ligament < MIN_LIGAMENT_IN_ELEMENTS * shortest_length:
-        raise Refusal(key, "farther from the surface: of its front some is"
-                      f" {ligament / shortest_length:.2g} of an element away")  # fmt: skip
+    shortest_ligament = pairwise_triangle_distances(points_off_ends, part_triangles).min(
+        initial=np.inf
+    )
+    if shortest_ligament < MIN_LIGAMENT_IN_ELEMENTS * shortest_length:
+        raise Refusal(point_key, "farther from the surface: of its front some is"
+                      f" {shortest_ligament / shortest_length:.2g} of an element away")  # fmt: skip
 
 
 def estimate_bulk_and_front_cells(size: float, fronts: list[FrontData]) -> tuple[float, float]:

@@ -340,7 +340,7 @@ def _make_solver(structure: Structure, prefix: str, n_modes: int, n_krylov_vecto
     return solver
 
 
-def _run_solver_to_convergence(solver: Any, n_modes: int) -> None:
+def _run_solver_or_raise(solver: Any, n_modes: int) -> None:
     """Run SLEPc's solver; raise ConvergenceError if modes are missing."""
     solver.setFromOptions()
     try:
@@ -424,7 +424,7 @@ def _solve_near_shift(
     preconditioner.setPythonContext(
         SimpleNamespace(apply=lambda _, rhs, solution: shifted_inverse.apply(rhs, solution))
     )
-    _run_solver_to_convergence(solver, n_modes)
+    _run_solver_or_raise(solver, n_modes)
     vector, mass_vector = structure.mass.createVecs()
     squares = np.array([solver.getEigenvalue(index).real for index in range(n_modes)])
     ascending_order = np.argsort(squares)
@@ -459,7 +459,7 @@ def largest_frequency(structure: Structure) -> float:
     preconditioner = solver.getST().getKSP().getPC()
     preconditioner.setType("cholesky")
     preconditioner.setFactorSolverType("mumps")
-    _run_solver_to_convergence(solver, 1)
+    _run_solver_or_raise(solver, 1)
     square = solver.getEigenvalue(0).real
     solver.destroy()
     return float(np.sqrt(square))

@@ -376,15 +376,17 @@ def _store_dof_rows(
     factor: Factor | None = None,
 ) -> None:
     """Store displacements of some dofs under unit loads in ``rows`` (collective)."""
-    dof_offsets = dofs - structure.first_dof
-    owned_entry_indices = np.flatnonzero((dof_offsets >= 0) & (dof_offsets < structure.n_local))
-    forces_shape = structure.n_local, len(dofs)
+    dofs_from_first_owned = dofs - structure.first_dof
+    indices_of_owned_dofs = np.flatnonzero(
+        (dofs_from_first_owned >= 0) & (dofs_from_first_owned < structure.n_local)
+    )
+    unit_forces_shape = structure.n_local, len(dofs)
     unit_forces = sparse.csr_matrix(
         (
-            np.ones(len(owned_entry_indices)),
-            (dof_offsets[owned_entry_indices], owned_entry_indices),
+            np.ones(len(indices_of_owned_dofs)),
+            (dofs_from_first_owned[indices_of_owned_dofs], indices_of_owned_dofs),
         ),
-        forces_shape,
+        unit_forces_shape,
     )
     residual_rows = np.zeros((len(dofs), len(known_receptance.modal)))
     if known_receptance.n_modes < structure.n_dofs:
@@ -472,7 +474,10 @@ class ResidualFlexibility:
         (m,)
             Diagonal of Y^T G M G Y.
         """
-        product_blocks, inertia_blocks = [np.zeros((0, self.sources.shape[1]))], [np.zeros(0)]
+        product_parts, inertia_diagonal_parts = (
+            [np.zeros((0, self.sources.shape[1]))],
+            [np.zeros(0)],
+        )
         for start in range(0, columns.shape[1], MAX_BLOCK_COLUMNS):
             force_rows = columns[:, start : start + MAX_BLOCK_COLUMNS].T.toarray()
             # If K^-1 is small enough, its modal part is subtracted once, below.
@@ -481,12 +486,14 @@ class ResidualFlexibility:
                 if self._is_well_supported
                 else self.solve(factor, force_rows)
             )
-            product_blocks.append((self.sources.T @ responses.T).T)
-            inertia_blocks.append(
+            product_parts.append((self.sources.T @ responses.T).T)
+            inertia_diagonal_parts.append(
                 np.sum(responses.T * multiply_columns(self.structure.mass, responses.T), axis=0)
             )
-        products: np.ndarray = self.structure.sum_over_ranks(np.concatenate(product_blocks))
-        inertia_diagonal: np.ndarray = self.structure.sum_over_ranks(np.concatenate(inertia_blocks))
+        products: np.ndarray = self.structure.sum_over_ranks(np.concatenate(product_parts))
+        inertia_diagonal: np.ndarray = self.structure.sum_over_ranks(
+            np.concatenate(inertia_diagonal_parts)
+        )
         if self._is_well_supported:
             modal_flexibility = (
                 self.structure.sum_over_ranks(columns.T @ self.shapes) / self.squares

@@ -55,12 +55,12 @@ class Budget:
     ----------
     allowed_pieces : int
         Maximum pieces of the motion, each with a Taylor series.
-    allowed_intervals : int
+    allowed_event_intervals : int
         Maximum intervals between events: pairs open, close, stick or slip.
     """
 
     allowed_pieces: int = 100_000
-    allowed_intervals: int = 20_000
+    allowed_event_intervals: int = 20_000
 
 
 class BudgetError(ConvergenceError):
@@ -494,8 +494,8 @@ class ContactFlow(Flow):
         arrays by name.
         """
         budget = budget or Budget()
-        if self._track_buffer_length < budget.allowed_intervals:
-            self._track_buffer_length = max_intervals = budget.allowed_intervals
+        if self._track_buffer_length < budget.allowed_event_intervals:
+            self._track_buffer_length = max_intervals = budget.allowed_event_intervals
             pair_state_buffer = np.empty((max_intervals, self.structure.n_pairs), np.int8)
             self._track_array_by_name = {
                 "sets": pair_state_buffer,
@@ -511,7 +511,7 @@ class ContactFlow(Flow):
         track_array_by_name = self._track_array_by_name
         limits_by_name = {
             "max_pieces": budget.allowed_pieces,
-            "max_intervals": budget.allowed_intervals,
+            "max_intervals": budget.allowed_event_intervals,
         }
 
         def copy_track(n_intervals: int) -> dict[str, np.ndarray]:

@@ -121,7 +121,10 @@ class Prediction(NamedTuple):
 
 
 @with_old_names(
-    inverse="i_minus_m_solver", sampled="period_samples", sliding="friction_number_by_name"
+    events="n_events",
+    inverse="i_minus_m_solver",
+    sampled="period_samples",
+    sliding="friction_number_by_name",
 )
 @dataclass(frozen=True, repr=False)
 class PeriodicOrbit(ObservedMotion, Described):
@@ -163,7 +166,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         return self.flows - 1
 
     @property
-    def events(self) -> int:
+    def n_events(self) -> int:
         """Return how often pairs open, close, stick or slip in a period."""
         return self.motion.n_events
 
@@ -260,7 +263,9 @@ class PeriodicOrbit(ObservedMotion, Described):
         """Return the structure that vibrates."""
         return self.flow.structure
 
-    def records(self, rows: np.ndarray, instants: int | None = None) -> Iterator[Record]:
+    def yield_records_of_row_products(
+        self, rows: np.ndarray, instants: int | None = None
+    ) -> Iterator[Record]:
         """Yield the record of the motion over a period.
 
         ``rows`` (m, n_dofs) are factors of the displacement. Between instants the motion is, on
@@ -485,12 +490,12 @@ class PeriodicOrbit(ObservedMotion, Described):
 
     def to_dict(self) -> dict[str, Any]:
         """Return multiplier, gap extremes [m], events, residual and iterations by name."""
-        face_number_by_name = {"opening": 0.0, "penetration": 0.0} | self.faces
+        face_number_by_name = {"opening": 0.0, "penetration": 0.0} | self.face_indicators
         return {
             "multiplier": float(abs(self.multipliers[0])),
             "opening": face_number_by_name["opening"],
             "penetration": face_number_by_name["penetration"],
-            "events": self.events,
+            "events": self.n_events,
             "residual": float(self.residual),
             "iterations": self.iterations,
         }
@@ -500,7 +505,7 @@ class PeriodicOrbit(ObservedMotion, Described):
             f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}"
         )
         return (
-            f"{multiplier_words}, {format_count(self.events, 'event')}, "
+            f"{multiplier_words}, {format_count(self.n_events, 'event')}, "
             f"residual {self.residual:.2g}"
         )
 

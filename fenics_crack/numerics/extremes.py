@@ -92,7 +92,7 @@ def find_maximum_values(
 
 
 def _maximise_polynomial(
-    values: np.ndarray, start_offset: np.ndarray
+    values: np.ndarray, start_offset_in_half_windows: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Maximise the polynomials through nine values each, by three Newton steps.
 
@@ -100,23 +100,28 @@ def _maximise_polynomial(
     ----------
     values : (n, 9)
         Values at ``SAMPLE_OFFSETS``, equally spaced from -1 to 1.
-    start_offset : (n,)
+    start_offset_in_half_windows : (n,)
         First guess of each offset, from -1 to 1.
 
     Returns
     -------
-    offset : (n,)
+    offset_in_half_windows : (n,)
         Offsets of the maxima, from -1 to 1.
     maximum : (n,)
         Values of the polynomials there.
     """
-    coefficients, offset = values @ COEFFICIENTS_FROM_VALUES.T, start_offset
+    coefficients = values @ COEFFICIENTS_FROM_VALUES.T
+    offset_in_half_windows = start_offset_in_half_windows
     slope_coefficients = coefficients[:, 1:] * OFFSET_EXPONENTS[1:]
     curvature_coefficients = slope_coefficients[:, 1:] * OFFSET_EXPONENTS[1:-1]
     for _ in range(3):
-        powers = offset[:, None] ** OFFSET_EXPONENTS
-        slope = (slope_coefficients * powers[:, :-1]).sum(1)
-        curvature = (curvature_coefficients * powers[:, :-2]).sum(1)
-        offset = offset - slope / np.where(curvature < 0.0, curvature, -np.inf)
-        offset = np.minimum(np.maximum(offset, -1.0), 1.0)
-    return offset, (coefficients * offset[:, None] ** OFFSET_EXPONENTS).sum(1)
+        offset_powers = offset_in_half_windows[:, None] ** OFFSET_EXPONENTS
+        slope = (slope_coefficients * offset_powers[:, :-1]).sum(1)
+        curvature = (curvature_coefficients * offset_powers[:, :-2]).sum(1)
+        offset_in_half_windows = offset_in_half_windows - slope / np.where(
+            curvature < 0.0, curvature, -np.inf
+        )
+        offset_in_half_windows = np.minimum(np.maximum(offset_in_half_windows, -1.0), 1.0)
+    return offset_in_half_windows, (
+        coefficients * offset_in_half_windows[:, None] ** OFFSET_EXPONENTS
+    ).sum(1)

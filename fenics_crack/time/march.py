@@ -368,7 +368,7 @@ class TimeHistory(ObservedMotion, Tabular):
             self.recorded @ (selection_matrix / recording_rank_counts)
         )
 
-    def records(self, rows: np.ndarray) -> Iterator[Record]:
+    def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[Record]:
         """Yield one record: rows (m, n_local) times the displacement, gaps, forces (collective).
 
         Fourier coefficients belong to the last period; at most 10 harmonics, fewer with few steps.

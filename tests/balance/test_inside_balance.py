@@ -1176,7 +1176,7 @@ class Given(ObservedMotion):
         values |= {"row_products": np.array([[11.0], [-11.0]]), "gaps": nothing, "forces": nothing}
         self._record = Record(**values | {"structure": self.structure} | given)
 
-    def records(self, rows: np.ndarray) -> Any:
+    def yield_records_of_row_products(self, rows: np.ndarray) -> Any:
         yield self._record
 
 

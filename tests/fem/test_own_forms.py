@@ -21,7 +21,7 @@ import fenics_crack as fc
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem import compat
 from fenics_crack.fem.loads import rigid_motions
-from fenics_crack.fem.plate import PartMesh, build_mesh
+from fenics_crack.fem.plate import PartMesh, build_plate_or_solid_mesh
 from fenics_crack.model.modes import multiply_columns
 
 PLATE = fc.Scene.load(DEMOS / "paper_plate.toml").replace(
@@ -60,7 +60,7 @@ def vectors(mesh: Any, order: int) -> Any:
 
 def given(scene: fc.Scene, comm: MPI.Comm) -> tuple[list[Any], dict[str, Any], PartMesh]:
     """Space and forms of a scene's material on a mesh of its own, and the other arguments."""
-    plate, material, d = build_mesh(scene, comm), scene.material, scene.dimension
+    plate, material, d = build_plate_or_solid_mesh(scene, comm), scene.material, scene.dimension
     space = vectors(plate.mesh, scene.mesh.order)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
     t, nu = (scene.geometry.thickness if d == 2 else 1.0), material.poisson

@@ -333,9 +333,9 @@ def test_budget() -> None:
     """A motion that takes more is given up at once."""
     flow = known(chain(), fc.UnilateralPenalty(50.0))
     for duration, budget, names, kind in (
-        (1e3, Budget(allowed_intervals=20), "after 20 events", fc.ConvergenceError),
+        (1e3, Budget(allowed_event_intervals=20), "after 20 events", fc.ConvergenceError),
         (1e3, Budget(allowed_pieces=20), "too fast", BudgetError),
-        (1e300, Budget(allowed_intervals=20), "too fast", BudgetError),
+        (1e300, Budget(allowed_event_intervals=20), "too fast", BudgetError),
     ):
         catch_error(
             partial(flow.advance, thrown(flow), 0.8, duration, budget=budget),
@@ -448,7 +448,7 @@ def test_orbit_against_the_reference(seed: int, light: bool) -> None:
     assert np.abs(gap - passage.gap).max() < 1e-11 * np.ptp(gap)
     max_multiplier = np.abs(np.linalg.eigvals(passage.tangent())).max()
     assert abs(orbit.multipliers[0]) == pytest.approx(max_multiplier, rel=1e-9)
-    assert orbit.events == len(passage.pieces) - 1 > 0
+    assert orbit.n_events == len(passage.pieces) - 1 > 0
     assert 0.2 < distance(solution, orbit) / prediction.relative_gap_error < 2.0
 
 
@@ -468,7 +468,9 @@ def test_motion_in_arcs(light: bool) -> None:
         one_period_motion is not None
         and relative(one_period_motion.gap_at(time), orbit.gap_at(time)) < 1e-7
     )
-    assert one_period_motion.faces["opening"] == pytest.approx(orbit.faces["opening"], rel=1e-7)
+    assert one_period_motion.face_indicators["opening"] == pytest.approx(
+        orbit.face_indicators["opening"], rel=1e-7
+    )
 
 
 def test_twice_the_period() -> None:
@@ -528,7 +530,7 @@ def test_coefficients(light: bool) -> None:
     flow = exact_flow_or_none(structure, RIGID if light else fc.UnilateralPenalty(20.0))
     settled_state = flow.advance(np.zeros(flow.state_size), 0.6, 30 * 2.0 * np.pi / 0.6).state
     orbit = find_orbit(flow, 0.6, settled_state)
-    assert orbit is not None and orbit.events > 0
+    assert orbit is not None and orbit.n_events > 0
     coefficients, time = orbit.coefficients(6), np.arange(2**15) * orbit.period / 2**15
     assert relative(coefficients.gap, fourier_coefficients(orbit.gap_at(time), 6)) < 1e-6
     assert relative(coefficients.force, fourier_coefficients(orbit.force_at(time), 6)) < 1e-6
@@ -548,7 +550,7 @@ def test_open_crack() -> None:
     """Without contact the orbit is the linear response, whatever the start."""
     structure = oscillator(clearance=100.0)
     orbit = find_orbit(known(structure, fc.UnilateralPenalty(1.0)), 2.0, np.array([3.0, -1.0]))
-    assert orbit is not None and orbit.events == 0
+    assert orbit is not None and orbit.n_events == 0
     linear = fc.solve_linear(structure, 2.0)
     linear_rows = np.vstack([linear.displacement_coefficients, np.zeros((0, 1))])
     assert orbit.coefficients(5).displacement == pytest.approx(linear_rows, abs=1e-11)
@@ -625,5 +627,5 @@ def test_two_slopes_are_two_penalties(omega: float) -> None:
     pair, law = oscillator(gap, [0.1]), Layer(3.0, share, depth)
     sampled_solution = fc.solve_harmonic_balance(pair, omega, law, harmonics=60, samples=8192)
     assert orbit.amplitude(1) == pytest.approx(sampled_solution.amplitude(1), rel=1e-6)
-    force = sampled_solution.faces["crack_force"]
-    assert orbit.faces["crack_force"] == pytest.approx(force, rel=1e-5)
+    force = sampled_solution.face_indicators["crack_force"]
+    assert orbit.face_indicators["crack_force"] == pytest.approx(force, rel=1e-5)
