@@ -99,7 +99,7 @@ class BlockSystem(Snes):
         n_pairs, n_rows = structure.n_pairs, len(linear_displacement)
         global_gap = sparse.vstack(structure.comm.allgather(structure.gap))
         self._pair_force_matrix = sparse.kron(sparse.identity(n_rows), structure.gap, "csr")
-        self._matrix_to_gap_without_static_part = self._group_columns_by_rank(
+        self._nonstatic_gap_matrix = self._group_columns_by_rank(
             sparse.kron(sparse.identity(n_rows), global_gap.T), linear_coo.shape[1]
         )
         self._gap_at_zero_unknown = structure.gap_of(np.zeros(linear_displacement.shape))
@@ -108,7 +108,7 @@ class BlockSystem(Snes):
             linear_csr = linear_coo.tocsr()[: linear_displacement.size] * (
                 self.force_unit / self.length_unit
             )
-            self._matrix_to_gap_without_static_part -= (
+            self._nonstatic_gap_matrix -= (
                 sparse.kron(sparse.identity(n_rows), static_response.T) @ linear_csr
             )
             self._gap_at_zero_unknown += self._load @ static_response
@@ -123,12 +123,9 @@ class BlockSystem(Snes):
             (np.ones(len(self._tangent_entry_indices[0])), self._tangent_entry_indices),
             (n_rows * n_pairs,) * 2,
         )
-        # Absolute values do not cancel: no entry is missed.
         contact_pattern = (
-            abs(self._pair_force_matrix)
-            @ tangent_pattern
-            @ abs(self._matrix_to_gap_without_static_part)
-        ).tocoo()
+            abs(self._pair_force_matrix) @ tangent_pattern @ abs(self._nonstatic_gap_matrix)
+        ).tocoo()  # absolute values do not cancel: no entry is missed
         entries = np.append(linear_coo.data, 0.0 * contact_pattern.data)
         entry_indices = (np.append(linear_coo.row, contact_pattern.row),
                          np.append(linear_coo.col, contact_pattern.col))  # fmt: skip
@@ -136,7 +133,7 @@ class BlockSystem(Snes):
             sparse.coo_matrix((entries, entry_indices), linear_coo.shape), structure.comm
         )
         self._linear_matrix = jacobian.duplicate(copy=True)
-        self._local_matrix_to_gap_without_static_part = self._matrix_to_gap_without_static_part[
+        self._local_nonstatic_gap_matrix = self._nonstatic_gap_matrix[
             :, slice(*jacobian.getOwnershipRange())
         ]
         self.rounding = residual_rounding(10.0 * jacobian.norm() / math.sqrt(linear_coo.shape[1]))
@@ -230,7 +227,7 @@ class BlockSystem(Snes):
             (tangent.ravel(), self._tangent_entry_indices), (n_gap_coefficients, n_gap_coefficients)
         )
         return sparse.csr_matrix(
-            self._pair_force_matrix @ sparse_tangent @ self._matrix_to_gap_without_static_part
+            self._pair_force_matrix @ sparse_tangent @ self._nonstatic_gap_matrix
         )
 
     def _set_linear_solver_type(self, solver: Any) -> None:
@@ -245,9 +242,7 @@ class BlockSystem(Snes):
 
     def slow_gap(self, unknown: np.ndarray) -> np.ndarray:
         """Return the slow gap s from this rank's unknowns: (2H+1, n_pairs) [m] (collective)."""
-        scaled_gap = self.structure.sum_over_ranks(
-            self._local_matrix_to_gap_without_static_part @ unknown
-        )
+        scaled_gap = self.structure.sum_over_ranks(self._local_nonstatic_gap_matrix @ unknown)
         return self._gap_at_zero_unknown + self.length_unit * scaled_gap.reshape(
             self._gap_at_zero_unknown.shape
         )

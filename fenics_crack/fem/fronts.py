@@ -360,14 +360,12 @@ def _yield_smooth_front_parts(
     """
     corner_positions = crack.triangles.reshape(-1, 3)
     corner_tree, tolerance = cKDTree(corner_positions), RELATIVE_POSITION_TOLERANCE * crack.size
-    corner_indices_of_edges = np.sort(
-        corner_tree.query(crack.front_chords.reshape(-1, 3))[1].reshape(-1, 2), axis=1
-    )
+    edges = np.sort(corner_tree.query(crack.front_chords.reshape(-1, 3))[1].reshape(-1, 2), axis=1)
     linked_nodes_by_node: dict[int, list[int]] = {}
     edge_end_nodes = np.array(
         [
             min(corner_tree.query_ball_point(corner_position, tolerance))
-            for corner_position in corner_positions[corner_indices_of_edges.ravel()]
+            for corner_position in corner_positions[edges.ravel()]
         ]
     )
     for node, other_node in edge_end_nodes.reshape(-1, 2):
@@ -406,9 +404,8 @@ def _yield_smooth_front_parts(
             point_normals = point_normals[::-1]
             edge_vectors = -edge_vectors[::-1]
         edge_vectors /= np.linalg.norm(edge_vectors, axis=1)[:, None]
-        previous_vectors = np.roll(edge_vectors, 1, axis=0)
         corner_indices = np.flatnonzero(
-            (previous_vectors * edge_vectors).sum(axis=1) < np.cos(MIN_CORNER_ANGLE)
+            (np.roll(edge_vectors, 1, axis=0) * edge_vectors).sum(axis=1) < np.cos(MIN_CORNER_ANGLE)
         ).tolist()
         if is_closed and corner_indices:
             start_index = corner_indices[0]

@@ -168,9 +168,9 @@ def reduce_structure(
 
 
 def _reduce_massless(
-    structure: Structure, n_kept_modes: int, reference_choice: bool | int
+    structure: Structure, n_kept: int, reference_choice: bool | int
 ) -> MasslessStructure:
-    """Reduce a structure to ``n_kept_modes`` modes and crack faces without mass.
+    """Reduce a structure to ``n_kept`` modes and crack faces without mass.
 
     The reference, which estimates the error, has twice the modes or ten more, but at most n_dofs -
     n_pairs: each pair then keeps a static part. If this limit leaves a pair more than half of its
@@ -179,29 +179,20 @@ def _reduce_massless(
     inertia of the truncated modes.
     """
     original = structure.original
-    n_doubled_modes, max_reference_modes = (
-        n_kept_modes + max(n_kept_modes, 10),
-        original.n_dofs - original.n_pairs,
-    )
-    n_reference_modes = (
-        min(n_doubled_modes, max_reference_modes)
-        if max_reference_modes > n_kept_modes
-        else original.n_dofs
-    )
-    if has_given_reference := reference_choice is not True and reference_choice > n_kept_modes:
+    n_doubled, max_reference = n_kept + max(n_kept, 10), original.n_dofs - original.n_pairs
+    n_reference_modes = min(n_doubled, max_reference) if max_reference > n_kept else original.n_dofs
+    if has_given_reference := reference_choice is not True and reference_choice > n_kept:
         n_reference_modes = int(reference_choice)
-    mode_counts = (n_reference_modes, n_kept_modes) if reference_choice else (n_kept_modes,)
+    mode_counts = (n_reference_modes, n_kept) if reference_choice else (n_kept,)
     largest_receptance = receptance(original, max(mode_counts))
-    if n_missing_rigid_modes := np.count_nonzero(largest_receptance.squares[n_kept_modes:] == 0.0):
-        requirement = (
-            f"at least {n_kept_modes + n_missing_rigid_modes}: all motions as a rigid body"
-        )
-        raise InputError("modes", n_kept_modes, requirement)
+    if n_missing_rigid_modes := np.count_nonzero(largest_receptance.squares[n_kept:] == 0.0):
+        requirement = f"at least {n_kept + n_missing_rigid_modes}: all motions as a rigid body"
+        raise InputError("modes", n_kept, requirement)
     if (
         reference_choice
         and not has_given_reference
-        and n_reference_modes < n_doubled_modes
-        and n_reference_modes == max_reference_modes
+        and n_reference_modes < n_doubled
+        and n_reference_modes == max_reference
     ):
         pair_range = slice(original.n_pairs)
         reference_compliance, compliance = (
@@ -209,7 +200,7 @@ def _reduce_massless(
             for n_modes in mode_counts
         )
         if np.any(reference_compliance > compliance - reference_compliance):
-            mode_counts = (original.n_dofs, n_kept_modes)
+            mode_counts = (original.n_dofs, n_kept)
             largest_receptance = receptance(original, original.n_dofs)
     is_loaded_row, modal_sources = (find_loaded_row_mask(original), largest_receptance.modal.T)
     n_load_rows = len(is_loaded_row)
