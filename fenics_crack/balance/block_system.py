@@ -249,11 +249,11 @@ class BlockSystem(Snes):
 
     def scaled_unknowns_of(self, displacement: np.ndarray) -> np.ndarray:
         """Return this rank's unknowns for a displacement (2H+1, n_local) [m] (collective)."""
-        relative_displacement, comm = displacement / self.length_unit, self.structure.comm
-        modal_part = self.structure.sum_over_ranks(
-            relative_displacement[1:] @ self._scaled_shapes_and_their_rates[0]
+        scaled_displacement, comm = displacement / self.length_unit, self.structure.comm
+        modal_unknowns = self.structure.sum_over_ranks(
+            scaled_displacement[1:] @ self._scaled_shapes_and_their_rates[0]
         )
-        return np.append(relative_displacement, modal_part if comm.rank == comm.size - 1 else [])
+        return np.append(scaled_displacement, modal_unknowns if comm.rank == comm.size - 1 else [])
 
     def write_residual(self, unknown_vector: Any, residual_vector: Any) -> None:
         force = self.integrals.force(self.slow_gap(unknown_vector.array_r))
@@ -275,8 +275,12 @@ class BlockSystem(Snes):
     @property
     def petsc_reason_name(self) -> str:
         """Return PETSc's name for the reason why the last steps ended."""
-        codes = vars(PETSc.SNES.ConvergedReason).items()
-        return next(name for name, code in codes if code == self._snes.getConvergedReason())
+        reason_name_code_pairs = vars(PETSc.SNES.ConvergedReason).items()
+        return next(
+            reason_name
+            for reason_name, reason_code in reason_name_code_pairs
+            if reason_code == self._snes.getConvergedReason()
+        )
 
     def take_full_steps(
         self, displacement: np.ndarray, stiffness_factor: float, tolerance: float

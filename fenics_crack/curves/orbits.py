@@ -132,7 +132,7 @@ class OrbitEquations(CurveSystem):
         """Return the state z at phase zero for unknowns x at a parameter value."""
         state = (unknown + self._scaled_rest_state(value)) / self.state_factors
         if self.parameter_name == "speed":
-            state = state @ self._state_transformation(value).T
+            state = state @ self._matrix_from_start_modes_to_modes_at(value).T
         return np.asarray(state)
 
     def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
@@ -145,7 +145,7 @@ class OrbitEquations(CurveSystem):
         Over the speed, z is converted to the modes at the curve's start.
         """
         if self.parameter_name == "speed":
-            state = np.linalg.solve(self._state_transformation(value), state)
+            state = np.linalg.solve(self._matrix_from_start_modes_to_modes_at(value), state)
         return np.asarray(state * self.state_factors)
 
     def _scaled_rest_state(self, value: float) -> np.ndarray:
@@ -157,7 +157,7 @@ class OrbitEquations(CurveSystem):
             rest_state_at_start + self.parameter(value) * rest_state_change_along_curve
         )
 
-    def _state_transformation(self, value: float) -> np.ndarray:
+    def _matrix_from_start_modes_to_modes_at(self, value: float) -> np.ndarray:
         """Return the matrix that converts states to the modes at a speed.
 
         The given states are in the modes at the curve's start. Shape: (n_unknowns,
@@ -218,13 +218,16 @@ class OrbitEquations(CurveSystem):
             )
             if is_over_damping:
                 damping_change = end_flow.modal_model.damping - start_flow.modal_model.damping
-                damping = start_flow.modal_model.damping
-                kernel_fields |= {"damping": as_doubles(damping), "n_damping": damping.size}
+                start_damping = start_flow.modal_model.damping
+                kernel_fields |= {
+                    "damping": as_doubles(start_damping),
+                    "n_damping": start_damping.size,
+                }
                 kernel_fields["damping_rate"] = as_doubles(damping_change)
             else:
-                load_change = end_flow.modal_load - start_flow.modal_load
+                modal_load_change = end_flow.modal_load - start_flow.modal_load
                 load_gap_change = end_flow.load_gap - start_flow.load_gap
-                kernel_fields |= {"force": kernel_flow.modal_load, "force_rate": load_change}
+                kernel_fields |= {"force": kernel_flow.modal_load, "force_rate": modal_load_change}
                 kernel_fields |= {"gap": kernel_flow.load_gap, "gap_rate": load_gap_change}
         return ShootingEquations(
             kernel_flow, self.state_factors, omega_and_change, self.subharmonic, **kernel_fields
@@ -254,22 +257,31 @@ class OrbitEquations(CurveSystem):
         def monodromy() -> np.ndarray:
             tangent_matrix = motion.track.tangent
             if self.parameter_name == "speed":
-                transformation = self._state_transformation(value)
-                tangent_matrix = np.linalg.solve(transformation, tangent_matrix @ transformation)
+                matrix_from_start_modes = self._matrix_from_start_modes_to_modes_at(value)
+                tangent_matrix = np.linalg.solve(
+                    matrix_from_start_modes, tangent_matrix @ matrix_from_start_modes
+                )
             return np.asarray(self.state_factors[:, None] * tangent_matrix / self.state_factors)
 
         def by_parameter() -> np.ndarray:
             if self.parameter_name == "speed" or self._start_flow.friction_law:
-                step = FORWARD_PARAMETER_STEP if parameter < 0.5 else -FORWARD_PARAMETER_STEP
-                return (self.advance_unknown(unknown, parameter + step) - unknown - residual) / step
-            state = self.curve_points_row(unknown, value)
-            softness_rate = -self.value_rate(value) / value * motion.track.flow.softness
-            unknown_change = self.state_factors * motion.track.derivative_by_softness(
-                state, softness_rate
+                parameter_step = (
+                    FORWARD_PARAMETER_STEP if parameter < 0.5 else -FORWARD_PARAMETER_STEP
+                )
+                return (
+                    self.advance_unknown(unknown, parameter + parameter_step) - unknown - residual
+                ) / parameter_step
+            start_state = self.curve_points_row(unknown, value)
+            softness_derivative_by_parameter = (
+                -self.value_rate(value) / value * motion.track.flow.softness
+            )
+            unknown_derivative_by_softness = (
+                self.state_factors
+                * motion.track.derivative_by_softness(start_state, softness_derivative_by_parameter)
             )
             rest_state_change_along_curve = self._scaled_rest_state_and_change_along_curve[1]
             return np.asarray(
-                unknown_change
+                unknown_derivative_by_softness
                 + monodromy() @ rest_state_change_along_curve
                 - rest_state_change_along_curve
             )

@@ -239,7 +239,7 @@ def _make_tangential_gap_matrix(gap: Any, lower_gap: Any, comm: MPI.Comm) -> spa
 
 def _find_patch_nodes_and_shares(
     points: np.ndarray,
-    crack_of_pair: np.ndarray,
+    crack_of_node: np.ndarray,
     distances_on_crack: np.ndarray,
     n_inside: int,
     max_patches: int,
@@ -251,7 +251,7 @@ def _find_patch_nodes_and_shares(
     points : (n, d) [m]
         Nodes of a face. The first ``n_inside`` are off tips and fronts, in order along each
         crack.
-    crack_of_pair : (n,) int
+    crack_of_node : (n,) int
         Crack of each node.
     distances_on_crack : (n,) [m]
         Distance of each node along its path, or from the front.
@@ -268,8 +268,8 @@ def _find_patch_nodes_and_shares(
         Values of the patches' pressure functions at all nodes, 0 to 1.
     """
     patch_nodes, pressure_shares = np.zeros(0, dtype=int), np.zeros((len(points), 0))
-    for crack_number in np.unique(crack_of_pair):
-        crack_nodes = np.flatnonzero(crack_of_pair[:n_inside] == crack_number)
+    for crack_number in np.unique(crack_of_node):
+        crack_nodes = np.flatnonzero(crack_of_node[:n_inside] == crack_number)
         n_patches = min(max_patches, len(crack_nodes))
         if points.shape[1] == 2:
             crack_nodes = crack_nodes[
@@ -290,7 +290,7 @@ def _find_patch_nodes_and_shares(
             [
                 pressure_shares,
                 *(
-                    patch_values * (crack_of_pair == crack_number)
+                    patch_values * (crack_of_node == crack_number)
                     for patch_values in patch_value_arrays
                 ),
             ]
@@ -326,7 +326,7 @@ def _free_rows(columns: Any, dofs: Dofs) -> sparse.csr_matrix:
 
 
 def _assemble_nodal_gap_columns(
-    dofs: Dofs, t: Any, both_faces_measure: Any
+    dofs: Dofs, thickness: Any, both_faces_measure: Any
 ) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
     """Assemble a face's gap vectors b, one for each displacement node.
 
@@ -342,43 +342,54 @@ def _assemble_nodal_gap_columns(
         b of every pressure, the rows of this rank's dofs.
     """
     space, dimension = dofs.space, dofs.dimension
-    normal = ufl.FacetNormal(space.mesh)
+    facet_normal = ufl.FacetNormal(space.mesh)
     normal_integrals = compat.assembled_vector(
-        t * ufl.inner(normal, ufl.TestFunction(space)) * both_faces_measure
+        thickness * ufl.inner(facet_normal, ufl.TestFunction(space)) * both_faces_measure
     )
     normal_integrals = normal_integrals.reshape(-1, dimension)
     node_areas = np.linalg.norm(normal_integrals, axis=1)
     face_nodes = np.flatnonzero(node_areas)
-    normals = normal_integrals[face_nodes] / node_areas[face_nodes, None]
+    node_normals = normal_integrals[face_nodes] / node_areas[face_nodes, None]
     row_indices = dimension * face_nodes[:, None] + np.arange(dimension)
     column_indices = np.repeat(dofs.first_node + face_nodes, dimension)
     matrix_shape = len(dofs.structure_dof_numbers), space.dofmap.index_map.size_global
     return (
         space,
         node_areas,
-        sparse.csc_matrix((normals.ravel(), (row_indices.ravel(), column_indices)), matrix_shape),
+        sparse.csc_matrix(
+            (node_normals.ravel(), (row_indices.ravel(), column_indices)), matrix_shape
+        ),
     )
 
 
 def _assemble_pressure_gap_columns(
-    dofs: Dofs, t: Any, both_faces_measure: Any
+    dofs: Dofs, thickness: Any, both_faces_measure: Any
 ) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
     """Assemble a face's gap vectors with pressures linear between corners of facets.
 
     The results are as in :func:`_assemble_nodal_gap_columns`.
     """
-    space = compat.function_space(dofs.space.mesh, 1, vectors=False)
-    normal, pressure = ufl.FacetNormal(space.mesh), ufl.TrialFunction(space)
-    work_form = ufl.inner(t * pressure * normal, ufl.TestFunction(dofs.space)) * both_faces_measure
+    pressure_space = compat.function_space(dofs.space.mesh, 1, vectors=False)
+    facet_normal, pressure = ufl.FacetNormal(pressure_space.mesh), ufl.TrialFunction(pressure_space)
+    work_form = (
+        ufl.inner(thickness * pressure * facet_normal, ufl.TestFunction(dofs.space))
+        * both_faces_measure
+    )
     petsc_gap_matrix = compat.assembled_petsc_matrix(work_form)
     gap_columns = local_rows(petsc_gap_matrix).tocsc()
     petsc_gap_matrix.destroy()
-    node_areas = compat.assembled_vector(t * ufl.TestFunction(space) * both_faces_measure)
+    node_areas = compat.assembled_vector(
+        thickness * ufl.TestFunction(pressure_space) * both_faces_measure
+    )
     all_node_areas = gather_rows(dofs.comm, node_areas)
     reciprocal_areas = np.divide(
         1.0, all_node_areas, out=np.zeros_like(all_node_areas), where=all_node_areas > 0.0
     )
-    return space, node_areas, sparse.csc_matrix(gap_columns @ sparse.diags(reciprocal_areas))
+    return (
+        pressure_space,
+        node_areas,
+        sparse.csc_matrix(gap_columns @ sparse.diags(reciprocal_areas)),
+    )
 
 
 def _match_face_nodes(
@@ -559,9 +570,9 @@ def _assemble_structure_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure
         compat.assembled_petsc_matrix, _make_stiffness_and_mass_forms(scene, space)
     )
     mouth_only = scene.contact is not None and scene.contact.pairs == "mouth"
-    t, max_patches = thickness_constant(scene, space), scene.mesh.patches
+    thickness, max_patches = thickness_constant(scene, space), scene.mesh.patches
     gap, tangential, pairs = pair_crack_faces(
-        dofs, t, mouth_only=mouth_only, max_patches=max_patches
+        dofs, thickness, mouth_only=mouth_only, max_patches=max_patches
     )
     nodal_force_harmonics, watched_vector = assemble_loads(scene, dofs, mass_with_clamped_dofs)
     clamp = make_clamp(dofs, mass_with_clamped_dofs, nodal_force_harmonics)
@@ -580,13 +591,18 @@ def _assemble_structure_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure
 
 def _make_stiffness_and_mass_forms(scene: Scene, space: Any) -> tuple[Any, Any]:
     """Return the UFL forms for stiffness and mass."""
-    (density,), t = form_constants(space, scene.material.density), thickness_constant(scene, space)
-    u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
-    strain = ufl.sym(ufl.grad(u))
-    stiffness = (
-        t * ufl.inner(stress_expression(scene, space, strain), ufl.sym(ufl.grad(v))) * ufl.dx
+    (density,), thickness = (
+        form_constants(space, scene.material.density),
+        thickness_constant(scene, space),
     )
-    return stiffness, t * density * ufl.inner(u, v) * ufl.dx
+    u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
+    trial_strain = ufl.sym(ufl.grad(u))
+    stiffness_form = (
+        thickness
+        * ufl.inner(stress_expression(scene, space, trial_strain), ufl.sym(ufl.grad(v)))
+        * ufl.dx
+    )
+    return stiffness_form, thickness * density * ufl.inner(u, v) * ufl.dx
 
 
 # --- cracks ---------------------------------------------------------------------------------------
