@@ -44,7 +44,7 @@ from fenics_crack.basics.ranks import collect_garbage
 from fenics_crack.kernel import require_shape
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import all_modes, is_small
-from fenics_crack.model.modes import damped_modes, projected_damping, solve_modes
+from fenics_crack.model.modes import damped_modes, project_damping_on_columns, solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import from_complex, resize_harmonics, stretch_period, to_complex
 
@@ -132,22 +132,24 @@ class DynamicStiffness:
         n_local = self.structure.n_local
         if self._damping_matrix is not None:
             force_in_real_form = np.concatenate([np.real(dof_forces), -np.imag(dof_forces)], axis=1)
-            solution_rows = self._factorisation.solve(force_in_real_form)
-            return solution_rows[:, :n_local] - 1j * solution_rows[:, n_local:]
+            displacement_rows = self._factorisation.solve(force_in_real_form)
+            return displacement_rows[:, :n_local] - 1j * displacement_rows[:, n_local:]
         real_force_rows = (
             np.concatenate([dof_forces.real, dof_forces.imag])
             if np.iscomplexobj(dof_forces)
             else dof_forces
         )
-        solution_rows = self._factorisation.solve(real_force_rows)
+        displacement_rows = self._factorisation.solve(real_force_rows)
         if np.iscomplexobj(dof_forces):
-            solution_rows = solution_rows[: len(dof_forces)] + 1j * solution_rows[len(dof_forces) :]
+            displacement_rows = (
+                displacement_rows[: len(dof_forces)] + 1j * displacement_rows[len(dof_forces) :]
+            )
         if self._damped_modes is None:
-            return solution_rows
-        modal_force = self.structure.sum_over_ranks(dof_forces @ self._damped_modes.shapes)
+            return displacement_rows
+        modal_forces = self.structure.sum_over_ranks(dof_forces @ self._damped_modes.shapes)
         return (
-            solution_rows
-            + (modal_force * self._receptance_correction) @ self._damped_modes.shapes.T
+            displacement_rows
+            + (modal_forces * self._receptance_correction) @ self._damped_modes.shapes.T
         )
 
     def pair_compliance_matrix(self) -> np.ndarray:
@@ -268,14 +270,14 @@ class ModalCompliance:
         ``load`` and ``damping`` are factors, ``clearance`` [m] is added, as in
         :meth:`Structure.varied`.
         """
-        compliance = object.__new__(type(self))  # faster than copy
-        vars(compliance).update(vars(self))
+        varied_model = object.__new__(type(self))  # faster than copy
+        vars(varied_model).update(vars(self))
         for cached_attribute_name in ("matrices", "linear_gap"):
-            vars(compliance).pop(cached_attribute_name, None)
-        compliance._set_parameters(base_omega, load, damping, clearance)
-        return compliance
+            vars(varied_model).pop(cached_attribute_name, None)
+        varied_model._set_parameters(base_omega, load, damping, clearance)
+        return varied_model
 
-    def higher_harmonics_compliance(self, max_harmonic: int) -> np.ndarray:
+    def compliance_matrices_of_higher_harmonics(self, max_harmonic: int) -> np.ndarray:
         """Return R_k for k = H+1 to ``max_harmonic``: (n, n_pairs, n_pairs) complex [m/N]."""
         harmonic_orders = np.arange(len(self.matrices), max_harmonic + 1)
         is_mode_loaded: np.ndarray = np.zeros(
@@ -518,9 +520,9 @@ class FactoredCompliance:
 
     reachable_gap_basis: np.ndarray | None = None
 
-    def __init__(self, structure: Structure, base_omega: float, load: np.ndarray) -> None:
-        self.structure, self.load = structure, load
-        self._base_omega, harmonic_orders = base_omega, range(len(load) // 2 + 1)
+    def __init__(self, structure: Structure, base_omega: float, load_rows: np.ndarray) -> None:
+        self.structure, self.load = structure, load_rows
+        self._base_omega, harmonic_orders = base_omega, range(len(load_rows) // 2 + 1)
         self._stiffness_by_harmonic = [
             DynamicStiffness(structure, k * base_omega) for k in harmonic_orders
         ]
@@ -531,7 +533,7 @@ class FactoredCompliance:
             ],
             dtype=complex,
         )
-        linear_gap = structure.gap_of(self.solve_all_harmonics(load))
+        linear_gap = structure.gap_of(self.displacement_under_force_harmonics(load_rows))
         # Every rank continues independently: its numbers must not differ even by rounding.
         self.matrices, self.linear_gap = structure.comm.bcast((compliance_matrices, linear_gap))
         self.gap_shape = self.linear_gap.shape
@@ -539,17 +541,17 @@ class FactoredCompliance:
             self.destroy()
             raise ConvergenceError("dynamic compliance: the structure is singular")
 
-    def higher_harmonics_compliance(self, max_harmonic: int) -> np.ndarray:
+    def compliance_matrices_of_higher_harmonics(self, max_harmonic: int) -> np.ndarray:
         """Return R_k for k = H+1 to ``max_harmonic``: (n, n_pairs, n_pairs) complex [m/N].
 
         The lowest modes respond dynamically, the rest of the static compliance R_0 statically.
         """
-        natural_omegas, modal_damping_rates, pair_shapes = self.structure.compute_once(
-            _omegas_dampings_gap_shapes
+        natural_omegas, modal_damping_rates, gap_shapes = self.structure.compute_once(
+            _omegas_damping_rates_and_gap_shapes
         )
         modal_damping_rates = self.structure.damping_factor * modal_damping_rates
-        static_compliance_rest = (
-            self.matrices[0].real - (pair_shapes.T / natural_omegas**2) @ pair_shapes
+        static_compliance_of_other_modes = (
+            self.matrices[0].real - (gap_shapes.T / natural_omegas**2) @ gap_shapes
         )
         higher_harmonic_omegas = (
             self._base_omega * np.arange(len(self.matrices), max_harmonic + 1)[:, None]
@@ -559,15 +561,17 @@ class FactoredCompliance:
             - higher_harmonic_omegas**2
             + 1j * higher_harmonic_omegas * modal_damping_rates
         )
-        return static_compliance_rest + np.matmul(
-            pair_shapes.T * modal_receptance[:, None, :], pair_shapes
+        return static_compliance_of_other_modes + np.matmul(
+            gap_shapes.T * modal_receptance[:, None, :], gap_shapes
         )
 
     def displacement(self, contact_force: np.ndarray) -> np.ndarray:
         """Return the displacement under load and contact forces: (2H+1, n_local) [m]."""
-        return self.solve_all_harmonics(self.load - self.structure.apply_b(contact_force))
+        return self.displacement_under_force_harmonics(
+            self.load - self.structure.apply_b(contact_force)
+        )
 
-    def solve_all_harmonics(self, dof_force_rows: np.ndarray) -> np.ndarray:
+    def displacement_under_force_harmonics(self, dof_force_rows: np.ndarray) -> np.ndarray:
         """Return the displacement under forces f, both coefficients (2H+1, n_local)."""
         complex_displacements = [
             dynamic_stiffness.solve(complex_force.real[None] if k == 0 else complex_force[None])[0]
@@ -598,7 +602,7 @@ def resized_compliance_model(compliance_model: ComplianceModel, harmonics: int) 
     resized_matrices = compliance_model.matrices[: harmonics + 1]
     if len(resized_matrices) <= harmonics:
         resized_matrices = np.concatenate(
-            [resized_matrices, compliance_model.higher_harmonics_compliance(harmonics)]
+            [resized_matrices, compliance_model.compliance_matrices_of_higher_harmonics(harmonics)]
         )
     new_model.matrices = resized_matrices
     new_model.linear_gap = resize_harmonics(compliance_model.linear_gap, harmonics)
@@ -611,7 +615,9 @@ def _reachable_gap_basis(structure: Structure) -> np.ndarray:
     return scipy.linalg.orth(all_modes(structure).gaps_by_mode.T)
 
 
-def _omegas_dampings_gap_shapes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _omegas_damping_rates_and_gap_shapes(
+    structure: Structure,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return at least 20 modes with damping, without modes lost in rounding.
 
     Returns
@@ -623,15 +629,15 @@ def _omegas_dampings_gap_shapes(structure: Structure) -> tuple[np.ndarray, np.nd
         Gaps B^T phi of the mass-normalised modes.
     """
     modes_of_damping, n_modes = damped_modes(structure), min(20, structure.n_dofs)
-    modes = (
+    available_modes = (
         modes_of_damping
         if modes_of_damping and len(modes_of_damping.omega) >= n_modes
         else solve_modes(structure, n_modes)
     )
-    modal_damping_rates = np.diag(projected_damping(structure, modes.shapes))
-    is_elastic = modes.omega > 0.0  # the lowest may be lost in rounding
+    modal_damping_rates = np.diag(project_damping_on_columns(structure, available_modes.shapes))
+    is_elastic = available_modes.omega > 0.0  # the lowest may be lost in rounding
     return (
-        modes.omega[is_elastic],
+        available_modes.omega[is_elastic],
         modal_damping_rates[is_elastic],
-        structure.apply_bt(modes.shapes.T)[is_elastic],
+        structure.apply_bt(available_modes.shapes.T)[is_elastic],
     )

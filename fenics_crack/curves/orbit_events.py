@@ -93,11 +93,11 @@ def leading_multipliers_and_counts(multipliers: np.ndarray) -> np.ndarray:
         The k = min(n, 8) multipliers of largest modulus, in descending order, then three counts:
         real ones above 1 (r), real ones below -1 (d), complex pairs outside the circle (c).
     """
-    modulus = np.abs(multipliers)
-    leading_indices = np.argsort(-modulus, axis=1, kind="stable")[:, :8]
+    multiplier_moduli = np.abs(multipliers)
+    leading_indices = np.argsort(-multiplier_moduli, axis=1, kind="stable")[:, :8]
     point_indices = np.arange(len(leading_indices))[:, None]
     multipliers = multipliers[point_indices, leading_indices]
-    is_outside = modulus[point_indices, leading_indices] > 1.0 + MULTIPLIER_TOLERANCE
+    is_outside = multiplier_moduli[point_indices, leading_indices] > 1.0 + MULTIPLIER_TOLERANCE
     multipliers_and_counts = np.empty(
         (len(leading_indices), leading_indices.shape[1] + 3), dtype=complex
     )
@@ -111,7 +111,7 @@ def leading_multipliers_and_counts(multipliers: np.ndarray) -> np.ndarray:
     return multipliers_and_counts
 
 
-def changes_of_counts(multipliers_and_counts: np.ndarray) -> np.ndarray:
+def changes_of_multiplier_counts(multipliers_and_counts: np.ndarray) -> np.ndarray:
     """Return the changes in the three counts from each point to the next.
 
     Two real multipliers that become a complex pair, or the reverse, change no count.
@@ -126,16 +126,19 @@ def changes_of_counts(multipliers_and_counts: np.ndarray) -> np.ndarray:
     (n_points - 1, 3)
         Changes in r, d and c.
     """
-    count_change = np.diff(multipliers_and_counts[:, -3:].real, axis=0)
-    step_indices = np.flatnonzero(count_change[:, 2])
+    count_changes = np.diff(multipliers_and_counts[:, -3:].real, axis=0)
+    step_indices = np.flatnonzero(count_changes[:, 2])
     if not len(step_indices):
-        return count_change
-    real_change, complex_pair_change = count_change[step_indices, :2], count_change[step_indices, 2]
-    is_merger = (np.abs(real_change).max(axis=1) == 2.0) & (
-        real_change.sum(axis=1) == -2.0 * complex_pair_change
+        return count_changes
+    real_count_changes, complex_pair_count_changes = (
+        count_changes[step_indices, :2],
+        count_changes[step_indices, 2],
     )
-    count_change[step_indices[is_merger]] = 0.0
-    return count_change
+    is_merger = (np.abs(real_count_changes).max(axis=1) == 2.0) & (
+        real_count_changes.sum(axis=1) == -2.0 * complex_pair_count_changes
+    )
+    count_changes[step_indices[is_merger]] = 0.0
+    return count_changes
 
 
 def step_collision_severities(monodromy_matrices: np.ndarray) -> np.ndarray:
@@ -156,12 +159,16 @@ def step_collision_severities(monodromy_matrices: np.ndarray) -> np.ndarray:
         multiplier leaves the circle. inf if multipliers are not found.
     """
     n_points, n_states = monodromy_matrices.shape[:2]
-    severities = np.empty(n_points - 1)
+    collision_severities = np.empty(n_points - 1)
     contiguous_matrices = np.ascontiguousarray(monodromy_matrices)
     kernel.collision_severities(
-        n_points, n_states, pointer(contiguous_matrices), MULTIPLIER_TOLERANCE, pointer(severities)
+        n_points,
+        n_states,
+        pointer(contiguous_matrices),
+        MULTIPLIER_TOLERANCE,
+        pointer(collision_severities),
     )
-    return severities
+    return collision_severities
 
 
 class MultiplierStepControl(StepControl):
@@ -202,7 +209,10 @@ class MultiplierStepControl(StepControl):
         is_coarse &= step_lengths > self._min_step
         is_coarse |= has_collision & (step_lengths > self._min_collision_step)
         has_several_events = (
-            np.abs(changes_of_counts(segment.step_control_values[first_index:])).sum(axis=1) > 1
+            np.abs(changes_of_multiplier_counts(segment.step_control_values[first_index:])).sum(
+                axis=1
+            )
+            > 1
         )
         return np.asarray(is_coarse | has_several_events)
 
@@ -213,7 +223,7 @@ class PeriodDoubling(Event):
     kind = "period_doubling"
 
     def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
-        return np.asarray(changes_of_counts(segment.step_control_values)[:, 1] != 0.0)
+        return np.asarray(changes_of_multiplier_counts(segment.step_control_values)[:, 1] != 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         point = find_zero_and_residual(
@@ -231,7 +241,7 @@ class NeimarkSacker(Event):
     kind = "neimark_sacker"
 
     def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
-        return np.asarray(changes_of_counts(segment.step_control_values)[:, 2] != 0.0)
+        return np.asarray(changes_of_multiplier_counts(segment.step_control_values)[:, 2] != 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         assert ends[0].step_control_values is not None and ends[1].step_control_values is not None
@@ -239,17 +249,17 @@ class NeimarkSacker(Event):
             int(max(ends[0].step_control_values[-1].real, ends[1].step_control_values[-1].real)) - 1
         )
         end_excesses = [
-            multiplier_pair_excess(multipliers_of(end), multiplier_pair_index) for end in ends
+            complex_pair_modulus_excess(multipliers_of(end), multiplier_pair_index) for end in ends
         ]
         # A pair within the tolerance of the circle may have been outside all along.
         crossing_excess = 0.0 if end_excesses[0] * end_excesses[1] < 0.0 else MULTIPLIER_TOLERANCE
 
         def crossing_function(point: PathPoint) -> float:
-            excess = (
-                multiplier_pair_excess(multipliers_of(point), multiplier_pair_index)
+            excess_over_crossing = (
+                complex_pair_modulus_excess(multipliers_of(point), multiplier_pair_index)
                 - crossing_excess
             )
-            return excess if abs(excess) > ROOT_TOLERANCE else 0.0
+            return excess_over_crossing if abs(excess_over_crossing) > ROOT_TOLERANCE else 0.0
 
         zero_point, excess_at_zero = find_zero_and_residual(system, ends, crossing_function, rtol)
         return zero_point if abs(excess_at_zero) <= MULTIPLIER_TOLERANCE else None
@@ -267,12 +277,16 @@ def period_doubling_test_value(multipliers: np.ndarray) -> float:
     Every factor is scaled to a modulus of at most 1. The result is 0 if a factor is smaller than
     ``ROOT_TOLERANCE``.
     """
-    factors = np.where(multipliers.imag == 0.0, 1.0 + multipliers.real, np.abs(1.0 + multipliers))
-    scaled_product = float(np.prod(factors / np.maximum(1.0, np.abs(factors))))
-    return scaled_product if np.abs(factors).min() > ROOT_TOLERANCE else 0.0
+    one_plus_multipliers = np.where(
+        multipliers.imag == 0.0, 1.0 + multipliers.real, np.abs(1.0 + multipliers)
+    )
+    scaled_product = float(
+        np.prod(one_plus_multipliers / np.maximum(1.0, np.abs(one_plus_multipliers)))
+    )
+    return scaled_product if np.abs(one_plus_multipliers).min() > ROOT_TOLERANCE else 0.0
 
 
-def multiplier_pair_excess(multipliers: np.ndarray, multiplier_pair_index: int) -> float:
+def complex_pair_modulus_excess(multipliers: np.ndarray, multiplier_pair_index: int) -> float:
     """Return |mu| - 1 for a complex pair of multipliers.
 
     Pairs are numbered from 0 in descending order of |mu|. If there are fewer pairs, return -1.

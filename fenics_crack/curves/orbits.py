@@ -255,7 +255,7 @@ class OrbitEquations(CurveSystem):
         residual = self.unknown(motion.state, value) - unknown
 
         def monodromy() -> np.ndarray:
-            tangent_matrix = motion.track.tangent
+            tangent_matrix = motion.track.derivative_of_end_state
             if self.parameter_name == "speed":
                 matrix_from_start_modes = self._matrix_from_start_modes_to_modes_at(value)
                 tangent_matrix = np.linalg.solve(

@@ -33,9 +33,9 @@ from fenics_crack.curves.balance_equations import BalanceEquations
 from fenics_crack.curves.branch import path_points_with_chord
 from fenics_crack.curves.curve import ResponseCurve, leading_multiplier_in_upper_half
 from fenics_crack.curves.orbit_events import (
-    changes_of_counts,
+    changes_of_multiplier_counts,
+    complex_pair_modulus_excess,
     leading_multipliers_and_counts,
-    multiplier_pair_excess,
     period_doubling_test_value,
 )
 from fenics_crack.curves.stability import floquet, monodromy_of_linear_flow, stability_of
@@ -147,14 +147,14 @@ def judge_by_linear_flow(curve: ResponseCurve) -> ResponseCurve:
     ]
     multipliers = np.array([stability.multipliers for stability in stabilities])
     multipliers_and_counts = leading_multipliers_and_counts(multipliers)
-    has_crossing = changes_of_counts(multipliers_and_counts)[:, 1:] != 0.0
+    has_crossing = changes_of_multiplier_counts(multipliers_and_counts)[:, 1:] != 0.0
     has_crossing &= np.isfinite(multipliers[1:] + multipliers[:-1]).all(axis=1)[:, None]
     for index, kind_index in np.argwhere(has_crossing).tolist():
         kind = ("period_doubling", "neimark_sacker")[kind_index]
         multiplier_pair_counts = multipliers_and_counts[index : index + 2, -1]
         multiplier_pair_index = int(multiplier_pair_counts.real.max()) - 1
         multiplier_pair_test = partial(
-            multiplier_pair_excess, multiplier_pair_index=multiplier_pair_index
+            complex_pair_modulus_excess, multiplier_pair_index=multiplier_pair_index
         )
         test_function = multiplier_pair_test if kind_index else period_doubling_test_value
         bifurcation_location = _locate_bifurcation(curve, index, test_function)

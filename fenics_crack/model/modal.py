@@ -27,7 +27,7 @@ from fenics_crack.model.modes import (
     NEGLIGIBLE,
     ZERO_TOLERANCE,
     damped_modes,
-    damping_on_modes,
+    project_damping_on_modes,
     solve_modes,
 )
 from fenics_crack.model.reduced import QuasiStaticReduction
@@ -377,7 +377,7 @@ def _compute_all_modes(structure: Structure) -> AllModes:
             for petsc_matrix in (structure.stiffness, structure.mass)
         )
         squares, mode_shapes = scipy.linalg.eigh(*stiffness_and_mass)
-        damping = damping_on_modes(structure, mode_shapes, squares)
+        damping = project_damping_on_modes(structure, mode_shapes, squares)
     # A small square may be LAPACK's rounding of the largest; one mode of K itself decides.
     is_lowest_doubtful = squares[0] <= ZERO_TOLERANCE * squares[-1]
     is_unconstrained = bool(is_lowest_doubtful and solve_modes(structure, 1).omega[0] == 0.0)

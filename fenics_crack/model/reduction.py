@@ -44,9 +44,9 @@ from fenics_crack.model.modes import (
     ZERO_TOLERANCE,
     count_damped_modes,
     damped_modes,
-    damping_on_modes,
     multiply_columns,
     orthonormalise_against_basis,
+    project_damping_on_modes,
     solve_modes,
     solve_modes_with_factor,
 )
@@ -339,7 +339,7 @@ def _reduce_damping(
         return None
     if (uniform_rule := _uniform_damping_rule_or_none(structure)) is not None:
         return uniform_rule
-    modal_damping = damping_on_modes(structure, basis, squares)
+    modal_damping = project_damping_on_modes(structure, basis, squares)
     omega = np.sqrt(np.maximum(squares, 0.0))
     if modal_damping.ndim == 2:
         return modal_damping

@@ -30,7 +30,7 @@ from fenics_crack.scene.tables import Integration
 from fenics_crack.study.observer import make_requested_rows_and_readers
 from fenics_crack.study.prepare import Study, prepare
 from fenics_crack.study.solve import required_contact_law, with_friction_lines
-from fenics_crack.time.march import Initial, TimeHistory, initial_state
+from fenics_crack.time.march import Initial, TimeHistory, make_initial_state_parts
 
 
 def integrate(
@@ -169,7 +169,7 @@ def _start_state_from_run(
     if isinstance(motion, TimeHistory):
         state = motion.final_state
     else:
-        state = initial_state(motion.structure, motion.contact, motion)
+        state = make_initial_state_parts(motion.structure, motion.contact, motion)
     local_states = motion.structure.expand(np.array(state[:2]))
     points_of_meshes = [
         np.zeros((meshed_structure.n_local, 1))

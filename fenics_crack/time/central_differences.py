@@ -59,10 +59,10 @@ from fenics_crack.model.contact import (
 )
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import MODAL_COORDINATES_IN_CACHE, all_modes, is_small
-from fenics_crack.model.modes import damped_modes, largest_frequency, multiply_columns
+from fenics_crack.model.modes import damped_modes, find_largest_natural_omega, multiply_columns
 from fenics_crack.model.reduced import MASS_REMEDY, check_faces_have_mass
 from fenics_crack.model.structure import RayleighDamping, Structure
-from fenics_crack.time.march import MarchRequest, Scheme, TimeHistory, Window, march
+from fenics_crack.time.march import MarchRequest, PeriodWindow, Scheme, TimeHistory, march
 
 SCHEME_NAME, MORE_STEPS_REMEDY = "central differences", "take more steps per period"
 
@@ -105,7 +105,7 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
         )
         largest_omega = float(np.sqrt(np.linalg.eigvalsh(bonded_stiffness)[-1]))
     else:
-        largest_omega = largest_frequency(
+        largest_omega = find_largest_natural_omega(
             structure_with_friction_rows.tied(springs) if np.any(springs) else structure
         )
         collect_garbage(structure.comm)
@@ -200,7 +200,7 @@ class _EnergyAccount:
             np.empty((0, n_columns)) for n_columns in column_counts
         ]
 
-    def add_period(self, window: Window) -> tuple[float, float]:
+    def add_period(self, window: PeriodWindow) -> tuple[float, float]:
         """Add one period; return the energy created and the energy put in so far [J]."""
         period_arrays = (
             self._request.load_samples,
@@ -356,7 +356,7 @@ class _ModalDifferences(Scheme):
             return self._request.contact.force(gap)
         return self._friction_solver.solve(gap[None], self._sticking_places)[0][0]
 
-    def fill_period(self, window: Window, period_number: int) -> None:
+    def integrate_and_fill_period(self, window: PeriodWindow, period_number: int) -> None:
         modes, request, n_window_steps = self._modes, self._request, len(window.gap)
         n_steps_in_cache = max(1, MODAL_COORDINATES_IN_CACHE // len(modes.squares))
         for first_step in range(0, n_window_steps, n_steps_in_cache):
@@ -465,7 +465,7 @@ class _CentralDifferences(Scheme):
         self.increment = dt * velocity - 0.5 * dt**2 * self._acceleration_at_phase_zero(velocity)
         self._energy_account = _EnergyAccount(request, self._linear_energy(velocity))
 
-    def fill_period(self, window: Window, period_number: int) -> None:
+    def integrate_and_fill_period(self, window: PeriodWindow, period_number: int) -> None:
         for step_index in range(len(window.gap)):
             displacement = self.displacement
             self.advance(step_index)

@@ -52,7 +52,7 @@ from fenics_crack.model.modes import multiply_columns
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import Flow, as_doubles, check_has_exact_flow, exact_flow_or_error
 from fenics_crack.numerics.fourier import differentiate, fourier_basis_for, from_complex, to_complex
-from fenics_crack.time.march import MarchRequest, Scheme, TimeHistory, Window, march
+from fenics_crack.time.march import MarchRequest, PeriodWindow, Scheme, TimeHistory, march
 
 
 def integrate_events(
@@ -190,7 +190,7 @@ class _EventScheme(Scheme):
         self._instants = period_fractions * self._period
         self._state = self._flow.state(*request.start_state)
 
-    def fill_period(self, window: Window, period_number: int) -> None:
+    def integrate_and_fill_period(self, window: PeriodWindow, period_number: int) -> None:
         request = self._request
         period_motion = self._flow.advance(
             self._state, request.omega, self._period, instants=self._instants
@@ -406,7 +406,7 @@ class _ExponentialScheme(Scheme):
         )
         self._energy_input = self._losses_less_energy_input = 0.0
 
-    def fill_period(self, window: Window, period_number: int) -> None:
+    def integrate_and_fill_period(self, window: PeriodWindow, period_number: int) -> None:
         flow, request = self._flow, self._request
         flow_steps = flow.advance(self._state)
         states, forces = flow_steps.states, flow_steps.forces

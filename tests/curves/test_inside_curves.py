@@ -41,7 +41,7 @@ from fenics_crack.curves.continuation import Continuation
 from fenics_crack.curves.orbit_events import (
     MIN_STEP_RATIO,
     MultiplierStepControl,
-    changes_of_counts,
+    changes_of_multiplier_counts,
     leading_multipliers_and_counts,
 )
 from fenics_crack.curves.orbits import OrbitEquations
@@ -495,7 +495,9 @@ def test_motions_of_all_points_are_those_of_each(damping: str, rigid: bool) -> N
 )
 def test_what_counts_as_a_change(before: Any, after: Any, expected: tuple[int, ...]) -> None:
     """Of r, d and c."""
-    assert changes_of_counts(np.array([row(*before), row(*after)]))[0].tolist() == list(expected)
+    assert changes_of_multiplier_counts(np.array([row(*before), row(*after)]))[0].tolist() == list(
+        expected
+    )
 
 
 @pytest.mark.parametrize(

@@ -102,11 +102,13 @@ def test_against_the_reference(
     motion = flow.advance(state, omega, duration, start=0.3, instants=instants)
     reference, turn = reference_of(structure, contact, flow)
     passage = reference.advance(turn @ state, omega, 0.3, duration, 60)
-    tangent = passage.tangent() @ turn
-    tangent_size = np.linalg.norm(motion.track.tangent)
+    tangent = passage.derivative_of_end_state() @ turn
+    tangent_size = np.linalg.norm(motion.track.derivative_of_end_state)
     assert relative(turn @ motion.state, passage.state) < 1e-12 * (1.0 + tangent_size)
     assert np.abs(motion.samples.gap - passage.gap).max() < 1e-12 * (1.0 + tangent_size)
-    assert relative(turn @ motion.track.tangent, tangent) < 1e-9 * (1.0 + tangent_size)
+    assert relative(turn @ motion.track.derivative_of_end_state, tangent) < 1e-9 * (
+        1.0 + tangent_size
+    )
     assert motion.n_events == len(passage.pieces) - 1
     assert motion.samples.gap[motion.samples.is_closed].min(initial=0.0) >= 0.0
     assert motion.track.lengths.sum() == pytest.approx(duration, rel=1e-12)
@@ -159,7 +161,7 @@ def test_derivatives(light: bool) -> None:
             for h in (state_changes, -state_changes)
         )
         slope = (upper_motion.state - lower_motion.state) / (2.0 * step)
-        assert relative(track.tangent[:, place], slope) < 1e-7
+        assert relative(track.derivative_of_end_state[:, place], slope) < 1e-7
     upper_motion, lower_motion = (
         flow.advance(state, omega + h, duration, start=0.4) for h in (step, -step)
     )
@@ -177,15 +179,17 @@ def test_parts_make_the_whole() -> None:
     end_states, track, ends = flow.integrate_parts(samples.states, omega, 2.0 * np.pi / omega)
     assert relative(end_states[:-1], samples.states[1:]) < 1e-12
     assert relative(end_states[-1], full_motion.state) < 1e-12
-    assert relative(track.tangent, full_motion.track.tangent) < 1e-11
+    assert (
+        relative(track.derivative_of_end_state, full_motion.track.derivative_of_end_state) < 1e-11
+    )
     start, excess = thrown(flow, 5), np.zeros_like(end_states)
     carried_changes = track.carry_changes(start, excess, ends)
     part = flow.advance(samples.states[4], omega, starts[1], start=starts[4]).track
-    assert relative(carried_changes[5], part.tangent @ carried_changes[4]) < 1e-12
-    assert relative(carried_changes[-1], full_motion.track.tangent @ start) < 1e-11
+    assert relative(carried_changes[5], part.derivative_of_end_state @ carried_changes[4]) < 1e-12
+    assert relative(carried_changes[-1], full_motion.track.derivative_of_end_state @ start) < 1e-11
     excess[-2:] = thrown(flow, 7), thrown(flow, 8)
     last_track = flow.advance(samples.states[-1], omega, starts[1], start=starts[-1]).track
-    end_change = last_track.tangent @ excess[-2] + excess[-1]
+    end_change = last_track.derivative_of_end_state @ excess[-2] + excess[-1]
     assert (
         relative(track.carry_changes(start, excess, ends)[-1], carried_changes[-1] + end_change)
         < 1e-11
@@ -252,7 +256,12 @@ def test_almost_equal_structures() -> None:
         rest = np.resize(np.linspace(-1, 1, 10), structure.n_dofs)
         motion = flow.advance(flow.state(rest, 0.0 * rest), 0.7, 18.0)
         to_dofs = np.kron(np.eye(2), flow.modal_model.shapes)
-        motions.append((motion.n_events, to_dofs @ motion.track.tangent @ np.linalg.inv(to_dofs)))
+        motions.append(
+            (
+                motion.n_events,
+                to_dofs @ motion.track.derivative_of_end_state @ np.linalg.inv(to_dofs),
+            )
+        )
     (events, tangent), *parts = motions
     assert events == sum(part[0] for part in parts) > 20
     for number, (_, single_tangent) in enumerate(parts):
@@ -284,7 +293,7 @@ def test_motions_do_not_depend_on_earlier_ones(
         motion = flow.advance(thrown(flow, 7), 0.5, 60.0)
         step = predict_orbit(flow, 0.5, series_states_at_period_parts(flow, displacement, 0.5))
         assert motion.n_events > 40 and step is not None
-        return motion.state, motion.track.lengths, motion.track.tangent, step.states
+        return motion.state, motion.track.lengths, motion.track.derivative_of_end_state, step.states
 
     fresh_arrays = found(busy=False)
     monkeypatch.setattr(
@@ -377,7 +386,7 @@ def test_derivative_while_all_pairs_are_open(damping: float) -> None:
             [-np.diag(flow.modal_model.squares), -np.diag(flow.modal_model.damping)],
         ]
     )
-    tangent = flow.advance(thrown(flow), 0.3, 20.0).track.tangent
+    tangent = flow.advance(thrown(flow), 0.3, 20.0).track.derivative_of_end_state
     assert tangent == pytest.approx(scipy.linalg.expm(20.0 * matrix), abs=1e-9)
 
 
@@ -402,7 +411,7 @@ def test_derivative_along_short_sets(turn: float) -> None:
             scipy.linalg.expm(length * matrix.reshape(exact_tangent.shape)) @ exact_tangent
         )
     unit = np.repeat([flow.rate_bound, 1.0], flow.n_modes)
-    tangent = unit[:, None] * Track(flow, 1.0, 0.0, sets, lengths).tangent / unit
+    tangent = unit[:, None] * Track(flow, 1.0, 0.0, sets, lengths).derivative_of_end_state / unit
     assert np.abs(tangent - unit[:, None] * exact_tangent / unit).max() < 1e-13
 
 
@@ -446,7 +455,7 @@ def test_orbit_against_the_reference(seed: int, light: bool) -> None:
     assert relative(passage.state, turn @ orbit.state) < 1e-10
     gap = orbit.gap_at(orbit.period * np.arange(100) / 100)
     assert np.abs(gap - passage.gap).max() < 1e-11 * np.ptp(gap)
-    max_multiplier = np.abs(np.linalg.eigvals(passage.tangent())).max()
+    max_multiplier = np.abs(np.linalg.eigvals(passage.derivative_of_end_state())).max()
     assert abs(orbit.multipliers[0]) == pytest.approx(max_multiplier, rel=1e-9)
     assert orbit.n_events == len(passage.pieces) - 1 > 0
     assert 0.2 < distance(solution, orbit) / prediction.relative_gap_error < 2.0
@@ -598,7 +607,7 @@ class Layer:
         parts = self.share * np.maximum(gap, 0.0), np.maximum(gap - self.depth, 0.0)
         return self.stiffness * (parts[0] + (1.0 - self.share) * parts[1])
 
-    def tangent(self, gap: np.ndarray) -> np.ndarray:
+    def derivative_of_end_state(self, gap: np.ndarray) -> np.ndarray:
         """Return its slope."""
         return self.stiffness * (self.share * (gap > 0.0) + (1.0 - self.share) * (gap > self.depth))
 

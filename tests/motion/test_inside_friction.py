@@ -96,7 +96,7 @@ def test_derivative_by_state_and_places(pairs: int, mu: float) -> None:
         step = 1e-7
         ends = [flow.advance(start + s * change, omega, period).state for s in (step, -step)]
         difference = (ends[0] - ends[1]) / (2.0 * step)
-        derivative = motion.track.tangent @ change
+        derivative = motion.track.derivative_of_end_state @ change
         moves = ~np.concatenate(
             [np.zeros(2 * flow.n_modes, dtype=bool), (motion.track.sets == 1).all(axis=0)]
         )
@@ -154,7 +154,7 @@ def test_derivatives_of_the_forces_of_a_wave(pairs: int) -> None:
     assert wave_forces.force_change(change) == pytest.approx(
         difference, abs=1e-6 * np.abs(difference).max()
     )
-    matrix = wave_forces.tangent().reshape(gap.size, gap.size)
+    matrix = wave_forces.derivative_of_end_state().reshape(gap.size, gap.size)
     product = (matrix @ change.ravel()).reshape(gap.shape)
     assert product == pytest.approx(
         wave_forces.force_change(change), abs=1e-12 * np.abs(difference).max()
@@ -185,7 +185,7 @@ def test_derivative_where_a_pair_always_sticks(size: float, origin: int) -> None
     ends = [integrals.force(gap + sign * step * change) for sign in (1.0, -1.0)]
     difference = (ends[0] - ends[1]) / (2.0 * step)
     assert at_wave.force_change(change) == pytest.approx(difference, abs=1e-6)
-    assert at_wave.tangent().reshape(10, 10) @ change.ravel() == pytest.approx(
+    assert at_wave.derivative_of_end_state().reshape(10, 10) @ change.ravel() == pytest.approx(
         difference.ravel(), abs=1e-6
     )
 
