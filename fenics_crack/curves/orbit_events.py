@@ -9,8 +9,8 @@ Every point of the path carries its leading multipliers mu and three counts:
 Between two neighbouring points there is a period doubling if d changes, and a Neimark-Sacker
 bifurcation if c changes. (Folds are found where the parameter turns back.) Two real multipliers
 that meet outside the circle and become a complex pair are no bifurcation. The Illinois method
-(:func:`fenics_crack.numerics.path.find_zero_and_residual`) locates a bifurcation by a change of
-sign:
+(:func:`fenics_crack.numerics.path.find_zero_point_and_function_value`) locates a bifurcation by a
+change of sign:
 
     period doubling     product of all 1 + mu
     Neimark-Sacker      |mu_k| - 1 of the k-th pair
@@ -64,7 +64,7 @@ from fenics_crack.numerics.path import (
     PathSegment,
     SegmentEnds,
     StepControl,
-    find_zero_and_residual,
+    find_zero_point_and_function_value,
 )
 
 ACCEPTED_LOG_CHANGE = 0.01
@@ -226,7 +226,7 @@ class PeriodDoubling(Event):
         return np.asarray(changes_of_multiplier_counts(segment.step_control_values)[:, 1] != 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
-        point = find_zero_and_residual(
+        point = find_zero_point_and_function_value(
             system,
             ends,
             lambda candidate: period_doubling_test_value(multipliers_of(candidate)),
@@ -261,7 +261,9 @@ class NeimarkSacker(Event):
             )
             return excess_over_crossing if abs(excess_over_crossing) > ROOT_TOLERANCE else 0.0
 
-        zero_point, excess_at_zero = find_zero_and_residual(system, ends, crossing_function, rtol)
+        zero_point, excess_at_zero = find_zero_point_and_function_value(
+            system, ends, crossing_function, rtol
+        )
         return zero_point if abs(excess_at_zero) <= MULTIPLIER_TOLERANCE else None
 
 
