@@ -58,7 +58,8 @@ def _of_one(gap: np.ndarray, closed: np.ndarray) -> tuple[np.ndarray, np.ndarray
         theta, is_closing = np.empty(room), np.empty(room)
         count = kernel.switching_instants(
             len(gap) // 2, 1, pointer(gap),
-            pointer(cosines_and_sines_on_quarter_period(len(gap) // 2)), room, pointer(theta), pointer(is_closing), pointer(closed),
+            pointer(cosines_and_sines_on_quarter_period(len(gap) // 2)), room,
+            pointer(theta), pointer(is_closing), pointer(closed),
         )  # fmt: skip
     if count < 0:
         raise MemoryError("switching instants")

@@ -290,7 +290,8 @@ class ExactIntegrals(ContactIntegrals):
         is_out_of_memory = kernel.contact_integrals(
             self.harmonics, n_pairs, pointer(gap_coefficients), pointer(pair_stiffnesses),
             pointer(cosines_and_sines_on_quarter_period(self.harmonics)),
-            pointer(np.empty(2 * n_pairs * n_rows)), pointer(force_coefficients), pointer(tangent_by_pair),
+            pointer(np.empty(2 * n_pairs * n_rows)), pointer(force_coefficients),
+            pointer(tangent_by_pair),
         )  # fmt: skip
         if is_out_of_memory:
             raise MemoryError("contact integrals")

@@ -108,7 +108,7 @@ class FrictionIntegrals(ContactIntegrals):
         """N, the instants per period."""
         return self.samples or max(MIN_SAMPLES, SAMPLES_PER_HARMONIC * self.harmonics)
 
-    def march(self, gap_samples: np.ndarray) -> tuple[np.ndarray, ...]:
+    def follow_forces_until_they_repeat(self, gap_samples: np.ndarray) -> tuple[np.ndarray, ...]:
         """Follow the forces through a period's slow gaps until they repeat.
 
         ``gap_samples`` is (n, 2 n_pairs) [m].
@@ -130,7 +130,7 @@ class FrictionIntegrals(ContactIntegrals):
         )
 
     def forces_at_gap_samples(self, gap_samples: np.ndarray) -> np.ndarray:
-        return self.march(gap_samples)[0]
+        return self.follow_forces_until_they_repeat(gap_samples)[0]
 
     def forces_and_places_at(
         self, gap_coefficients: np.ndarray, requested_phases: np.ndarray
@@ -162,7 +162,7 @@ class FrictionIntegrals(ContactIntegrals):
         _, unique_phase_indices, unique_index_of_phase = np.unique(
             grid_and_requested_phases, return_index=True, return_inverse=True
         )
-        normal_and_friction_forces, _, sticking_places, _ = self.march(
+        normal_and_friction_forces, _, sticking_places, _ = self.follow_forces_until_they_repeat(
             gap_samples[unique_phase_indices]
         )
         requested_indices = unique_index_of_phase[n_instants:]
@@ -189,7 +189,7 @@ class FrictionForces(CoupledForces):
             self.contact_states,
             self.sticking_places,
             self._last_unstuck_instants,
-        ) = integrals.march(gap_samples)
+        ) = integrals.follow_forces_until_they_repeat(gap_samples)
         self.force = fourier_coefficients(self._force_samples, integrals.harmonics)
 
     def force_change(self, gap_change: np.ndarray) -> np.ndarray:

@@ -334,7 +334,7 @@ MAX_HARMONICS = 500
 """Maximum harmonics solved for, or kept from an orbit, per period of the load."""
 
 
-def mode_counts(
+def mode_counts_to_try(
     structure: Structure,
     first_modes: int = FIRST_MODE_COUNT,
     max_modes: int = MAX_MODES_FOR_MONODROMY,
@@ -380,11 +380,11 @@ def solve_to_tolerance(
         structures = [whole_structure]
     elif structures is None:
         reduce_to = partial(reduce_structure, whole_structure, method="massless")
-        structures = (reduce_to(modes=modes) for modes in mode_counts(whole_structure))
+        structures = (reduce_to(modes=modes) for modes in mode_counts_to_try(whole_structure))
     best_solution = None
     for structure in structures:
         solver = replace(solver, problem=replace(solver.problem, structure=structure))
-        solution = _solve_structure(solver, tolerance, initial)
+        solution = _solve_with_present_modes(solver, tolerance, initial)
         solution = solution.reported(whole_structure.comm.bcast(solution.report))
         if best_solution is None or solution.report.total < best_solution.report.total:
             best_solution = solution
@@ -435,7 +435,7 @@ def solve_from_neighbour(
     if tolerance is None:
         balanced_solution = Solver(problem).solve(neighbour)
         return balanced_solution if with_errors else balanced_solution.reported(UNESTIMATED_REPORT)
-    solution = _solve_structure(Solver(problem), tolerance, neighbour)
+    solution = _solve_with_present_modes(Solver(problem), tolerance, neighbour)
     if not (truncation_error := solution.report.truncation) <= tolerance:
         error_text = (
             f"the estimated truncation error, {truncation_error:.1e} with H = {solution.harmonics},"
@@ -501,7 +501,7 @@ def _with_tolerance_status(
     return replace(solution, status=f"{message}; {solution.status}")
 
 
-def _solve_structure(
+def _solve_with_present_modes(
     solver: Solver, tolerance: float, initial: PeriodicSolution | None
 ) -> PeriodicSolution:
     """Return the solution with a structure's present modes, if possible an exact orbit."""
@@ -509,7 +509,7 @@ def _solve_structure(
     flow = exact_flow_or_none(problem.structure, problem.contact)
     if flow is None or not is_orbit_search_affordable(flow, problem.omega, problem.subharmonic):
         return _solve_with_growing_harmonics(
-            solver, tolerance, _solver_for(solver, problem).solve(initial)
+            solver, tolerance, _solver_for_other_problem(solver, problem).solve(initial)
         )
     solutions, search = _search_orbit_from_solutions(solver, flow, initial)
     if search.orbit is not None:
@@ -530,7 +530,7 @@ def _solve_structure(
         initial = solutions[-1]
         problem = problem.with_harmonics(initial.harmonics)
     solution = _solve_with_growing_harmonics(
-        solver, tolerance, _solver_for(solver, problem).solve(initial)
+        solver, tolerance, _solver_for_other_problem(solver, problem).solve(initial)
     )
     harmonics_text = ", ".join(
         str(load_harmonics * problem.subharmonic)
@@ -580,7 +580,7 @@ def _search_orbit_from_solutions(
                 yield _states_with_more_modes(flow, initial.assessment, orbit)
         for load_harmonics in SearchOptions.guess_harmonic_counts:
             start_problem = problem.with_harmonics(problem.response_harmonics(load_harmonics))
-            solution = _solver_for(solver, start_problem).search_and_solution(
+            solution = _solver_for_other_problem(solver, start_problem).search_and_solution(
                 initial, with_whole_budget=False
             )[1]
             if solution.converged:
@@ -606,7 +606,7 @@ def _states_with_more_modes(
     return MoreModes(flow, assessment.wave, orbit).nearest_orbit_states_with_static_new_modes
 
 
-def _solver_for(solver: Solver, problem: Problem) -> Solver:
+def _solver_for_other_problem(solver: Solver, problem: Problem) -> Solver:
     """Return the solver for another problem, and report progress."""
     begin_stage(f"H = {problem.harmonics}, {problem.structure.n_dofs} coordinates")
     return replace(solver, problem=problem)
@@ -760,7 +760,7 @@ def _solve_with_growing_harmonics(
     best_solution = solution
     while solution.converged and not _has_enough_harmonics(solution, tolerance):
         harmonics = min(2 * solution.harmonics, MAX_HARMONICS)
-        finer_solver = _solver_for(solver, solver.problem.with_harmonics(harmonics))
+        finer_solver = _solver_for_other_problem(solver, solver.problem.with_harmonics(harmonics))
         solution = finer_solver.search_and_solution(solution, with_whole_budget=False)[1]
         if solution.converged and solution.report.total < best_solution.report.total:
             best_solution = solution

@@ -134,7 +134,8 @@ def interpolate_peak_and_damping(
 
     peak_value, peak_amplitude = float(values[peak_index]), float(amplitudes[peak_index])
     first_index, last_index = (
-        _half_power_index(values, amplitudes, peak_index, index_step) for index_step in (-1, 1)
+        _first_index_below_half_power(values, amplitudes, peak_index, index_step)
+        for index_step in (-1, 1)
     )
     if not first_index < peak_index < last_index:
         return peak_value, peak_amplitude, math.nan
@@ -176,7 +177,7 @@ def damping_by_half_power_width(
     return interpolate_peak_and_damping(values, np.hypot(cosine, sine), peak_index)[2]
 
 
-def _half_power_index(
+def _first_index_below_half_power(
     values: np.ndarray, amplitudes: np.ndarray, peak_index: int, index_step: int
 ) -> int:
     """Return the first index below half the peak's power, on one side.

@@ -714,17 +714,19 @@ def forces_and_slopes_of_smooth_law(
     Raises
     ------
     ConvergenceError
-        As :func:`solve_forces`.
+        As :func:`solve_contact_forces_by_newton`.
     """
     spring_compliance = np.broadcast_to(1.0 / np.asarray(law.stiffness, dtype=float), gap.shape[1:])
     guess = ActiveSetSolver(compliance + np.diag(spring_compliance)).solve(gap)[0]
-    force = solve_forces(lambda g: (law.force(g), law.tangent(g)), compliance, gap, guess)
+    force = solve_contact_forces_by_newton(
+        lambda g: (law.force(g), law.tangent(g)), compliance, gap, guess
+    )
     law_slope = law.tangent(gap - force @ compliance)
     jacobian = np.eye(gap.shape[1]) + compliance * law_slope[:, None, :]
     return force, law_slope[:, :, None] * np.linalg.inv(jacobian)
 
 
-def solve_forces(
+def solve_contact_forces_by_newton(
     law_force_and_slope_function: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
     compliance: np.ndarray,
     gap: np.ndarray,

@@ -44,7 +44,7 @@ from fenics_crack.model.body import (
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import (
     AbsentMatrix,
-    add_harmonics,
+    add_harmonics_to_load,
     add_springs,
     check_and_distribute_parts,
     expand_to_pairs,
@@ -574,7 +574,7 @@ class Structure(Coordinates):
         """
         if self.whole is not self:
             raise InputError("structure", repr(self), "one that is not reduced")
-        load_coefficients = add_harmonics(self.force, harmonics, self.mass)
+        load_coefficients = add_harmonics_to_load(self.force, harmonics, self.mass)
         return self._in_setting(
             replace(self.setting, load_weights=1.0), force=load_coefficients, clamp=None
         )

@@ -20,7 +20,7 @@ from test_solids import of_file, write_box, write_hexahedra
 import fenics_crack as fc
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem import compat
-from fenics_crack.fem.loads import rigid_motions
+from fenics_crack.fem.loads import rigid_motion_displacements
 from fenics_crack.fem.plate import PartMesh, build_plate_or_solid_mesh
 from fenics_crack.model.modes import multiply_columns
 
@@ -157,7 +157,7 @@ def test_solids_of_order_1() -> None:
     two = fc.build_structure(scene)
     assert structure.pair_areas == pytest.approx(two.pair_areas, rel=1e-12)
     points, dofs = structure.nodes.points, structure.nodes.dofs
-    for motion in rigid_motions(points)[:, np.argsort(dofs.ravel())]:
+    for motion in rigid_motion_displacements(points)[:, np.argsort(dofs.ravel())]:
         assert abs(structure.apply_bt(motion[None])).max() < 1e-12
 
 

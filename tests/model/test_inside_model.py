@@ -30,7 +30,7 @@ from fenics_crack.model.contact import (
     forces_and_slopes_of_smooth_law,
     solve_complementarity,
     solve_complementarity_by_least_squares,
-    solve_forces,
+    solve_contact_forces_by_newton,
 )
 from fenics_crack.model.factor import Factor, make_matrix_from_local_rows
 from fenics_crack.model.matrices import read_labels
@@ -354,7 +354,7 @@ def test_forces_by_newton(stiffness: float) -> None:
     rng = np.random.default_rng(7)
     law = fc.SmoothedPenalty(stiffness, 1e3)
     matrix, gap = random_stiffness(rng, 4) / 8.0, rng.normal(size=4)
-    force = solve_forces(
+    force = solve_contact_forces_by_newton(
         lambda g: (law.force(g), law.tangent(g)), matrix, gap[None], np.zeros((1, 4))
     )[0]
     gap_reached = gap - matrix @ force
@@ -367,7 +367,7 @@ def test_forces_by_newton(stiffness: float) -> None:
 def test_forces_that_do_not_exist_are_an_error() -> None:
     """A force that falls with the gap, faster than the step's compliance allows."""
     catch_error(
-        lambda: solve_forces(
+        lambda: solve_contact_forces_by_newton(
             lambda g: (1.0 + g**2, 2.0 * g),
             np.ones((1, 1)),
             np.full((1, 1), -5.0),
