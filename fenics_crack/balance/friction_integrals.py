@@ -228,19 +228,19 @@ class FrictionForces(CoupledForces):
         gap_basis_matrix = np.eye(n_gaps) if gap_basis is None else np.ascontiguousarray(gap_basis)
         n_instants, n_columns = self._integrals.n_instants, gap_basis_matrix.shape[1]
         instant_phases = 2.0 * np.pi / n_instants * np.arange(n_instants)
-        waves = fourier_basis(instant_phases, np.arange(1, n_rows // 2 + 1))
-        weighted_waves = 2.0 / n_instants * waves
-        weighted_waves[:, 0] *= 0.5
-        tangent = np.empty((n_rows, n_columns, n_rows * n_columns))
+        fourier_basis_samples = fourier_basis(instant_phases, np.arange(1, n_rows // 2 + 1))
+        weighted_basis_samples = 2.0 / n_instants * fourier_basis_samples
+        weighted_basis_samples[:, 0] *= 0.5
+        force_derivative_by_gaps = np.empty((n_rows, n_columns, n_rows * n_columns))
         if kernel.friction_tangent(
             self._integrals.friction_contact_solver.handle, n_instants,
             pointer(self.contact_states), pointer(self._last_unstuck_instants), n_rows,
-            pointer(waves),
-            pointer(weighted_waves), n_columns,
-            pointer(gap_basis_matrix), pointer(tangent),
+            pointer(fourier_basis_samples),
+            pointer(weighted_basis_samples), n_columns,
+            pointer(gap_basis_matrix), pointer(force_derivative_by_gaps),
         ):  # fmt: skip
             raise MemoryError("friction")
-        return tangent
+        return force_derivative_by_gaps
 
     def softness_derivative(self) -> np.ndarray:
         return self._force_coefficient_change(
@@ -265,11 +265,11 @@ class FrictionForces(CoupledForces):
         slip_signs = 1.0 * (self.contact_states == kernel.SLIP_UP) - (
             self.contact_states == kernel.SLIP_DOWN
         )
-        slip_force_by_scale = np.zeros_like(self._force_samples)
-        slip_force_by_scale[:, n_pairs:] = (
+        slip_force_derivative_by_scale = np.zeros_like(self._force_samples)
+        slip_force_derivative_by_scale[:, n_pairs:] = (
             slip_signs * friction_law.coefficient * self._force_samples[:, :n_pairs]
         )
-        compliance = integrals.compliance_matrix
+        compliance_matrix = integrals.compliance_matrix
         return fourier_coefficients(
-            slip_force_by_scale, integrals.harmonics
-        ) + self._force_coefficient_change(-slip_force_by_scale @ compliance)
+            slip_force_derivative_by_scale, integrals.harmonics
+        ) + self._force_coefficient_change(-slip_force_derivative_by_scale @ compliance_matrix)
