@@ -177,33 +177,35 @@ def linear_response(
     load_rows = load_coefficients(structure, 1, 1)
     dof_selection_row = structure.values_at(np.eye(structure.n_dofs), [dof]).T
     amplitudes = np.full(len(load_omegas), np.inf)
-    for index, load_omega in enumerate(load_omegas):
+    for omega_index, load_omega in enumerate(load_omegas):
         with contextlib.suppress(ConvergenceError):
-            compliance = ModalCompliance(structure, float(load_omega), load_rows)
-            bonding_force = np.zeros_like(compliance.linear_gap)
+            compliance_model = ModalCompliance(structure, float(load_omega), load_rows)
+            bonding_force = np.zeros_like(compliance_model.linear_gap)
             if lips == "tied" and structure.n_pairs:
-                complex_linear_gap = to_complex(compliance.linear_gap)[1]
+                complex_linear_gap = to_complex(compliance_model.linear_gap)[1]
                 complex_bonding_force = np.linalg.lstsq(
-                    compliance.matrices[1], complex_linear_gap, rcond=None
+                    compliance_model.matrices[1], complex_linear_gap, rcond=None
                 )[0]
                 bonding_force[1:] = complex_bonding_force.real, -complex_bonding_force.imag
-            amplitudes[index] = np.hypot(
-                *compliance.selected_displacement(dof_selection_row, bonding_force)[1:, 0]
+            amplitudes[omega_index] = np.hypot(
+                *compliance_model.selected_displacement(dof_selection_row, bonding_force)[1:, 0]
             )
     return amplitudes
 
 
 def _complex_linear_displacement(
-    structure: Structure, omega: float, load: np.ndarray
+    structure: Structure, omega: float, complex_load: np.ndarray
 ) -> np.ndarray:
     """Return the complex displacement by a harmonic load (n_local,) [N]: same shape [m]."""
     if not structure.light_lips:
         with DynamicStiffness(structure, omega) as dynamic_stiffness:
-            return dynamic_stiffness.solve(load[None] if omega > 0.0 else load.real[None])[0]
+            return dynamic_stiffness.solve(
+                complex_load[None] if omega > 0.0 else complex_load.real[None]
+            )[0]
     modes = all_modes(structure)
     receptance = modes.modal_receptances(np.array([omega]))[0]
-    modal_displacement = modes.modal_response(receptance, load @ modes.shapes)
-    return modal_displacement @ modes.shapes.T + load @ modes.massless_flexibility
+    modal_displacement = modes.modal_response(receptance, complex_load @ modes.shapes)
+    return modal_displacement @ modes.shapes.T + complex_load @ modes.massless_flexibility
 
 
 def solve_harmonic_balance(
@@ -343,8 +345,8 @@ def mode_counts_to_try(
     max_modes = min(max(first_modes, max_modes), structure.n_dofs)
     n_doublings = max(0, math.ceil(math.log2(max_modes / first_modes)))
     return [
-        min(first_modes * 2**n_done_doublings, max_modes)
-        for n_done_doublings in range(n_doublings + 1)
+        min(first_modes * 2**n_doublings_so_far, max_modes)
+        for n_doublings_so_far in range(n_doublings + 1)
     ]
 
 

@@ -195,11 +195,15 @@ class GrowingCurve:
             branch=self._is_branch,
         )
         bifurcations = []
-        for kind, curve_point in self._kinds_and_special_points:
-            point_state = system.curve_points_row(curve_point.unknown, curve_point.value)
+        for bifurcation_kind, curve_point in self._kinds_and_special_points:
+            stored_point_row = system.curve_points_row(curve_point.unknown, curve_point.value)
             bifurcations.append(
                 curve.bifurcation(
-                    kind, curve_point.value, curve_point.omega, point_state, curve_point.multipliers
+                    bifurcation_kind,
+                    curve_point.value,
+                    curve_point.omega,
+                    stored_point_row,
+                    curve_point.multipliers,
                 )
             )
         return replace(curve, bifurcations=tuple(bifurcations))
