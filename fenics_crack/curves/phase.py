@@ -110,7 +110,7 @@ class PhasePoint(Linearisation):
     slow_gap_derivative_by_frequency : (2H+1, n_pairs)
         ds/dw over v, along the response curve through the point.
     complex_work_derivative_by_frequency : complex
-        dP/dw over v, likewise.
+        dP/dw over v.
     """
 
     def __init__(self, system: ResonanceSystem, unknown: np.ndarray, parameter: float) -> None:

@@ -303,7 +303,7 @@ def _sign_of_tangent_part_times_determinant(system: System, point: PathPoint) ->
 class ZeroCrossing(Event):
     """Sign change of a function of the path's points.
 
-    :func:`find_zero_point_and_function_value` locates it.
+    Located by :func:`find_zero_point_and_function_value`.
     """
 
     def __init__(self, function: Callable[[PathPoint], float]) -> None:
