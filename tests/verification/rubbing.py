@@ -104,7 +104,9 @@ def beside_the_cone(frequency: float, mu: float) -> tuple[fc.Run, float, list[np
     frictionless_run = solved(excitation__frequency=frequency, contact__friction=0.0)
     contact, structure = run.result.contact, run.structure
     assert isinstance(contact, fc.CoulombFriction) and isinstance(structure, fc.MasslessStructure)
-    start = np.array(make_initial_state_parts(structure, contact, run.result)[:2])[:, : structure.n_modes]
+    start = np.array(make_initial_state_parts(structure, contact, run.result)[:2])[
+        :, : structure.n_modes
+    ]
     marched_motions = [
         march_cone(structure, run.result.omega, mu, start, count, 15) for count in STEPS
     ]
