@@ -102,7 +102,7 @@ def test_against_the_reference(
     motion = flow.advance(state, omega, duration, start=0.3, instants=instants)
     reference, turn = reference_of(structure, contact, flow)
     passage = reference.advance(turn @ state, omega, 0.3, duration, 60)
-    tangent = passage.derivative_of_end_state() @ turn
+    tangent = passage.tangent() @ turn
     tangent_size = np.linalg.norm(motion.track.derivative_of_end_state)
     assert relative(turn @ motion.state, passage.state) < 1e-12 * (1.0 + tangent_size)
     assert np.abs(motion.samples.gap - passage.gap).max() < 1e-12 * (1.0 + tangent_size)
@@ -455,7 +455,7 @@ def test_orbit_against_the_reference(seed: int, light: bool) -> None:
     assert relative(passage.state, turn @ orbit.state) < 1e-10
     gap = orbit.gap_at(orbit.period * np.arange(100) / 100)
     assert np.abs(gap - passage.gap).max() < 1e-11 * np.ptp(gap)
-    max_multiplier = np.abs(np.linalg.eigvals(passage.derivative_of_end_state())).max()
+    max_multiplier = np.abs(np.linalg.eigvals(passage.tangent())).max()
     assert abs(orbit.multipliers[0]) == pytest.approx(max_multiplier, rel=1e-9)
     assert orbit.n_events == len(passage.pieces) - 1 > 0
     assert 0.2 < distance(solution, orbit) / prediction.relative_gap_error < 2.0
@@ -607,7 +607,7 @@ class Layer:
         parts = self.share * np.maximum(gap, 0.0), np.maximum(gap - self.depth, 0.0)
         return self.stiffness * (parts[0] + (1.0 - self.share) * parts[1])
 
-    def derivative_of_end_state(self, gap: np.ndarray) -> np.ndarray:
+    def tangent(self, gap: np.ndarray) -> np.ndarray:
         """Return its slope."""
         return self.stiffness * (self.share * (gap > 0.0) + (1.0 - self.share) * (gap > self.depth))
 

@@ -154,7 +154,7 @@ def test_derivatives_of_the_forces_of_a_wave(pairs: int) -> None:
     assert wave_forces.force_change(change) == pytest.approx(
         difference, abs=1e-6 * np.abs(difference).max()
     )
-    matrix = wave_forces.derivative_of_end_state().reshape(gap.size, gap.size)
+    matrix = wave_forces.tangent().reshape(gap.size, gap.size)
     product = (matrix @ change.ravel()).reshape(gap.shape)
     assert product == pytest.approx(
         wave_forces.force_change(change), abs=1e-12 * np.abs(difference).max()
@@ -185,7 +185,7 @@ def test_derivative_where_a_pair_always_sticks(size: float, origin: int) -> None
     ends = [integrals.force(gap + sign * step * change) for sign in (1.0, -1.0)]
     difference = (ends[0] - ends[1]) / (2.0 * step)
     assert at_wave.force_change(change) == pytest.approx(difference, abs=1e-6)
-    assert at_wave.derivative_of_end_state().reshape(10, 10) @ change.ravel() == pytest.approx(
+    assert at_wave.tangent().reshape(10, 10) @ change.ravel() == pytest.approx(
         difference.ravel(), abs=1e-6
     )
 
