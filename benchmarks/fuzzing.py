@@ -904,7 +904,7 @@ CALLS: dict[str, tuple[str, ...]] = {
     "write_record": ("blades", "path", "probes"), "draw_wheel": ("solution",),
     "draw_nodal_diameters": ("diameters",), "draw_amplification": ("amplified",),
     "draw_blades": ("response",), "load_harmonics": ("time", "values", "harmonics"),
-    "structure.with_harmonics": ("by_order",), "structure.with_tangential_pairs": (),
+    "structure.with_added_load_harmonics": ("by_order",), "structure.with_tangential_pairs": (),
     "CoulombFriction": ("contact", "friction"), "UnilateralPenalty": ("stiffness",),
     "draw_friction_loops": ("solution",), "draw_mesh": ("structure",),
     "solve_harmonic_balance": ("structure", "omega", "contact"),

@@ -28,7 +28,7 @@ from switching import switching_instants
 
 import fenics_crack as fc
 from fenics_crack.balance.compliance import load_coefficients
-from fenics_crack.balance.contact_integrals import default_n_samples
+from fenics_crack.balance.contact_integrals import default_instants_per_period
 from fenics_crack.basics.errors import check_count, check_omega
 from fenics_crack.model.contact import check_law
 from fenics_crack.model.modal import all_modes, is_small
@@ -97,7 +97,7 @@ def incremental_system(
     if samples is None and isinstance(contact, fc.UnilateralPenalty):
         theta, weight = _between_switching(gap)
     else:
-        count = samples or subharmonic * default_n_samples(harmonics)
+        count = samples or subharmonic * default_instants_per_period(harmonics)
         theta, weight = 2.0 * np.pi / count * np.arange(count), np.full(count, 2.0 * np.pi / count)
 
     # The functions at the instants, (N, 2H+1), and their first and second derivative by theta.

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fenics_crack.balance.contact_integrals import quarter_period_waves
+from fenics_crack.balance.contact_integrals import cosines_and_sines_on_quarter_period
 from fenics_crack.kernel import kernel, pointer
 from fenics_crack.numerics.fourier import from_complex
 
@@ -57,7 +57,8 @@ def _of_one(gap: np.ndarray, closed: np.ndarray) -> tuple[np.ndarray, np.ndarray
         room = count + 1
         theta, is_closing = np.empty(room), np.empty(room)
         count = kernel.switching_instants(
-            len(gap) // 2, 1, pointer(gap), pointer(quarter_period_waves(len(gap) // 2)), room,
+            len(gap) // 2, 1, pointer(gap),
+            pointer(cosines_and_sines_on_quarter_period(len(gap) // 2)), room,
             pointer(theta), pointer(is_closing), pointer(closed),
         )  # fmt: skip
     if count < 0:

@@ -52,7 +52,7 @@ from fenics_crack.balance.assessment import (
 from fenics_crack.motion.attractors import find_irregular_motion
 from fenics_crack.motion.flow import ContactFlow, exact_flow_or_error
 from fenics_crack.motion.orbit import PeriodicOrbit, find_orbit
-from fenics_crack.time.march import initial_state
+from fenics_crack.time.march import make_initial_state_parts
 
 OMEGAS = (1300.0, 2000.0, 3300.0, 5200.0, 8700.0)
 STIFFNESSES = (1e8, 1e9, 1e10, 1e11)
@@ -107,7 +107,11 @@ def judged(plate: fc.Structure, stiffness: float, omega: float, most: int) -> tu
         )  # fmt: skip
     found = fc.floquet(plate, solution)
     flow, orbit = exact_flow_or_error(plate, law), None
-    start, kind, exact = flow.state(*initial_state(plate, law, solution)), "none", float("nan")
+    start, kind, exact = (
+        flow.state(*make_initial_state_parts(plate, law, solution)),
+        "none",
+        float("nan"),
+    )
     try:
         orbit = fc.shoot(plate, solution)
     except fc.ConvergenceError:

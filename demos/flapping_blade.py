@@ -48,7 +48,7 @@ def main(
         "its error": errors.stated(errors.resonance)[0],
         "amplitude there [m]": top.amplitude,
         "error of the amplitude": errors.stated("amplitude")[0],
-        "opening there [m]": peak.result.faces["opening"],
+        "opening there [m]": peak.result.face_indicators["opening"],
         "friction would change the amplitude by": errors.relative("amplitude", friction),
         "largest K_I [Pa m^0.5]": intensity.largest[worst],
         "it is along the front at [m]": intensity.positions[worst],

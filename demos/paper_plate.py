@@ -199,7 +199,7 @@ def vibration(
             "amplitude_m": orbit.amplitude(corner),
             "largest_opening_m": float(-exact.min()),
             "residual": orbit.residual,
-            "contacts_in_a_period": orbit.events // 2,
+            "contacts_in_a_period": orbit.n_events // 2,
             "growth_in_a_period": growth,
             "verdict": "stable" if growth < 1.0 else "unstable",
         },

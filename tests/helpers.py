@@ -190,13 +190,13 @@ def block_system(problem: fc.Problem) -> Iterator[tuple[BlockSystem, Map, Map]]:
 
         def residual(displacement: np.ndarray) -> np.ndarray:
             input_vector.array_w[:] = block.scaled_unknowns_of(displacement)
-            block.evaluate(input_vector, value)
+            block.write_residual(input_vector, value)
             assert not np.any(np.abs(value.array_r[size:]) > 1e-12 * input_vector.norm())
             return block.force_unit * value.array_r[:size].reshape(linear.shape)
 
         def jacobian(displacement: np.ndarray) -> np.ndarray:
             input_vector.array_w[:] = block.scaled_unknowns_of(displacement)
-            block.linearise(input_vector)
+            block.update_jacobian(input_vector)
             block_matrix = csr(block.matrix).toarray()
             modal_response = np.linalg.solve(block_matrix[size:, size:], block_matrix[size:, :size])
             return stiffness * (

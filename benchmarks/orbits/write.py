@@ -186,7 +186,7 @@ def facts(case: dict[str, Any], flow: Any, orbit: Any) -> dict[str, Any]:
     loss = work.damping + float(np.sum(work.friction))
     waves = orbit.coefficients(HARMONICS).gap[:, : gap.shape[1]]
     stored_orbit = stored(
-        case, orbit.subharmonic, state, gap, loss, orbit.multipliers, orbit.events, waves
+        case, orbit.subharmonic, state, gap, loss, orbit.multipliers, orbit.n_events, waves
     )
     if flow.friction_law:
         slide = orbit.tangential_gap_at(orbit.period * np.arange(INSTANTS) / INSTANTS)

@@ -216,21 +216,25 @@ class Assessment:
         """Nearest orbit or None, and True if it is accepted as the solution's exact form."""
         if self.exact_orbit is not None:
             return self.exact_orbit, True
-        orbit = self._source_orbit or self._search_nearest_orbit()
-        max_distance = (
+        orbit_or_none = self._source_orbit or self._search_nearest_orbit()
+        allowed_distance = (
             MAX_ORBIT_DISTANCE_OF_MASSLESS_FACES
             if self.wave.structure.light_lips
             else MAX_ORBIT_DISTANCE
         )
         if (
-            orbit is None
+            orbit_or_none is None
             and (finer_assessment := self._assessment_with_twice_harmonics())
             and finer_assessment.is_accepted
         ):
-            orbit = finer_assessment.nearest_orbit
+            orbit_or_none = finer_assessment.nearest_orbit
         elif self._source_orbit is None:  # predictions are within a factor of 3 of the distance
-            max_distance = min(max_distance, max(3.0 * self.predicted_error, COARSE_TOLERANCE))
-        return orbit, orbit is not None and relative_gap_distance(self.wave, orbit) <= max_distance
+            allowed_distance = min(
+                allowed_distance, max(3.0 * self.predicted_error, COARSE_TOLERANCE)
+            )
+        return orbit_or_none, orbit_or_none is not None and relative_gap_distance(
+            self.wave, orbit_or_none
+        ) <= allowed_distance
 
     def _search_nearest_orbit(self) -> PeriodicOrbit | None:
         """Search for an exact orbit by Newton's method from the solution.

@@ -103,7 +103,7 @@ class BlockSystem(Snes):
         n_pairs, n_rows = structure.n_pairs, len(linear_displacement)
         global_gap = sparse.vstack(structure.comm.allgather(structure.gap))
         self._pair_force_matrix = sparse.kron(sparse.identity(n_rows), structure.gap, "csr")
-        self._slow_gap_matrix = self._group_columns_by_rank(
+        self._nonstatic_gap_matrix = self._group_columns_by_rank(
             sparse.kron(sparse.identity(n_rows), global_gap.T), linear_coo.shape[1]
         )
         self._gap_at_zero_unknown = structure.gap_of(np.zeros(linear_displacement.shape))
@@ -112,7 +112,7 @@ class BlockSystem(Snes):
             linear_csr = linear_coo.tocsr()[: linear_displacement.size] * (
                 self.force_unit / self.length_unit
             )
-            self._slow_gap_matrix -= (
+            self._nonstatic_gap_matrix -= (
                 sparse.kron(sparse.identity(n_rows), static_response.T) @ linear_csr
             )
             self._gap_at_zero_unknown += self._load @ static_response
@@ -127,10 +127,9 @@ class BlockSystem(Snes):
             (np.ones(len(self._tangent_entry_indices[0])), self._tangent_entry_indices),
             (n_rows * n_pairs,) * 2,
         )
-        # Absolute values do not cancel: no entry is missed.
         contact_pattern = (
-            abs(self._pair_force_matrix) @ tangent_pattern @ abs(self._slow_gap_matrix)
-        ).tocoo()
+            abs(self._pair_force_matrix) @ tangent_pattern @ abs(self._nonstatic_gap_matrix)
+        ).tocoo()  # absolute values do not cancel: no entry is missed
         entries = np.append(linear_coo.data, 0.0 * contact_pattern.data)
         entry_indices = (np.append(linear_coo.row, contact_pattern.row),
                          np.append(linear_coo.col, contact_pattern.col))  # fmt: skip
@@ -138,7 +137,9 @@ class BlockSystem(Snes):
             sparse.coo_matrix((entries, entry_indices), linear_coo.shape), structure.comm
         )
         self._linear_matrix = jacobian.duplicate(copy=True)
-        self._local_slow_gap_matrix = self._slow_gap_matrix[:, slice(*jacobian.getOwnershipRange())]
+        self._local_nonstatic_gap_matrix = self._nonstatic_gap_matrix[
+            :, slice(*jacobian.getOwnershipRange())
+        ]
         self.rounding = residual_rounding(10.0 * jacobian.norm() / math.sqrt(linear_coo.shape[1]))
         """Minimum tolerance for the relative residual |F| / |x|.
 
@@ -233,7 +234,9 @@ class BlockSystem(Snes):
         sparse_tangent = sparse.csr_matrix(
             (tangent.ravel(), self._tangent_entry_indices), (n_gap_coefficients, n_gap_coefficients)
         )
-        return sparse.csr_matrix(self._pair_force_matrix @ sparse_tangent @ self._slow_gap_matrix)
+        return sparse.csr_matrix(
+            self._pair_force_matrix @ sparse_tangent @ self._nonstatic_gap_matrix
+        )
 
     def _set_linear_solver_type(self, solver: Any) -> None:
         solver.getPC().setType("lu")
@@ -250,7 +253,7 @@ class BlockSystem(Snes):
 
         The slow gap is the gap plus residual flexibility times contact force.
         """
-        scaled_gap = self.structure.sum_over_ranks(self._local_slow_gap_matrix @ unknown)
+        scaled_gap = self.structure.sum_over_ranks(self._local_nonstatic_gap_matrix @ unknown)
         return self._gap_at_zero_unknown + self.length_unit * scaled_gap.reshape(
             self._gap_at_zero_unknown.shape
         )
@@ -260,19 +263,19 @@ class BlockSystem(Snes):
 
         On the last rank, the amplitudes of damped modes follow.
         """
-        relative_displacement, comm = displacement / self.length_unit, self.structure.comm
-        modal_part = self.structure.sum_over_ranks(
-            relative_displacement[1:] @ self._scaled_shapes_and_their_rates[0]
+        scaled_displacement, comm = displacement / self.length_unit, self.structure.comm
+        modal_unknowns = self.structure.sum_over_ranks(
+            scaled_displacement[1:] @ self._scaled_shapes_and_their_rates[0]
         )
-        return np.append(relative_displacement, modal_part if comm.rank == comm.size - 1 else [])
+        return np.append(scaled_displacement, modal_unknowns if comm.rank == comm.size - 1 else [])
 
-    def evaluate(self, unknown_vector: Any, residual_vector: Any) -> None:
+    def write_residual(self, unknown_vector: Any, residual_vector: Any) -> None:
         force = self.integrals.force(self.slow_gap(unknown_vector.array_r))
         self._linear_matrix.mult(unknown_vector, residual_vector)
         contact_less_load = (self.structure.apply_b(force) - self._load).ravel() / self.force_unit
         residual_vector.array_w[: len(contact_less_load)] += contact_less_load
 
-    def linearise(self, unknown_vector: Any) -> None:
+    def update_jacobian(self, unknown_vector: Any) -> None:
         forces = self.integrals.linearise(self.slow_gap(unknown_vector.array_r))
         tangent = forces.tangent() if self.integrals.has_coupled_pairs else forces.tangent
         contact_part = self._contact_jacobian_rows(self.length_unit / self.force_unit * tangent)
@@ -286,8 +289,12 @@ class BlockSystem(Snes):
     @property
     def petsc_reason_name(self) -> str:
         """PETSc's name for the reason why the last Newton steps ended."""
-        codes = vars(PETSc.SNES.ConvergedReason).items()
-        return next(name for name, code in codes if code == self._snes.getConvergedReason())
+        reason_name_code_pairs = vars(PETSc.SNES.ConvergedReason).items()
+        return next(
+            reason_name
+            for reason_name, reason_code in reason_name_code_pairs
+            if reason_code == self._snes.getConvergedReason()
+        )
 
     def take_full_steps(
         self, displacement: np.ndarray, stiffness_factor: float, tolerance: float

@@ -44,7 +44,7 @@ from fenics_crack.basics.ranks import collect_garbage
 from fenics_crack.kernel import require_shape
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import all_modes, is_small
-from fenics_crack.model.modes import damped_modes, projected_damping, solve_modes
+from fenics_crack.model.modes import damped_modes, project_damping_on_columns, solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import from_complex, resize_harmonics, stretch_period, to_complex
 
@@ -95,11 +95,12 @@ class DynamicStiffness:
             )
         system_matrix, border_columns = self._undamped_dynamic_stiffness, None
         if self._damping_matrix is not None:
-            coupling, negative_coupling = self._damping_matrix.copy(), self._damping_matrix.copy()
-            coupling.scale(omega)
-            negative_coupling.scale(-omega)
+            omega_times_damping = self._damping_matrix.copy()
+            minus_omega_times_damping = self._damping_matrix.copy()
+            omega_times_damping.scale(omega)
+            minus_omega_times_damping.scale(-omega)
             system_matrix = PETSc.Mat().createNest(
-                [[system_matrix, coupling], [negative_coupling, system_matrix]],
+                [[system_matrix, omega_times_damping], [minus_omega_times_damping, system_matrix]],
                 comm=system_matrix.comm,
             )
             system_matrix = system_matrix.convert("aij", PETSc.Mat())
@@ -116,12 +117,12 @@ class DynamicStiffness:
                     omega,
                     "another frequency than that of an undamped mode; or add damping",
                 )
-            factored_receptance = np.divide(
+            factored_modal_receptance = np.divide(
                 1.0, modal_stiffness, out=np.zeros_like(modal_stiffness), where=~is_near
             )
             self._receptance_correction = (
                 1.0 / (modal_stiffness + 1j * omega * self._damped_modes.damping_rates)
-                - factored_receptance
+                - factored_modal_receptance
             )
             if is_near.any():
                 border_columns = sparse.csr_matrix(self._damped_modes.mass_shapes[:, is_near])
@@ -147,22 +148,24 @@ class DynamicStiffness:
         n_local = self.structure.n_local
         if self._damping_matrix is not None:
             force_in_real_form = np.concatenate([np.real(dof_forces), -np.imag(dof_forces)], axis=1)
-            solution_rows = self._factorisation.solve(force_in_real_form)
-            return solution_rows[:, :n_local] - 1j * solution_rows[:, n_local:]
+            displacement_rows = self._factorisation.solve(force_in_real_form)
+            return displacement_rows[:, :n_local] - 1j * displacement_rows[:, n_local:]
         real_force_rows = (
             np.concatenate([dof_forces.real, dof_forces.imag])
             if np.iscomplexobj(dof_forces)
             else dof_forces
         )
-        solution_rows = self._factorisation.solve(real_force_rows)
+        displacement_rows = self._factorisation.solve(real_force_rows)
         if np.iscomplexobj(dof_forces):
-            solution_rows = solution_rows[: len(dof_forces)] + 1j * solution_rows[len(dof_forces) :]
+            displacement_rows = (
+                displacement_rows[: len(dof_forces)] + 1j * displacement_rows[len(dof_forces) :]
+            )
         if self._damped_modes is None:
-            return solution_rows
-        modal_force = self.structure.sum_over_ranks(dof_forces @ self._damped_modes.shapes)
+            return displacement_rows
+        modal_forces = self.structure.sum_over_ranks(dof_forces @ self._damped_modes.shapes)
         return (
-            solution_rows
-            + (modal_force * self._receptance_correction) @ self._damped_modes.shapes.T
+            displacement_rows
+            + (modal_forces * self._receptance_correction) @ self._damped_modes.shapes.T
         )
 
     def pair_compliance_matrix(self) -> np.ndarray:
@@ -293,14 +296,14 @@ class ModalCompliance:
         ``base_omega`` [rad/s] is the response's frequency. ``load`` and ``damping`` are factors,
         ``clearance`` [m] is added, as in :meth:`Structure.varied`.
         """
-        compliance = object.__new__(type(self))  # faster than copy
-        vars(compliance).update(vars(self))
+        varied_model = object.__new__(type(self))  # faster than copy
+        vars(varied_model).update(vars(self))
         for cached_attribute_name in ("matrices", "linear_gap"):
-            vars(compliance).pop(cached_attribute_name, None)
-        compliance._set_parameters(base_omega, load, damping, clearance)
-        return compliance
+            vars(varied_model).pop(cached_attribute_name, None)
+        varied_model._set_parameters(base_omega, load, damping, clearance)
+        return varied_model
 
-    def higher_harmonics_compliance(self, max_harmonic: int) -> np.ndarray:
+    def compliance_matrices_of_higher_harmonics(self, max_harmonic: int) -> np.ndarray:
         """Return the compliance at harmonics above H: (n, n_pairs, n_pairs) complex [m/N].
 
         The n harmonics are H+1 to ``max_harmonic``.
@@ -571,9 +574,9 @@ class FactoredCompliance:
 
     reachable_gap_basis: np.ndarray | None = None
 
-    def __init__(self, structure: Structure, base_omega: float, load: np.ndarray) -> None:
-        self.structure, self.load = structure, load
-        self._base_omega, harmonic_orders = base_omega, range(len(load) // 2 + 1)
+    def __init__(self, structure: Structure, base_omega: float, load_rows: np.ndarray) -> None:
+        self.structure, self.load = structure, load_rows
+        self._base_omega, harmonic_orders = base_omega, range(len(load_rows) // 2 + 1)
         self._stiffness_by_harmonic = [
             DynamicStiffness(structure, k * base_omega) for k in harmonic_orders
         ]
@@ -584,7 +587,7 @@ class FactoredCompliance:
             ],
             dtype=complex,
         )
-        linear_gap = structure.gap_of(self.solve_all_harmonics(load))
+        linear_gap = structure.gap_of(self.displacement_under_force_harmonics(load_rows))
         # Every rank continues independently: its numbers must not differ even by rounding.
         self.matrices, self.linear_gap = structure.comm.bcast((compliance_matrices, linear_gap))
         self.gap_shape = self.linear_gap.shape
@@ -594,18 +597,18 @@ class FactoredCompliance:
                 "dynamic compliance: the structure is singular to rounding; add damping"
             )
 
-    def higher_harmonics_compliance(self, max_harmonic: int) -> np.ndarray:
+    def compliance_matrices_of_higher_harmonics(self, max_harmonic: int) -> np.ndarray:
         """Return the compliance at harmonics above H: (n, n_pairs, n_pairs) complex [m/N].
 
         The n harmonics are H+1 to ``max_harmonic``. At least 20 modes respond dynamically; the
         remaining static compliance responds statically. This approximation is for error estimates.
         """
-        natural_omegas, modal_damping_rates, pair_shapes = self.structure.compute_once(
-            _omegas_dampings_gap_shapes
+        natural_omegas, modal_damping_rates, gap_shapes = self.structure.compute_once(
+            _omegas_damping_rates_and_gap_shapes
         )
         modal_damping_rates = self.structure.damping_factor * modal_damping_rates
-        static_compliance_rest = (
-            self.matrices[0].real - (pair_shapes.T / natural_omegas**2) @ pair_shapes
+        static_compliance_of_other_modes = (
+            self.matrices[0].real - (gap_shapes.T / natural_omegas**2) @ gap_shapes
         )
         higher_harmonic_omegas = (
             self._base_omega * np.arange(len(self.matrices), max_harmonic + 1)[:, None]
@@ -615,8 +618,8 @@ class FactoredCompliance:
             - higher_harmonic_omegas**2
             + 1j * higher_harmonic_omegas * modal_damping_rates
         )
-        return static_compliance_rest + np.matmul(
-            pair_shapes.T * modal_receptance[:, None, :], pair_shapes
+        return static_compliance_of_other_modes + np.matmul(
+            gap_shapes.T * modal_receptance[:, None, :], gap_shapes
         )
 
     def displacement(self, contact_force: np.ndarray) -> np.ndarray:
@@ -624,9 +627,11 @@ class FactoredCompliance:
 
         ``contact_force`` has the coefficients (2H+1, n_pairs) [N].
         """
-        return self.solve_all_harmonics(self.load - self.structure.apply_b(contact_force))
+        return self.displacement_under_force_harmonics(
+            self.load - self.structure.apply_b(contact_force)
+        )
 
-    def solve_all_harmonics(self, dof_force_rows: np.ndarray) -> np.ndarray:
+    def displacement_under_force_harmonics(self, dof_force_rows: np.ndarray) -> np.ndarray:
         """Return the displacement under forces on the dofs, both (2H+1, n_local).
 
         Rows are Fourier coefficients [m], [N].
@@ -661,7 +666,7 @@ def resized_compliance_model(compliance_model: ComplianceModel, harmonics: int) 
     resized_matrices = compliance_model.matrices[: harmonics + 1]
     if len(resized_matrices) <= harmonics:
         resized_matrices = np.concatenate(
-            [resized_matrices, compliance_model.higher_harmonics_compliance(harmonics)]
+            [resized_matrices, compliance_model.compliance_matrices_of_higher_harmonics(harmonics)]
         )
     new_model.matrices = resized_matrices
     new_model.linear_gap = resize_harmonics(compliance_model.linear_gap, harmonics)
@@ -674,7 +679,9 @@ def _reachable_gap_basis(structure: Structure) -> np.ndarray:
     return scipy.linalg.orth(all_modes(structure).gaps_by_mode.T)
 
 
-def _omegas_dampings_gap_shapes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _omegas_damping_rates_and_gap_shapes(
+    structure: Structure,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the lowest modes with damping, at least 20 if the structure has as many dofs.
 
     Modes with a natural frequency of 0, perhaps lost in rounding, are left out.
@@ -689,15 +696,15 @@ def _omegas_dampings_gap_shapes(structure: Structure) -> tuple[np.ndarray, np.nd
         Gaps of the mass-normalised modes.
     """
     modes_of_damping, n_modes = damped_modes(structure), min(20, structure.n_dofs)
-    modes = (
+    available_modes = (
         modes_of_damping
         if modes_of_damping and len(modes_of_damping.omega) >= n_modes
         else solve_modes(structure, n_modes)
     )
-    modal_damping_rates = np.diag(projected_damping(structure, modes.shapes))
-    is_elastic = modes.omega > 0.0  # the lowest may be lost in rounding
+    modal_damping_rates = np.diag(project_damping_on_columns(structure, available_modes.shapes))
+    is_elastic = available_modes.omega > 0.0  # the lowest may be lost in rounding
     return (
-        modes.omega[is_elastic],
+        available_modes.omega[is_elastic],
         modal_damping_rates[is_elastic],
-        structure.apply_bt(modes.shapes.T)[is_elastic],
+        structure.apply_bt(available_modes.shapes.T)[is_elastic],
     )

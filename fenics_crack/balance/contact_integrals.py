@@ -209,22 +209,25 @@ class ContactIntegrals(ABC):
 
 
 def integrals_with_uncoupled_pairs(
-    law: ContactLaw, harmonics: int, samples: int | None = None, n_load_periods: int = 1
+    law: ContactLaw, harmonics: int, instants_per_period: int | None = None, n_load_periods: int = 1
 ) -> PairIntegrals:
     """Return integrals of contact forces for uncoupled pairs, exact if possible.
 
     Exact integrals require a piecewise linear law, lambda = k max(0, g), and ``samples`` None.
-    Otherwise ``samples`` is the number of instants per response period; default:
-    :func:`default_n_samples` for each of its ``n_load_periods`` load periods.
+    Otherwise ``instants_per_period`` is the number of instants; default:
+    :func:`default_instants_per_period`
+    for each of of its ``n_load_periods`` load the period.
     """
-    if samples is None and is_piecewise_linear(law):
+    if instants_per_period is None and is_piecewise_linear(law):
         return ExactIntegrals(law, harmonics)
     return SampledIntegrals(
-        law, harmonics, samples or n_load_periods * default_n_samples(harmonics)
+        law,
+        harmonics,
+        instants_per_period or n_load_periods * default_instants_per_period(harmonics),
     )
 
 
-def default_n_samples(harmonics: int) -> int:
+def default_instants_per_period(harmonics: int) -> int:
     """Return the default number of instants for sampled contact forces.
 
     It is 1024, or the next power of two from 32 H on if that is larger; H is ``harmonics``.
@@ -270,7 +273,9 @@ class SampledIntegrals(ContactIntegrals):
     def exact_or_finer_integrals(self) -> ContactIntegrals:
         if is_piecewise_linear(self.law):
             return ExactIntegrals(self.law, self.harmonics)
-        return replace(self, samples=max(4 * self.samples, default_n_samples(self.harmonics)))
+        return replace(
+            self, samples=max(4 * self.samples, default_instants_per_period(self.harmonics))
+        )
 
     def with_harmonics(self, harmonics: int) -> Self:
         n_samples = max(self.samples, 1 << (8 * harmonics - 1).bit_length())
@@ -315,8 +320,9 @@ class ExactIntegrals(ContactIntegrals):
         tangent_by_pair = np.empty((n_pairs, n_rows, n_rows))
         is_out_of_memory = kernel.contact_integrals(
             self.harmonics, n_pairs, pointer(gap_coefficients), pointer(pair_stiffnesses),
-            pointer(quarter_period_waves(self.harmonics)), pointer(np.empty(2 * n_pairs * n_rows)),
-            pointer(force_coefficients), pointer(tangent_by_pair),
+            pointer(cosines_and_sines_on_quarter_period(self.harmonics)),
+            pointer(np.empty(2 * n_pairs * n_rows)), pointer(force_coefficients),
+            pointer(tangent_by_pair),
         )  # fmt: skip
         if is_out_of_memory:
             raise MemoryError("contact integrals")
@@ -367,22 +373,28 @@ class PairForces(ContactForces):
         return self._softness_derivative
 
 
-def multiply_compliance_and_force(compliance_matrices: np.ndarray, force: np.ndarray) -> np.ndarray:
+def multiply_compliance_and_force(
+    compliance_matrices: np.ndarray, force_coefficients: np.ndarray
+) -> np.ndarray:
     """Return the gap response to contact forces, harmonic by harmonic: (2H+1, n_pairs) [m].
 
     ``compliance_matrices`` (H+1, n_pairs, n_pairs) complex [m/N] are the compliance at each
     harmonic, ``force`` (2H+1, n_pairs) [N] the forces' coefficients.
     """
-    n_rows, n_pairs = force.shape
+    n_rows, n_pairs = force_coefficients.shape
     compliance_matrices = require_shape(
         compliance_matrices, n_rows // 2 + 1, n_pairs, n_pairs, kind=complex
     )
-    force = require_shape(force, 2 * (n_rows // 2) + 1, n_pairs)
-    response = np.empty((n_rows, n_pairs))
+    force_coefficients = require_shape(force_coefficients, 2 * (n_rows // 2) + 1, n_pairs)
+    gap_response = np.empty((n_rows, n_pairs))
     kernel.respond(
-        n_rows // 2, n_pairs, pointer(compliance_matrices), pointer(force), pointer(response)
+        n_rows // 2,
+        n_pairs,
+        pointer(compliance_matrices),
+        pointer(force_coefficients),
+        pointer(gap_response),
     )
-    return response
+    return gap_response
 
 
 def multiply_compliance_and_tangent(
@@ -410,14 +422,14 @@ def multiply_compliance_and_tangent(
         compliance_matrices, n_rows // 2 + 1, n_pairs, n_pairs, kind=complex
     )
     tangent = require_shape(tangent, n_pairs, 2 * (n_rows // 2) + 1, n_columns)
-    product = np.empty((n_rows * n_pairs, n_columns * n_pairs))
-    array_pointers = map(pointer, (compliance_matrices, tangent, product))
+    compliance_times_tangent = np.empty((n_rows * n_pairs, n_columns * n_pairs))
+    array_pointers = map(pointer, (compliance_matrices, tangent, compliance_times_tangent))
     kernel.respond_to_columns(n_rows // 2, n_pairs, n_columns, *array_pointers)
-    return product
+    return compliance_times_tangent
 
 
 @lru_cache(maxsize=64)
-def quarter_period_waves(harmonics: int) -> np.ndarray:
+def cosines_and_sines_on_quarter_period(harmonics: int) -> np.ndarray:
     """Return cos k theta and sin k theta on a quarter period: (H, 2, n_instants).
 
     k is 1 to H = ``harmonics``. The kernel searches for sign changes of gaps on this grid of
@@ -505,7 +517,7 @@ class CoupledIntegrals(ContactIntegrals):
         return self.is_piecewise and self.samples is None
 
     def with_harmonics(self, harmonics: int) -> Self:
-        n_samples = self.samples and max(self.samples, default_n_samples(harmonics))
+        n_samples = self.samples and max(self.samples, default_instants_per_period(harmonics))
         return replace(
             self,
             harmonics=harmonics,
@@ -516,7 +528,7 @@ class CoupledIntegrals(ContactIntegrals):
     def exact_or_finer_integrals(self) -> Self | None:
         if self.is_exact:
             return None
-        n_samples = 4 * (self.samples or default_n_samples(self.harmonics))
+        n_samples = 4 * (self.samples or default_instants_per_period(self.harmonics))
         return replace(self, samples=None if self.is_piecewise else n_samples)
 
     def forces_at_gap_samples(self, gap_samples: np.ndarray) -> np.ndarray:
@@ -569,7 +581,7 @@ class CoupledForces(ContactForces):
         return jacobian_matrix
 
 
-class _KernelEvaluator:
+class _KernelForceEvaluator:
     """C object that computes exact forces for given numbers of harmonics and pairs.
 
     Several forces share it. ``evaluated_forces`` are the forces whose gap it evaluated last.
@@ -581,7 +593,7 @@ class _KernelEvaluator:
         self.evaluated_forces: CoupledForces | None = None
 
 
-_kernel_evaluator_for = lru_cache(maxsize=16)(_KernelEvaluator)
+_kernel_evaluator_for = lru_cache(maxsize=16)(_KernelForceEvaluator)
 
 
 class _ExactForces(CoupledForces):
@@ -606,10 +618,10 @@ class _ExactForces(CoupledForces):
             array_pointers = map(
                 pointer, (active_set_solver.compliance_matrix, self._gap_coefficients, self.force)
             )
-            outcome = kernel.find_forces(kernel_evaluator.handle, *array_pointers)
-            if outcome == kernel.NO_MEMORY:
+            outcome_code = kernel.find_forces(kernel_evaluator.handle, *array_pointers)
+            if outcome_code == kernel.NO_MEMORY:
                 raise MemoryError("contact forces")
-            if outcome != kernel.FOUND:
+            if outcome_code != kernel.FOUND:
                 raise ConvergenceError(
                     "contact: no forces were found at an instant of the period; soften the contact"
                 )
@@ -637,18 +649,18 @@ class _ExactForces(CoupledForces):
             raise MemoryError("contact forces")
         return tangent_from_means(stiffness_means)
 
-    def _diagonal_compliance_derivative(self, diagonal_rate: np.ndarray) -> np.ndarray:
+    def _diagonal_compliance_derivative(self, compliance_rates: np.ndarray) -> np.ndarray:
         """Return the forces' derivative by the compliance in series: (2H+1, n_pairs).
 
         The compliance matrix is residual flexibility plus contact springs' compliance plus
-        softness. Its diagonal grows at ``diagonal_rate`` (n_pairs,).
+        softness. Its diagonal grows at ``compliance_rates`` (n_pairs,).
         """
-        derivative = np.empty(self._gap_coefficients.shape)
-        diagonal_rate = require_shape(diagonal_rate, self._gap_coefficients.shape[1])
+        force_derivative = np.empty(self._gap_coefficients.shape)
+        compliance_rates = require_shape(compliance_rates, self._gap_coefficients.shape[1])
         kernel.forces_by_compliance(
-            self._evaluated_kernel_handle(), pointer(diagonal_rate), pointer(derivative)
+            self._evaluated_kernel_handle(), pointer(compliance_rates), pointer(force_derivative)
         )
-        return derivative
+        return force_derivative
 
     def softness_derivative(self) -> np.ndarray:
         return self._diagonal_compliance_derivative(
@@ -675,7 +687,7 @@ class _SampledForces(CoupledForces):
         self._integrals, self.harmonics = integrals, integrals.harmonics
         active_set_solver = integrals.active_set_solver
         gap_samples = sample_period(
-            gap_coefficients, integrals.samples or default_n_samples(integrals.harmonics)
+            gap_coefficients, integrals.samples or default_instants_per_period(integrals.harmonics)
         )
         if integrals.is_piecewise:
             self._force_samples, is_closed = active_set_solver.solve(gap_samples)

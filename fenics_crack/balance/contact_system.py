@@ -89,7 +89,7 @@ DYNAMIC_TO_SOFT_PAIR_COMPLIANCE = 0.05
 Below this ratio the solution is unique and close to the linear one.
 """
 
-ParameterDerivativeFunction = Callable[["ContactPoint"], np.ndarray]
+ResidualDerivativeFunction = Callable[["ContactPoint"], np.ndarray]
 """Callable from a point to dF/dp, the residual's derivative by a path parameter p."""
 
 
@@ -271,27 +271,35 @@ class ContactSystem:
         force. ``parameter`` 1 is the law itself; below 1, a compliance in series softens the
         contact.
         """
-        distance_to_law = 1.0 - parameter
-        softness_rate = -3.0 * self._start_softness * distance_to_law * abs(distance_to_law)
+        parameter_distance_to_law = 1.0 - parameter
+        softness_derivative_by_parameter = (
+            -3.0 * self._start_softness * parameter_distance_to_law * abs(parameter_distance_to_law)
+        )
         return ContactPoint(
             self,
             unknown,
-            self.integrals.with_softness(self._start_softness * abs(distance_to_law) ** 3),
+            self.integrals.with_softness(
+                self._start_softness * abs(parameter_distance_to_law) ** 3
+            ),
             lambda point: multiply_compliance_and_force(
                 self.dynamic_less_static_compliance,
-                softness_rate * point.linearised_forces.softness_derivative(),
+                softness_derivative_by_parameter * point.linearised_forces.softness_derivative(),
             ),
         )
 
     def linearise_with_derivative(
-        self, unknown: np.ndarray, parameter_derivative_function: ParameterDerivativeFunction
+        self,
+        unknown: np.ndarray,
+        residual_derivative_by_parameter_function: ResidualDerivativeFunction,
     ) -> ContactPoint:
         """Return the equations, linearised at a slow gap.
 
         ``unknown`` (2H+1, n_rows) [m] is the slow gap: gap plus residual flexibility times contact
         force. The given function computes the residual's derivative by a path parameter.
         """
-        return ContactPoint(self, unknown, self.integrals, parameter_derivative_function)
+        return ContactPoint(
+            self, unknown, self.integrals, residual_derivative_by_parameter_function
+        )
 
     def max_contact_stiffness(self, law: ContactLaw) -> float:
         """Return the largest slope of contact forces over slow gaps, for a law [N/m].
@@ -366,11 +374,11 @@ class ContactPoint(DenseLinearisation):
         system: ContactSystem,
         unknown: np.ndarray,
         integrals: ContactIntegrals,
-        parameter_derivative_function: ParameterDerivativeFunction,
+        residual_derivative_by_parameter_function: ResidualDerivativeFunction,
     ) -> None:
         self.system = system
         self.unknown = unknown
-        self._derivative_function = parameter_derivative_function
+        self._residual_derivative_by_parameter_function = residual_derivative_by_parameter_function
         self.linearised_forces = integrals.linearise(unknown)
         self.force = self.linearised_forces.force
         """Coefficients of the contact force: (2H+1, n_pairs) [N]."""
@@ -442,7 +450,7 @@ class ContactPoint(DenseLinearisation):
 
     @cached_property
     def by_parameter(self) -> np.ndarray:
-        return self._derivative_function(self)
+        return self._residual_derivative_by_parameter_function(self)
 
     def gap_change(self, slow_gap_change: np.ndarray) -> np.ndarray:
         """Return the gap's linearised change by a change of the slow gap.
@@ -586,27 +594,27 @@ class Wave:
 
         Shapes are those of :meth:`basis_gaps_and_forces_at_phases`, with n = ``n_instants``.
         """
-        phase = 2.0 * np.pi / n_instants * np.arange(n_instants)
+        phases = 2.0 * np.pi / n_instants * np.arange(n_instants)
         return self._gaps_and_forces_with_basis_at(
-            fourier_basis_over_period(self.harmonics, n_instants), phase
+            fourier_basis_over_period(self.harmonics, n_instants), phases
         )
 
     def _gaps_and_forces_with_basis_at(
-        self, basis: np.ndarray, phase: np.ndarray
+        self, basis_at_phases: np.ndarray, phases: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the given Fourier basis with gaps [m] and contact forces [N].
 
-        ``basis`` (n, 2H+1) has a row for each response phase in ``phase`` (n,) [rad]; gaps and
-        forces are (n, n_rows).
+        ``basis_at_phases`` (n, 2H+1) has a row for each response phase in ``phases`` (n,) [rad]; gaps
+        and forces are (n, n_rows).
         """
         contact_law = self.contact
-        slow_gap_at_phases = basis @ self.slow_gap_coefficients
+        slow_gap_at_phases = basis_at_phases @ self.slow_gap_coefficients
         if contact_law is None:
-            return basis, slow_gap_at_phases, np.zeros_like(slow_gap_at_phases)
+            return basis_at_phases, slow_gap_at_phases, np.zeros_like(slow_gap_at_phases)
         if friction_of(contact_law) is not None:
             assert isinstance(self._integrals, FrictionIntegrals)
             force_at_phases = self._integrals.forces_and_places_at(
-                self.slow_gap_coefficients, phase
+                self.slow_gap_coefficients, phases
             )[0]
         elif self.residual_compliance is not None:
             force_at_phases = self._integrals.forces_at_gap_samples(slow_gap_at_phases)
@@ -615,10 +623,11 @@ class Wave:
         else:
             assert contact_law.weight is not None
             force_at_phases = np.maximum(
-                0.0, contact_law.weight * slow_gap_at_phases + basis @ self.force_coefficients
+                0.0,
+                contact_law.weight * slow_gap_at_phases + basis_at_phases @ self.force_coefficients,
             )
         return (
-            basis,
+            basis_at_phases,
             slow_gap_at_phases
             if self.residual_compliance is None
             else slow_gap_at_phases - force_at_phases @ self.residual_compliance,
@@ -689,17 +698,17 @@ class Wave:
 
         The quasi-static response follows the contact forces in time, with their kinks.
         """
-        basis, _, force_at_times = self.basis_gaps_and_forces_at_phases(
+        basis_at_times, _, force_at_times = self.basis_gaps_and_forces_at_phases(
             self.base_omega * np.atleast_1d(time)
         )
-        displacement_at_times = basis @ self.displacement_coefficients
+        displacement_at_times = basis_at_times @ self.displacement_coefficients
         if self.static_above is not None:
             # The quasi-static part follows the forces in time, with their kinks.
             static_displacement_per_force = all_modes(
                 self.structure_with_row_pairs
             ).static_pair_responses(self.static_above)
             displacement_at_times -= (
-                force_at_times - basis @ self.row_force_coefficients
+                force_at_times - basis_at_times @ self.row_force_coefficients
             ) @ static_displacement_per_force.T
         return displacement_at_times
 
@@ -858,13 +867,13 @@ class CompiledPoint(Linearisation):
         return residual_coefficients
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
-        solution = np.array(right_side, dtype=float, order="C")
-        if solution.size != self.unknown.size:
-            raise ValueError(f"{solution.size} numbers instead of {self.unknown.size}")
+        solution_vector = np.array(right_side, dtype=float, order="C")
+        if solution_vector.size != self.unknown.size:
+            raise ValueError(f"{solution_vector.size} numbers instead of {self.unknown.size}")
         function_table = self.system.function_table_at(self)
         function_table.solve_tolerance = kernel.SOLUTION_TOLERANCE
-        function_table.solve(function_table, pointer(solution))
-        return solution
+        function_table.solve(function_table, pointer(solution_vector))
+        return solution_vector
 
     @property
     def by_parameter(self) -> np.ndarray:

@@ -58,7 +58,7 @@ the change between exact orbits; with 20 harmonics the ratio begins at a hundred
 """
 NOT_CONFIRMED_TEXT = "not confirmed by an orbit"
 """Words printed with an error report if no exact orbit was found for the truncation error."""
-ERROR_PARTS = ("truncation", "reduction", "sampling", "residual")
+PART_NAMES_OF_TOTAL_ERROR = ("truncation", "reduction", "sampling", "residual")
 """Names of the parts of a total error; of equal parts the first is reported."""
 
 
@@ -120,14 +120,14 @@ class ErrorReport(Described):
 
         Of equal errors the first is named.
         """
-        return max(ERROR_PARTS, key=lambda part_name: getattr(self, part_name))
+        return max(PART_NAMES_OF_TOTAL_ERROR, key=lambda part_name: getattr(self, part_name))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the errors and their total by name, without ``confirmed``."""
         return {
-            part_name: part_error
-            for part_name, part_error in (asdict(self) | {"total": self.total}).items()
-            if part_name != "confirmed"
+            error_name: error
+            for error_name, error in (asdict(self) | {"total": self.total}).items()
+            if error_name != "confirmed"
         }
 
     def _unit_by_name(self) -> dict[str, str]:

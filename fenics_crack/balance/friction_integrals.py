@@ -120,7 +120,7 @@ class FrictionIntegrals(ContactIntegrals):
         """Number of instants per period."""
         return self.samples or max(MIN_SAMPLES, SAMPLES_PER_HARMONIC * self.harmonics)
 
-    def march(self, gap_samples: np.ndarray) -> tuple[np.ndarray, ...]:
+    def follow_forces_until_they_repeat(self, gap_samples: np.ndarray) -> tuple[np.ndarray, ...]:
         """Follow contact and friction forces, period after period, until they repeat.
 
         ``gap_samples`` (n, 2 n_pairs) [m] are the slow gaps at n instants of the period. Raises as
@@ -141,7 +141,7 @@ class FrictionIntegrals(ContactIntegrals):
         )
 
     def forces_at_gap_samples(self, gap_samples: np.ndarray) -> np.ndarray:
-        return self.march(gap_samples)[0]
+        return self.follow_forces_until_they_repeat(gap_samples)[0]
 
     def forces_and_places_at(
         self, gap_coefficients: np.ndarray, requested_phases: np.ndarray
@@ -174,7 +174,7 @@ class FrictionIntegrals(ContactIntegrals):
         _, unique_phase_indices, unique_index_of_phase = np.unique(
             grid_and_requested_phases, return_index=True, return_inverse=True
         )
-        normal_and_friction_forces, _, sticking_places, _ = self.march(
+        normal_and_friction_forces, _, sticking_places, _ = self.follow_forces_until_they_repeat(
             gap_samples[unique_phase_indices]
         )
         requested_indices = unique_index_of_phase[n_instants:]
@@ -205,7 +205,7 @@ class FrictionForces(CoupledForces):
             self.contact_states,
             self.sticking_places,
             self._last_unstuck_instants,
-        ) = integrals.march(gap_samples)
+        ) = integrals.follow_forces_until_they_repeat(gap_samples)
         self.force = fourier_coefficients(self._force_samples, integrals.harmonics)
 
     def force_change(self, gap_change: np.ndarray) -> np.ndarray:
@@ -245,19 +245,19 @@ class FrictionForces(CoupledForces):
         gap_basis_matrix = np.eye(n_gaps) if gap_basis is None else np.ascontiguousarray(gap_basis)
         n_instants, n_columns = self._integrals.n_instants, gap_basis_matrix.shape[1]
         instant_phases = 2.0 * np.pi / n_instants * np.arange(n_instants)
-        waves = fourier_basis(instant_phases, np.arange(1, n_rows // 2 + 1))
-        weighted_waves = 2.0 / n_instants * waves
-        weighted_waves[:, 0] *= 0.5
-        tangent = np.empty((n_rows, n_columns, n_rows * n_columns))
+        fourier_basis_samples = fourier_basis(instant_phases, np.arange(1, n_rows // 2 + 1))
+        weighted_basis_samples = 2.0 / n_instants * fourier_basis_samples
+        weighted_basis_samples[:, 0] *= 0.5
+        force_derivative_by_gaps = np.empty((n_rows, n_columns, n_rows * n_columns))
         if kernel.friction_tangent(
             self._integrals.friction_contact_solver.handle, n_instants,
             pointer(self.contact_states), pointer(self._last_unstuck_instants), n_rows,
-            pointer(waves),
-            pointer(weighted_waves), n_columns,
-            pointer(gap_basis_matrix), pointer(tangent),
+            pointer(fourier_basis_samples),
+            pointer(weighted_basis_samples), n_columns,
+            pointer(gap_basis_matrix), pointer(force_derivative_by_gaps),
         ):  # fmt: skip
             raise MemoryError("friction")
-        return tangent
+        return force_derivative_by_gaps
 
     def softness_derivative(self) -> np.ndarray:
         return self._force_coefficient_change(
@@ -282,11 +282,11 @@ class FrictionForces(CoupledForces):
         slip_signs = 1.0 * (self.contact_states == kernel.SLIP_UP) - (
             self.contact_states == kernel.SLIP_DOWN
         )
-        slip_force_by_scale = np.zeros_like(self._force_samples)
-        slip_force_by_scale[:, n_pairs:] = (
+        slip_force_derivative_by_scale = np.zeros_like(self._force_samples)
+        slip_force_derivative_by_scale[:, n_pairs:] = (
             slip_signs * friction_law.coefficient * self._force_samples[:, :n_pairs]
         )
-        compliance = integrals.compliance_matrix
+        compliance_matrix = integrals.compliance_matrix
         return fourier_coefficients(
-            slip_force_by_scale, integrals.harmonics
-        ) + self._force_coefficient_change(-slip_force_by_scale @ compliance)
+            slip_force_derivative_by_scale, integrals.harmonics
+        ) + self._force_coefficient_change(-slip_force_derivative_by_scale @ compliance_matrix)

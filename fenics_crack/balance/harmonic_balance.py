@@ -183,33 +183,35 @@ def linear_response(
     load_rows = load_coefficients(structure, 1, 1)
     dof_selection_row = structure.values_at(np.eye(structure.n_dofs), [dof]).T
     amplitudes = np.full(len(load_omegas), np.inf)
-    for index, load_omega in enumerate(load_omegas):
+    for omega_index, load_omega in enumerate(load_omegas):
         with contextlib.suppress(ConvergenceError):
-            compliance = ModalCompliance(structure, float(load_omega), load_rows)
-            bonding_force = np.zeros_like(compliance.linear_gap)
+            compliance_model = ModalCompliance(structure, float(load_omega), load_rows)
+            bonding_force = np.zeros_like(compliance_model.linear_gap)
             if lips == "tied" and structure.n_pairs:
-                complex_linear_gap = to_complex(compliance.linear_gap)[1]
+                complex_linear_gap = to_complex(compliance_model.linear_gap)[1]
                 complex_bonding_force = np.linalg.lstsq(
-                    compliance.matrices[1], complex_linear_gap, rcond=None
+                    compliance_model.matrices[1], complex_linear_gap, rcond=None
                 )[0]
                 bonding_force[1:] = complex_bonding_force.real, -complex_bonding_force.imag
-            amplitudes[index] = np.hypot(
-                *compliance.selected_displacement(dof_selection_row, bonding_force)[1:, 0]
+            amplitudes[omega_index] = np.hypot(
+                *compliance_model.selected_displacement(dof_selection_row, bonding_force)[1:, 0]
             )
     return amplitudes
 
 
 def _complex_linear_displacement(
-    structure: Structure, omega: float, load: np.ndarray
+    structure: Structure, omega: float, complex_load: np.ndarray
 ) -> np.ndarray:
     """Return the complex displacement under a harmonic load, both (n_local,) [m], [N]."""
     if not structure.light_lips:
         with DynamicStiffness(structure, omega) as dynamic_stiffness:
-            return dynamic_stiffness.solve(load[None] if omega > 0.0 else load.real[None])[0]
+            return dynamic_stiffness.solve(
+                complex_load[None] if omega > 0.0 else complex_load.real[None]
+            )[0]
     modes = all_modes(structure)
     receptance = modes.modal_receptances(np.array([omega]))[0]
-    modal_displacement = modes.modal_response(receptance, load @ modes.shapes)
-    return modal_displacement @ modes.shapes.T + load @ modes.massless_flexibility
+    modal_displacement = modes.modal_response(receptance, complex_load @ modes.shapes)
+    return modal_displacement @ modes.shapes.T + complex_load @ modes.massless_flexibility
 
 
 def solve_harmonic_balance(
@@ -351,7 +353,7 @@ MAX_HARMONICS = 500
 """Maximum number of harmonics solved for; from an orbit, per load period."""
 
 
-def mode_counts(
+def mode_counts_to_try(
     structure: Structure,
     first_modes: int = FIRST_MODE_COUNT,
     max_modes: int = MAX_MODES_FOR_MONODROMY,
@@ -363,8 +365,8 @@ def mode_counts(
     max_modes = min(max(first_modes, max_modes), structure.n_dofs)
     n_doublings = max(0, math.ceil(math.log2(max_modes / first_modes)))
     return [
-        min(first_modes * 2**n_done_doublings, max_modes)
-        for n_done_doublings in range(n_doublings + 1)
+        min(first_modes * 2**n_doublings_so_far, max_modes)
+        for n_doublings_so_far in range(n_doublings + 1)
     ]
 
 
@@ -402,11 +404,11 @@ def solve_to_tolerance(
         structures = [whole_structure]
     elif structures is None:
         reduce_to = partial(reduce_structure, whole_structure, method="massless")
-        structures = (reduce_to(modes=modes) for modes in mode_counts(whole_structure))
+        structures = (reduce_to(modes=modes) for modes in mode_counts_to_try(whole_structure))
     best_solution = None
     for structure in structures:
         solver = replace(solver, problem=replace(solver.problem, structure=structure))
-        solution = _solve_structure(solver, tolerance, initial)
+        solution = _solve_with_present_modes(solver, tolerance, initial)
         solution = solution.reported(whole_structure.comm.bcast(solution.report))
         if best_solution is None or solution.report.total < best_solution.report.total:
             best_solution = solution
@@ -466,7 +468,7 @@ def solve_from_neighbour(
     if tolerance is None:
         balanced_solution = Solver(problem).solve(neighbour)
         return balanced_solution if with_errors else balanced_solution.reported(UNESTIMATED_REPORT)
-    solution = _solve_structure(Solver(problem), tolerance, neighbour)
+    solution = _solve_with_present_modes(Solver(problem), tolerance, neighbour)
     if not (truncation_error := solution.report.truncation) <= tolerance:
         error_text = (
             f"the estimated truncation error, {truncation_error:.1e} with H = {solution.harmonics},"
@@ -536,7 +538,7 @@ def _with_tolerance_status(
     return replace(solution, status=f"{message}; {solution.status}")
 
 
-def _solve_structure(
+def _solve_with_present_modes(
     solver: Solver, tolerance: float, initial: PeriodicSolution | None
 ) -> PeriodicSolution:
     """Return a solution to a tolerance with the structure's present modes.
@@ -548,7 +550,7 @@ def _solve_structure(
     flow = exact_flow_or_none(problem.structure, problem.contact)
     if flow is None or not is_orbit_search_affordable(flow, problem.omega, problem.subharmonic):
         return _solve_with_growing_harmonics(
-            solver, tolerance, _solver_for(solver, problem).solve(initial)
+            solver, tolerance, _solver_for_other_problem(solver, problem).solve(initial)
         )
     solutions, search = _search_orbit_from_solutions(solver, flow, initial)
     if search.orbit is not None:
@@ -569,7 +571,7 @@ def _solve_structure(
         initial = solutions[-1]
         problem = problem.with_harmonics(initial.harmonics)
     solution = _solve_with_growing_harmonics(
-        solver, tolerance, _solver_for(solver, problem).solve(initial)
+        solver, tolerance, _solver_for_other_problem(solver, problem).solve(initial)
     )
     harmonics_text = ", ".join(
         str(load_harmonics * problem.subharmonic)
@@ -625,7 +627,7 @@ def _search_orbit_from_solutions(
                 yield _states_with_more_modes(flow, initial.assessment, orbit)
         for load_harmonics in SearchOptions.guess_harmonic_counts:
             start_problem = problem.with_harmonics(problem.response_harmonics(load_harmonics))
-            solution = _solver_for(solver, start_problem).search_and_solution(
+            solution = _solver_for_other_problem(solver, start_problem).search_and_solution(
                 initial, with_whole_budget=False
             )[1]
             if solution.converged:
@@ -649,10 +651,10 @@ def _states_with_more_modes(
     more_modes = assessment.more_modes
     if more_modes and more_modes.orbit and more_modes.flow.n_modes == flow.n_modes:
         return more_modes.orbit.period_samples.whole_states[SEGMENT_START_SLICE]
-    return MoreModes(flow, assessment.wave, orbit).states_at_period_parts
+    return MoreModes(flow, assessment.wave, orbit).nearest_orbit_states_with_static_new_modes
 
 
-def _solver_for(solver: Solver, problem: Problem) -> Solver:
+def _solver_for_other_problem(solver: Solver, problem: Problem) -> Solver:
     """Return the solver for another problem, and report the number of harmonics as progress."""
     begin_stage(f"H = {problem.harmonics}, {problem.structure.n_dofs} coordinates")
     return replace(solver, problem=problem)
@@ -824,7 +826,7 @@ def _solve_with_growing_harmonics(
     best_solution = solution
     while solution.converged and not _has_enough_harmonics(solution, tolerance):
         harmonics = min(2 * solution.harmonics, MAX_HARMONICS)
-        finer_solver = _solver_for(solver, solver.problem.with_harmonics(harmonics))
+        finer_solver = _solver_for_other_problem(solver, solver.problem.with_harmonics(harmonics))
         solution = finer_solver.search_and_solution(solution, with_whole_budget=False)[1]
         if solution.converged and solution.report.total < best_solution.report.total:
             best_solution = solution
@@ -951,7 +953,7 @@ def find_line_angles_and_turning(
     """
     tangential_gap_matrix = motion.structure.tangential
     assert tangential_gap_matrix is not None
-    [motion_record] = motion.records(tangential_gap_matrix.T.toarray())
+    [motion_record] = motion.yield_records_of_row_products(tangential_gap_matrix.T.toarray())
     n_pairs = motion.structure.n_pairs
     slip = motion_record.row_products.reshape(len(motion_record.row_products), 2, n_pairs)
     normal_force = motion_record.forces[:, :n_pairs]

@@ -193,8 +193,10 @@ def solve_many(
     >>> lost = np.flatnonzero(many.status == "lost")
     """
     argument_arrays = [floats_or_nan(argument) for argument in (omega, load, damping, clearance)]
-    shapes = {argument.shape for argument in argument_arrays} - {()}
-    if len(shapes) != 1 or not all(len(shape) == 1 and shape[0] for shape in shapes):
+    argument_shapes = {argument.shape for argument in argument_arrays} - {()}
+    if len(argument_shapes) != 1 or not all(
+        len(argument_shape) == 1 and argument_shape[0] for argument_shape in argument_shapes
+    ):
         shapes_in_words = ", ".join(str(argument.shape) for argument in argument_arrays)
         raise InputError(
             "omega, load, damping, clearance",
@@ -212,10 +214,14 @@ def solve_many(
     columns_by_name["states"] = np.full((n_cases, flow.state_size), np.nan)
     orbit_table = ManyOrbits(structure, contact, harmonics, **columns_by_name)
     watched_dof_row = dof_selection_rows(structure, [structure.watched_dof])
-    for case, neighbour_indices, offsets in _yield_cases_with_neighbours(orbit_table, flow):
+    for case, neighbour_indices, scaled_parameter_offsets in _yield_cases_with_neighbours(
+        orbit_table, flow
+    ):
         try:
             problem = orbit_table.problem(case)
-            orbit = _find_orbit_of_case(orbit_table, case, problem, neighbour_indices, offsets)
+            orbit = _find_orbit_of_case(
+                orbit_table, case, problem, neighbour_indices, scaled_parameter_offsets
+            )
             for column_name, column_entry in _table_entries_of_orbit(
                 problem, orbit, watched_dof_row
             ).items():
@@ -254,10 +260,12 @@ def _yield_cases_with_neighbours(
     scaled_parameters = np.nan_to_num(np.array(parameter_rows).T, nan=0.0, posinf=0.0, neginf=0.0)
     parameter_ranges = np.ptp(scaled_parameters, axis=0)
     median_parameters = np.median(scaled_parameters, axis=0)
-    mode_index = int(np.abs(flow.modal_model.squares - median_parameters[0] ** 2).argmin())
+    nearest_mode_index = int(np.abs(flow.modal_model.squares - median_parameters[0] ** 2).argmin())
     resonance_width = (
         median_parameters[1]
-        * flow.modal_model.damping_force(np.eye(flow.n_modes))[mode_index, mode_index]
+        * flow.modal_model.damping_force(np.eye(flow.n_modes))[
+            nearest_mode_index, nearest_mode_index
+        ]
     )
     parameter_ranges[0] = (
         min(parameter_ranges[0], resonance_width) if resonance_width > 0.0 else parameter_ranges[0]
@@ -288,13 +296,13 @@ def _find_orbit_of_case(
     case: int,
     problem: Problem,
     neighbour_indices: np.ndarray,
-    offsets: np.ndarray,
+    scaled_parameter_offsets: np.ndarray,
 ) -> PeriodicOrbit:
     """Return the orbit for a case, and set its ``status`` and ``reason`` in the table.
 
     Newton's method begins near the orbits of the neighbours, cases whose scaled parameters differ
-    by ``offsets`` (:func:`_yield_cases_with_neighbours`). Raises ConvergenceError if no orbit is
-    found.
+    by ``scaled_parameter_offsets`` (:func:`_yield_cases_with_neighbours`). Raises ConvergenceError
+    if no orbit is found.
     """
     flow = ContactFlow(problem.structure, problem.contact)
     if not is_orbit_search_affordable(flow, problem.omega):
@@ -305,17 +313,20 @@ def _find_orbit_of_case(
         orbit_table.load[neighbour_indices] != 0.0
     )
     neighbour_indices = neighbour_indices[is_usable_neighbour][:N_NEIGHBOURS]
-    offsets = offsets[is_usable_neighbour][:N_NEIGHBOURS]
+    scaled_parameter_offsets = scaled_parameter_offsets[is_usable_neighbour][:N_NEIGHBOURS]
     neighbour_states = (
         orbit_table.states[neighbour_indices]
         * np.abs(orbit_table.load[case] / orbit_table.load[neighbour_indices])[:, None]
     )
     state_guesses = list(neighbour_states[:1])
-    if len(neighbour_states) > np.any(offsets, axis=0).sum() + 1:
+    if len(neighbour_states) > np.any(scaled_parameter_offsets, axis=0).sum() + 1:
         regression_weights = (
-            1.0 / np.maximum(np.linalg.norm(offsets, axis=1), STEP_TOLERANCE)[:, None]
+            1.0
+            / np.maximum(np.linalg.norm(scaled_parameter_offsets, axis=1), STEP_TOLERANCE)[:, None]
         )
-        regression_rows = regression_weights * np.column_stack([np.ones(len(offsets)), offsets])
+        regression_rows = regression_weights * np.column_stack(
+            [np.ones(len(scaled_parameter_offsets)), scaled_parameter_offsets]
+        )
         state_guesses.insert(
             0,
             np.linalg.lstsq(regression_rows, regression_weights * neighbour_states, rcond=None)[0][
@@ -330,15 +341,15 @@ def _find_orbit_of_case(
     # Without damping the largest modulus is 1.
     if orbit is not None and abs(orbit.multipliers[0]) <= 1.0 + MULTIPLIER_TOLERANCE:
         return orbit
-    search = search_initial_orbit(problem)
-    if orbit is None or (search.orbit is not None and search.orbit.is_stable):
+    orbit_search = search_initial_orbit(problem)
+    if orbit is None or (orbit_search.orbit is not None and orbit_search.orbit.is_stable):
         orbit, orbit_table.status[case], orbit_table.reason[case] = (
-            search.orbit,
+            orbit_search.orbit,
             "alone",
-            search.outcome_text,
+            orbit_search.outcome_text,
         )
     if orbit is None:
-        raise ConvergenceError(search.outcome_text)
+        raise ConvergenceError(orbit_search.outcome_text)
     return orbit
 
 
@@ -359,17 +370,19 @@ def _table_entries_of_orbit(
             for quantity_samples in displacement_gaps_forces
         )
     )
-    gap_error = displacement_gaps_forces[1] - wave.basis_gaps_and_forces_over_period(n_instants)[1]
+    gap_error_samples = (
+        displacement_gaps_forces[1] - wave.basis_gaps_and_forces_over_period(n_instants)[1]
+    )
     watched_displacement = displacement_gaps_forces[0] @ watched_dof_row.T
     truncation_error = (
         0.0
         if are_crack_faces_still(orbit_samples)
         else change_relative_to_motion(
-            gap_error, displacement_gaps_forces[1] + wave.structure_with_row_pairs.clearance
+            gap_error_samples, displacement_gaps_forces[1] + wave.structure_with_row_pairs.clearance
         )
     )
-    multiplier = abs(orbit.multipliers[0])
-    verdict = "stable" if multiplier < 1.0 else "unstable"
+    largest_multiplier_modulus = abs(orbit.multipliers[0])
+    stability_verdict = "stable" if largest_multiplier_modulus < 1.0 else "unstable"
     return {
         "amplitude": 0.5
         * (
@@ -378,10 +391,12 @@ def _table_entries_of_orbit(
         ),
         "opening": max(0.0, _interpolated_overall_maximum(-orbit_samples.gap)),
         "closed_share": contact_track.mean_time_share(contact_track.sets > 0),
-        "multiplier": multiplier,
+        "multiplier": largest_multiplier_modulus,
         "truncation": truncation_error,
         "states": orbit.state,
-        "verdict": "undecided" if abs(multiplier - 1.0) <= MULTIPLIER_TOLERANCE else verdict,
+        "verdict": "undecided"
+        if abs(largest_multiplier_modulus - 1.0) <= MULTIPLIER_TOLERANCE
+        else stability_verdict,
     }
 
 

@@ -58,7 +58,7 @@ def more_modes_structure_of(wave: Wave) -> ReducedStructure | None:
     reduced_structure = wave.structure
     if not isinstance(reduced_structure, ReducedStructure) or reduced_structure.reference is None:
         return None
-    extra_damping = reduced_structure.share * _neglected_dissipation_ratio(wave)
+    extra_damping = reduced_structure.share * _neglected_to_kept_dissipation_ratio(wave)
     return (
         reduced_structure.reference.varied(damping=1.0 + extra_damping)
         if extra_damping
@@ -66,7 +66,7 @@ def more_modes_structure_of(wave: Wave) -> ReducedStructure | None:
     )
 
 
-def _neglected_dissipation_ratio(wave: Wave) -> float:
+def _neglected_to_kept_dissipation_ratio(wave: Wave) -> float:
     """Return the dissipation missing in truncated modes, relative to the kept modes.
 
     Rayleigh damping would damp the truncated modes, too, but they respond quasi-statically, without
@@ -127,7 +127,7 @@ class MoreModes:
     """Maximum predicted relative change of the gaps for which the orbit is searched."""
 
     @property
-    def states_at_period_parts(self) -> np.ndarray:
+    def nearest_orbit_states_with_static_new_modes(self) -> np.ndarray:
         """Nearest orbit's states, with more modes added: (32, flow.state_size).
 
         They belong to 32 equal parts of the period. New modes respond statically to the load and
@@ -207,7 +207,10 @@ class MoreModes:
         be followed.
         """
         flow, load_omega, n_load_periods = self.flow, self.wave.omega, self.wave.subharmonic
-        period_states, start_i_minus_m_solver = self.states_at_period_parts, self.i_minus_m_solver
+        period_states, start_i_minus_m_solver = (
+            self.nearest_orbit_states_with_static_new_modes,
+            self.i_minus_m_solver,
+        )
         search_from_state = partial(
             find_orbit, flow, load_omega, subharmonic=n_load_periods, step_tolerance=ROOT_TOLERANCE
         )

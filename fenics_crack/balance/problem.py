@@ -107,7 +107,7 @@ from fenics_crack.numerics.path import HOMOTOPY_OPTIONS, EndReason, Path, PathOp
 
 CUTOFF_TO_HIGHEST_HARMONIC = 2.0
 """Frequency above which modes are quasi-static, relative to the highest harmonic."""
-MAX_CURVE_UNKNOWNS_PER_CALL = 15_000
+MAX_UNKNOWNS_TIMES_POINTS_PER_CALL = 15_000
 """Maximum unknowns, summed over points, that one kernel call computes along a curve.
 
 Ctrl-C waits for the call, a second or two.
@@ -523,7 +523,7 @@ class Search:
             )
             if self._residual_rounding > ROUNDING:
                 self.tolerance = max(self.tolerance, self._residual_rounding)
-        self._max_iterations = self.budget_fraction * _iteration_budget(system)
+        self._max_iterations = self.budget_fraction * _allowed_search_iterations(system)
         point: Linearisation | None = None
         with ExitStack() as exit_stack:
             snes = None
@@ -533,7 +533,7 @@ class Search:
                 begin_stage(start_strategy.name)
                 iterations_before = self.iterations
                 for slow_gap_guess in start_strategy.generate_candidates():
-                    point = self._take_newton_steps(snes, slow_gap_guess)
+                    point = self._point_after_newton_steps_or_at_guess(snes, slow_gap_guess)
                     if self.has_converged or self._is_budget_spent:
                         break
                 self.append_attempt_text(start_strategy.name, iterations_before)
@@ -545,7 +545,7 @@ class Search:
         ):  # for the history
             iterations_before = self.iterations
             with SystemSnes(system, self.snes_residual_norms) as snes:
-                point = self._take_newton_steps(snes, point.unknown)
+                point = self._point_after_newton_steps_or_at_guess(snes, point.unknown)
             if self.has_converged:
                 self.append_attempt_text("full steps of SNES", iterations_before)
             else:
@@ -563,7 +563,9 @@ class Search:
             f"{start_name}: {outcome_text} ({self.iterations - iterations_before} iterations)"
         )
 
-    def _take_newton_steps(self, snes: SystemSnes | None, guess: np.ndarray) -> Linearisation:
+    def _point_after_newton_steps_or_at_guess(
+        self, snes: SystemSnes | None, guess: np.ndarray
+    ) -> Linearisation:
         """Take full Newton steps from a guess, and return their end.
 
         ``guess`` (2H+1, n_rows) [m] has gap coefficients. ``snes`` None: the C kernel takes the
@@ -575,11 +577,11 @@ class Search:
             )
             self.iterations += n_iterations
             return point
-        kernel_point = self._take_full_steps(self.system, guess)
+        kernel_point = self._point_after_full_steps_or_none(self.system, guess)
         self.has_converged = kernel_point is not None
         return self.system.linearise(guess, 1.0) if kernel_point is None else kernel_point
 
-    def _take_full_steps(
+    def _point_after_full_steps_or_none(
         self,
         system: ContactSystem,
         guess: np.ndarray,
@@ -599,22 +601,25 @@ class Search:
         parameter : float
             Parameter of the system: 1 is the law itself, 0 very soft contact.
         """
-        max_guess_iterations = self._max_iterations_per_guess
+        max_iterations_per_guess = self._max_iterations_per_guess
         raised_tolerance = max(self.tolerance, tolerance)
         path_point = solve_at_parameter(
             system,
             guess,
             parameter,
             tolerance=raised_tolerance,
-            max_iterations=max_guess_iterations,
+            max_iterations=max_iterations_per_guess,
         )
-        self.iterations += max_guess_iterations if path_point is None else path_point.iterations
+        self.iterations += max_iterations_per_guess if path_point is None else path_point.iterations
         return None if path_point is None else path_point.linearisation
 
     @property
     def _max_iterations_per_guess(self) -> int:
         """Maximum number of iterations per guess: 20; fewer with many harmonics and friction."""
-        return min(MAX_FULL_STEPS, math.ceil(self.budget_fraction * _iteration_budget(self.system)))
+        return min(
+            MAX_FULL_STEPS,
+            math.ceil(self.budget_fraction * _allowed_search_iterations(self.system)),
+        )
 
     @property
     def _is_budget_spent(self) -> bool:
@@ -731,18 +736,18 @@ class Search:
             if system is self.system:
                 yield from self._yield_guess_and_damped_newton_point(system, guess)
                 continue
-            coarse_point = self._first_coarse_solution(
+            coarse_point = self._first_coarse_solution_or_none(
                 system, self._yield_guess_and_damped_newton_point(system, guess)
             )
             # Iterations with fewer harmonics cost little: they do not count.
             self._max_iterations += self.iterations - iterations_before
             if coarse_point is None and not system.is_matrix_free:
-                coarse_point = self._first_coarse_solution(
+                coarse_point = self._first_coarse_solution_or_none(
                     system, self._yield_guesses_by_continuation(system, 0.5)
                 )
             self._simpler_point = coarse_point or simpler_point
 
-    def _first_coarse_solution(
+    def _first_coarse_solution_or_none(
         self, system: ContactSystem, guesses: Iterator[np.ndarray]
     ) -> ContactPoint | None:
         """Return the first solution by full Newton steps from guesses, or None.
@@ -750,9 +755,17 @@ class Search:
         The maximum |F| / |x| of residual and unknowns is coarse, 6e-6. Guesses are gap coefficients
         (2H+1, n_rows) [m].
         """
-        points = (self._take_full_steps(system, guess, COARSE_TOLERANCE) for guess in guesses)
+        points_or_none = (
+            self._point_after_full_steps_or_none(system, guess, COARSE_TOLERANCE)
+            for guess in guesses
+        )
         return next(
-            (system.linearise(point.unknown) for point in points if point is not None), None
+            (
+                system.linearise(point_or_none.unknown)
+                for point_or_none in points_or_none
+                if point_or_none is not None
+            ),
+            None,
         )
 
     def _yield_guesses_without_friction(self) -> Iterator[np.ndarray]:
@@ -844,7 +857,9 @@ class Search:
             system = system.system_along_friction_factor()
         else:
             system = system.system_along_softness()
-            start_point = self._take_full_steps(system, system.linear_gap, parameter=0.0)
+            start_point = self._point_after_full_steps_or_none(
+                system, system.linear_gap, parameter=0.0
+            )
         if start_point is None:
             return
         max_steps = 1 + max(0, int(budget_fraction * (self._max_iterations - self.iterations)))
@@ -856,15 +871,15 @@ class Search:
             max_steps=max_steps,
             points_per_call=points_per_call,
         )
-        path = Path(
+        continuation_path = Path(
             system, point_on_path(system, start_point.unknown, 0.0), path_options, [Target(1.0)]
         )
-        for point in path.points():
-            self.iterations += point.iterations
+        for path_point in continuation_path.points():
+            self.iterations += path_point.iterations
             if self.iterations >= max_iterations:
                 return
-        if path.end_reason is EndReason.REACHED:
-            yield path.last_point.unknown
+        if continuation_path.end_reason is EndReason.REACHED:
+            yield continuation_path.last_point.unknown
 
 
 def halved_harmonic_counts(harmonics: int, min_harmonics: int) -> list[int]:
@@ -898,7 +913,7 @@ def relative_residual_rounding(compliance_model: ComplianceModel, law: ContactLa
     return residual_rounding(max_contact_stiffness * float(row_sums.max(initial=0.0)))
 
 
-def _iteration_budget(system: ContactSystem) -> float:
+def _allowed_search_iterations(system: ContactSystem) -> float:
     """Return the maximum number of Newton iterations in a search.
 
     In the kernel it is 7500 with 300 unknowns, and falls with their square above 200; in Python it

@@ -199,7 +199,9 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         check_number("time", time)
         return self.structure.function(self.displacement_of_local_dofs(np.array([time]))[0])
 
-    def records(self, rows: np.ndarray, instants: int | None = None) -> Iterator[Record]:
+    def yield_records_of_row_products(
+        self, rows: np.ndarray, instants: int | None = None
+    ) -> Iterator[Record]:
         """Yield the record of the motion at equally spaced instants of the period.
 
         Parameters
@@ -315,7 +317,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
             "subharmonic": self.subharmonic,
             "pairs": self.gap_coefficients.shape[1],
         }
-        columns_by_name |= self.faces
+        columns_by_name |= self.face_indicators
         columns_by_name |= {
             f"{part_name}_error": part_error
             for part_name, part_error in self.report.to_dict().items()

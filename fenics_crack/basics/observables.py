@@ -134,7 +134,8 @@ class Observables:
     largest_order: Any = _make_point_row("order of the largest harmonic above harmonic 1", "1",
         lambda point: point.largest_order, IN_PRINTED_TABLE)
     mean_shift: Any = _make_point_row("mean displacement over harmonic 1", "1",
-        lambda point: point.mean / point.fundamental, PRINTED_WITH_ERROR | IN_SWEEP_PICTURES)
+        lambda point: point.mean / point.amplitude_at_load_frequency,
+        PRINTED_WITH_ERROR | IN_SWEEP_PICTURES)
     opening: Any = _make_face_row("largest opening", "m",
         lambda faces: max(faces.gap_and_force_maxima[0], 0.0), IN_ALL_TABLES)
     penetration: Any = _make_face_row("largest penetration", "m",

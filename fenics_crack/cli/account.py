@@ -14,7 +14,7 @@ from fenics_crack.basics.observables import OBSERVABLES_BY_NAME, ObservableFlag,
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import Table, format_percent, format_quantity
 from fenics_crack.model.contact import friction_of
-from fenics_crack.model.modes import damped_count_and_max_omega
+from fenics_crack.model.modes import damped_count_and_max_omega_or_none
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import MAX_SMALL_ROTATION, distances_from_clamp
@@ -229,7 +229,8 @@ def yield_instability_warning(
         hint_texts += tolerance_option_texts
         damping_table = scene.damping  # None: a matrix, which damps all modes or not
         if damping_table and not (
-            damping_table.damps_all_modes or damped_count_and_max_omega(run.structure) is None
+            damping_table.damps_all_modes
+            or damped_count_and_max_omega_or_none(run.structure) is None
         ):
             hint_texts.append("damping of all modes (damping.modes = 'all')")
     yield verdict_text + (f"; {' or '.join(hint_texts)} may decide it" if hint_texts else "")

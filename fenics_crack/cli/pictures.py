@@ -73,7 +73,7 @@ def draw_scene_mesh(
 
 def draw_mode_shapes(run: Run[Modes], picture_files: PictureFiles) -> None:
     """Draw the mode shapes of a result of ``modes``; only a note without a mesh."""
-    if run.structure.whole.drawable_nodes is None:
+    if run.structure.whole.local_nodes_with_cells_or_none is None:
         picture_files.notes.append(NO_MESH_NOTE)
         return
     caption = "Mode shapes with the crack open. Without contact, so the crack faces may overlap."
@@ -129,7 +129,7 @@ def draw_solution(run: Run[PeriodicSolution], picture_files: PictureFiles) -> No
             "The bladed disk at its largest motion, magnified; orange numbers: cracked blades."
         )
         draw_wheel(solution, path=picture_files("solution_wheel", caption), title=title)
-    if solution.structure.whole.drawable_nodes is None:
+    if solution.structure.whole.local_nodes_with_cells_or_none is None:
         picture_files.notes.append(NO_MESH_NOTE)
     else:
         _draw_solution_on_mesh(run, picture_files)

@@ -25,7 +25,7 @@ from fenics_crack.cli.given import CommandInputs, Console
 from fenics_crack.errors.stated import estimate_frequency_mesh_errors
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_rigid
-from fenics_crack.model.modes import damped_count_and_max_omega
+from fenics_crack.model.modes import damped_count_and_max_omega_or_none
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene, list_requested_extra_quantities, missing_table_error
 from fenics_crack.scene.words import word_for_crack_faces
@@ -388,7 +388,7 @@ def describe_undamped_harmonics(structure: Structure, highest_omega: float) -> s
     up to this frequency are damped, or without contact: only contact excites harmonics.
     """
     damped_modes_and_highest_omega = (
-        damped_count_and_max_omega(structure) if structure.n_pairs else None
+        damped_count_and_max_omega_or_none(structure) if structure.n_pairs else None
     )
     if damped_modes_and_highest_omega is None or highest_omega <= damped_modes_and_highest_omega[1]:
         return ""

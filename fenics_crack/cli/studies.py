@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fenics_crack.balance.error_report import ERROR_PARTS, LARGE_ERROR, ErrorReport
+from fenics_crack.balance.error_report import LARGE_ERROR, PART_NAMES_OF_TOTAL_ERROR, ErrorReport
 from fenics_crack.basics.observables import IN_SPECIAL_POINTS_TABLE, observable_names
 from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import (
@@ -135,7 +135,9 @@ def _yield_large_error_warnings(sweep_result: SweepResult) -> Iterator[str]:
         }
         case_scene = sweep_result.scene.replace({"sweep": None} | values_by_key)
         error_report = ErrorReport(
-            **dict(zip(ERROR_PARTS, part_errors[:, *case_index].tolist(), strict=True))
+            **dict(
+                zip(PART_NAMES_OF_TOTAL_ERROR, part_errors[:, *case_index].tolist(), strict=True)
+            )
         )
         count_text = (
             f"{format_count(int(is_in_group.sum()), 'case')} with an error above "

@@ -94,7 +94,7 @@ class BalanceEquations(CurveSystem):
 
         It is the larger of the cutoffs at ``start`` and ``end``.
         """
-        return max(self.vary(problem, value).quasi_static_above for value in (start, end))
+        return max(self.vary_problem(problem, value).quasi_static_above for value in (start, end))
 
     @cached_property
     def _contact_integrals(self) -> ContactIntegrals:
@@ -112,7 +112,7 @@ class BalanceEquations(CurveSystem):
 
     @classmethod
     @abstractmethod
-    def vary(cls, problem: Problem, value: float) -> Problem:
+    def vary_problem(cls, problem: Problem, value: float) -> Problem:
         """Return a problem with another value of the curve's parameter."""
 
     @classmethod
@@ -122,7 +122,7 @@ class BalanceEquations(CurveSystem):
 
     def problem_at(self, value: float) -> Problem:
         """Return the problem at a value of the curve's parameter."""
-        return self.vary(self.problem, value)
+        return self.vary_problem(self.problem, value)
 
     def _make_system(self, value: float) -> ContactSystem:
         """Make the harmonic-balance equations at a value of the curve's parameter."""
@@ -210,7 +210,9 @@ class BalanceEquations(CurveSystem):
             max_compliance_row_sum = float(np.abs(dynamic_less_static_compliance).sum(axis=2).max())
         return residual_rounding(4.0 * max_compliance_row_sum * self.max_force_slope)
 
-    def relative_half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
+    def relative_motion_change_over_half_period(
+        self, unknown: np.ndarray, parameter: float
+    ) -> float:
         """Return a motion's change over half its period, relative to its size.
 
         The change is twice the odd harmonics; it is 0 if the motion has half the period.
@@ -253,7 +255,7 @@ class BalanceAlongFrequency(BalanceEquations):
         check_omega(value, key)
 
     @classmethod
-    def vary(cls, problem: Problem, value: float) -> Problem:
+    def vary_problem(cls, problem: Problem, value: float) -> Problem:
         return replace(problem, omega=value)
 
     def compliance_model_at(self, value: float) -> ModalCompliance:
@@ -283,7 +285,7 @@ class _BalanceOfVariedStructure(BalanceEquations):
         check_number(key, value)
 
     @classmethod
-    def vary(cls, problem: Problem, value: float) -> Problem:
+    def vary_problem(cls, problem: Problem, value: float) -> Problem:
         return replace(problem, structure=problem.structure.varied(**{cls.parameter_name: value}))
 
     def compliance_model_at(self, value: float) -> ModalCompliance:
@@ -354,7 +356,7 @@ class BalanceAlongStiffnessFactor(BalanceEquations):
     parameter_name, is_logarithmic, has_varying_integrals = "stiffness", True, True
 
     @classmethod
-    def vary(cls, problem: Problem, value: float) -> Problem:
+    def vary_problem(cls, problem: Problem, value: float) -> Problem:
         return replace(problem, contact=problem.contact.scaled(value))
 
     def _residual_derivative_by_value(self, value: float, point: ContactPoint) -> np.ndarray:
@@ -380,7 +382,7 @@ class BalanceAlongFrictionFactor(BalanceEquations):
     parameter_name, has_varying_integrals = "friction", True
 
     @classmethod
-    def vary(cls, problem: Problem, value: float) -> Problem:
+    def vary_problem(cls, problem: Problem, value: float) -> Problem:
         unvaried_friction_law = friction_of(problem.contact)
         if unvaried_friction_law is None:
             raise InputError("parameter", "friction", "another one: the law has no friction")
@@ -409,7 +411,7 @@ class BalanceAlongSpeed(BalanceEquations):
         as_run_up_structure(structure)
 
     @classmethod
-    def vary(cls, problem: Problem, value: float) -> Problem:
+    def vary_problem(cls, problem: Problem, value: float) -> Problem:
         structure = as_run_up_structure(problem.structure).at_speed(value)
         return replace(problem, structure=structure, omega=cls.load_frequency(problem, value))
 
@@ -473,7 +475,7 @@ class BalanceAtResonance(BalanceEquations):
     parameter_name = "resonance"
 
     @classmethod
-    def vary(cls, problem: Problem, value: float) -> Problem:
+    def vary_problem(cls, problem: Problem, value: float) -> Problem:
         load_weight_matrix = value * np.eye(len(problem.structure.force))
         load_weight_matrix[0, 0] = 1.0
         return replace(problem, structure=problem.structure.varied(load=load_weight_matrix))

@@ -72,10 +72,10 @@ class ReturnToParent(Event):
         for crossing_event in self._crossing_events:
             crossing_point = crossing_event.locate(system, ends, rtol)
             if crossing_point is not None:
-                relative_change = self._system.relative_half_period_change(
+                relative_motion_change = self._system.relative_motion_change_over_half_period(
                     crossing_point.unknown, crossing_point.parameter
                 )
-                if relative_change <= math.sqrt(MIN_RESOLVED_DISTANCE):
+                if relative_motion_change <= math.sqrt(MIN_RESOLVED_DISTANCE):
                     return crossing_point
         return None
 
@@ -91,8 +91,8 @@ def path_points_with_chord(
     ``first_index`` and ``last_index`` are the points' indices.
     """
     end_values = curve.values[[first_index, last_index]].tolist()
-    end_states = curve.points[[first_index, last_index]]
-    first_unknown, last_unknown = map(system.unknown, end_states, end_values)
+    end_point_rows = curve.points[[first_index, last_index]]
+    first_unknown, last_unknown = map(system.unknown, end_point_rows, end_values)
     first_parameter, last_parameter = map(system.parameter, end_values)
     unknown_and_parameter_change = last_unknown - first_unknown, last_parameter - first_parameter
     chord_tangent = Tangent(*unknown_and_parameter_change, *norm_weights_at(system, last_unknown))
@@ -126,9 +126,9 @@ def find_branch_start_point(
     ConvergenceError
         No point of another branch was found.
     """
-    bifurcation_kind, [bifurcation_state] = bifurcation.kind, bifurcation.point.points
-    unknown = system.unknown(bifurcation_state, bifurcation.value)
-    parameter = system.parameter(bifurcation.value)
+    bifurcation_kind, [bifurcation_point_row] = bifurcation.kind, bifurcation.point.points
+    bifurcation_unknown = system.unknown(bifurcation_point_row, bifurcation.value)
+    bifurcation_parameter = system.parameter(bifurcation.value)
     is_doubling = bifurcation_kind == "period_doubling"
     parent_tangent = None
     if parent_curve is not None:
@@ -137,9 +137,11 @@ def find_branch_start_point(
             system, parent_curve, max(nearest_index - 1, 0), min(nearest_index + 1, end_index)
         )
         parent_tangent = neighbour_points[0].tangent
-    branch_tangent = _branch_tangent(system, unknown, parameter, is_doubling, parent_tangent)
-    bifurcation_point = PathPoint(unknown, parameter, 0, branch_tangent)
-    residual_tolerance = max(PathOptions.rtol, system.rounding(parameter))
+    branch_tangent = _branch_tangent(
+        system, bifurcation_unknown, bifurcation_parameter, is_doubling, parent_tangent
+    )
+    bifurcation_point = PathPoint(bifurcation_unknown, bifurcation_parameter, 0, branch_tangent)
+    residual_tolerance = max(PathOptions.rtol, system.rounding(bifurcation_parameter))
     # Distances from the bifurcation to try, relative to the longest step.
     for step_length in (
         step_fraction * longest_step for step_fraction in (0.1, 0.03, 0.3, 0.01, 1.0)
@@ -160,22 +162,23 @@ def find_branch_start_point(
             ):
                 continue
             # On a doubled branch (multiplier -1), half a period changes x by twice the step.
-            is_new = (
+            is_on_new_branch = (
                 not is_doubling
-                or system.relative_half_period_change(
+                or system.relative_motion_change_over_half_period(
                     candidate_point.unknown, candidate_point.parameter
                 )
                 > step_length
             )
-            if is_new and 0.0 <= candidate_point.parameter <= 1.0:
-                unknown_change = candidate_point.unknown - unknown
-                parameter_change = candidate_point.parameter - parameter
+            if is_on_new_branch and 0.0 <= candidate_point.parameter <= 1.0:
+                unknown_change = candidate_point.unknown - bifurcation_unknown
+                parameter_change = candidate_point.parameter - bifurcation_parameter
                 branch_chord_tangent = replace(branch_tangent, x=unknown_change, p=parameter_change)
                 return replace(candidate_point, tangent=branch_chord_tangent)
-    branch_words = (
-        f"branch from {bifurcation_kind} at {system.parameter_name} = {system.value(parameter):g}"
+    branch_text = (
+        f"branch from {bifurcation_kind} at {system.parameter_name}"
+        f" = {system.value(bifurcation_parameter):g}"
     )
-    raise ConvergenceError(f"{branch_words}: no point of another branch was found next to it")
+    raise ConvergenceError(f"{branch_text}: no point of another branch was found next to it")
 
 
 def _branch_tangent(
@@ -199,14 +202,15 @@ def _branch_tangent(
         tangent_vector = np.append(scipy.linalg.svd(linearisation.jacobian)[2][-1], 0.0)
     else:
         residual_by_parameter = linearisation.by_parameter.reshape(-1, 1)
-        null_vectors = scipy.linalg.svd(
+        null_vectors_with_parameter = scipy.linalg.svd(
             np.hstack([linearisation.jacobian, residual_by_parameter * parameter_scale])
         )[2][-2:]
-        parent_components = null_vectors @ np.append(
+        parent_components = null_vectors_with_parameter @ np.append(
             parent_tangent.x.ravel(), parent_tangent.p / parameter_scale
         )
         tangent_vector = (
-            parent_components[1] * null_vectors[0] - parent_components[0] * null_vectors[1]
+            parent_components[1] * null_vectors_with_parameter[0]
+            - parent_components[0] * null_vectors_with_parameter[1]
         )
     parameter_component = float(tangent_vector[-1]) * parameter_scale
     tangent_length = math.sqrt(

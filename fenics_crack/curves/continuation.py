@@ -72,7 +72,7 @@ from fenics_crack.numerics.path import (
 )
 
 
-class StepOptions(TypedDict, total=False):
+class StepLimitsKeywords(TypedDict, total=False):
     """Keyword arguments for the steps along a curve, with the meaning in :class:`StepLimits`."""
 
     longest_step: float
@@ -210,11 +210,15 @@ class GrowingCurve:
             branch=self._is_branch,
         )
         bifurcations = []
-        for kind, curve_point in self._kinds_and_special_points:
-            point_state = system.curve_points_row(curve_point.unknown, curve_point.value)
+        for bifurcation_kind, curve_point in self._kinds_and_special_points:
+            stored_point_row = system.curve_points_row(curve_point.unknown, curve_point.value)
             bifurcations.append(
                 curve.bifurcation(
-                    kind, curve_point.value, curve_point.omega, point_state, curve_point.multipliers
+                    bifurcation_kind,
+                    curve_point.value,
+                    curve_point.omega,
+                    stored_point_row,
+                    curve_point.multipliers,
                 )
             )
         return replace(curve, bifurcations=tuple(bifurcations))
@@ -405,7 +409,7 @@ class Continuation(GrowingCurve):
         branch_of: ResponseCurve | None = None,
         tolerance: float | None = None,
         stability: bool = False,
-        **steps: Unpack[StepOptions],
+        **steps: Unpack[StepLimitsKeywords],
     ) -> None:
         if parameter == "resonance":
             raise InputError("parameter", parameter, "another one: follow_resonance follows it")
@@ -427,7 +431,7 @@ class Continuation(GrowingCurve):
         if exact:
             problem = problem.with_harmonics(problem.response_harmonics(MIN_ORBIT_HARMONICS))
         if parameter in ("omega", "speed"):
-            problem = EQUATIONS_CLASS_BY_PARAMETER[parameter].vary(problem, start)
+            problem = EQUATIONS_CLASS_BY_PARAMETER[parameter].vary_problem(problem, start)
         if not is_small(problem.structure):
             reduced_structure = reduce_structure(problem.structure, method="massless")
             problem = replace(problem, structure=reduced_structure)
@@ -437,7 +441,7 @@ class Continuation(GrowingCurve):
         if self._needs_verdicts and is_rigid(problem.contact):
             exact_flow_or_error(problem.structure, problem.contact)
 
-        start_problem = EQUATIONS_CLASS_BY_PARAMETER[parameter].vary(problem, start)
+        start_problem = EQUATIONS_CLASS_BY_PARAMETER[parameter].vary_problem(problem, start)
         is_branch = isinstance(initial, Bifurcation)
         if not (exact or is_branch):
             if initial is not None:
@@ -520,7 +524,8 @@ def can_follow_orbits(problem: Problem, parameter: str, start: float, end: float
     if flow is None or flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return False
     end_frequencies = [
-        EQUATIONS_CLASS_BY_PARAMETER[parameter].vary(problem, value).omega for value in (start, end)
+        EQUATIONS_CLASS_BY_PARAMETER[parameter].vary_problem(problem, value).omega
+        for value in (start, end)
     ]
     return not any(is_load_too_slow(flow, omega, problem.subharmonic) for omega in end_frequencies)
 

@@ -318,7 +318,7 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     def problem_at(self, value: float) -> Problem:
         """Return the problem at a parameter value, with the varied structure or law."""
-        return EQUATIONS_CLASS_BY_PARAMETER[self.parameter].vary(self.problem, value)
+        return EQUATIONS_CLASS_BY_PARAMETER[self.parameter].vary_problem(self.problem, value)
 
     def problem_of(self, index: int) -> Problem:
         """Return the problem solved at a point, with the varied structure and load frequency."""
@@ -441,7 +441,7 @@ class ResponseCurve(ObservedMotion, Tabular):
             [assessment.wave.gap_coefficients for assessment in self.assessments(indices)]
         )
 
-    def records(self, rows: np.ndarray) -> Iterator[Record]:
+    def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[Record]:
         point_indices = range(len(self))
         orbits_or_solutions: Iterator[PeriodicOrbit | PeriodicSolution]
         if self.exact:
@@ -453,7 +453,9 @@ class ResponseCurve(ObservedMotion, Tabular):
                 for assessment in point_assessments
             )
         for orbit_or_solution in orbits_or_solutions:
-            yield from orbit_or_solution.records(rows, OBSERVED_INSTANTS_PER_PERIOD)
+            yield from orbit_or_solution.yield_records_of_row_products(
+                rows, OBSERVED_INSTANTS_PER_PERIOD
+            )
 
     # --- stability --------------------------------------------------------------------------------
 
@@ -594,7 +596,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         """
         return self.observe_dofs([dof])[0][0].real_fourier_coefficients
 
-    def _value_or_array_over_points(self, values: list[Any]) -> np.ndarray:
+    def _gather_over_curve_points(self, values: list[Any]) -> np.ndarray:
         return np.array(values)
 
     def top(self, dof: int | None = None) -> LargestResponse:

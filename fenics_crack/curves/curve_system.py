@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from fenics_crack.balance.problem import MAX_CURVE_UNKNOWNS_PER_CALL, Problem
+from fenics_crack.balance.problem import MAX_UNKNOWNS_TIMES_POINTS_PER_CALL, Problem
 from fenics_crack.numerics.equations import Linearisation
 from fenics_crack.numerics.path import BranchPoint, Event, Fold, StepControl
 
@@ -99,7 +99,9 @@ class CurveSystem(ABC):
         ``parameter`` is the path parameter, 0 to 1.
         """
 
-    def relative_half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
+    def relative_motion_change_over_half_period(
+        self, unknown: np.ndarray, parameter: float
+    ) -> float:
         """Return a motion's change over half its period, relative to its size.
 
         It is near 0 if the motion has half the period. ``unknown`` is a solution, ``parameter`` the
@@ -115,7 +117,7 @@ class CurveSystem(ABC):
     @property
     def points_per_call(self) -> int:
         """Maximum number of path points computed in a kernel call; Ctrl-C waits for the call."""
-        return MAX_CURVE_UNKNOWNS_PER_CALL // self.n_unknowns
+        return MAX_UNKNOWNS_TIMES_POINTS_PER_CALL // self.n_unknowns
 
     def make_step_control(self, longest_step: float) -> StepControl | None:
         """Make the object that rejects steps over which a solution changes too much.

@@ -8,7 +8,11 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from fenics_crack.balance.problem import MAX_CURVE_UNKNOWNS_PER_CALL, Problem, least_harmonics
+from fenics_crack.balance.problem import (
+    MAX_UNKNOWNS_TIMES_POINTS_PER_CALL,
+    Problem,
+    least_harmonics,
+)
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import (
     INTERRUPTED_CURVE_STATUS,
@@ -22,7 +26,7 @@ from fenics_crack.basics.suggestions import check_options
 from fenics_crack.curves.continuation import (
     Continuation,
     GrowingCurve,
-    StepOptions,
+    StepLimitsKeywords,
     can_follow_orbits,
 )
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
@@ -44,7 +48,7 @@ The remaining time is left out: the progress does not predict it.
 """
 
 
-class CurveOptions(StepOptions, total=False):
+class CurveOptions(StepLimitsKeywords, total=False):
     """Options of :func:`.continue_frequency` and :func:`.continue_parameter`.
 
     harmonics, samples, subharmonic, initial
@@ -248,7 +252,7 @@ def _find_other_curve(
         for stage_start, stage_end in ((search_value, start), (start, end)):
             try:
                 growing_curve = make_curve(stage_start, stage_end, start_solution)
-                n_allowed_unknowns = 2 * MAX_CURVE_SEARCHES * MAX_CURVE_UNKNOWNS_PER_CALL
+                n_allowed_unknowns = 2 * MAX_CURVE_SEARCHES * MAX_UNKNOWNS_TIMES_POINTS_PER_CALL
                 n_allowed_points = max(
                     n_first_points, n_allowed_unknowns // growing_curve.system.n_unknowns
                 )

@@ -9,8 +9,8 @@ Every point of the path carries its leading multipliers mu and three counts:
 Between two neighbouring points there is a period doubling if d changes, and a Neimark-Sacker
 bifurcation if c changes. (Folds are found where the parameter turns back.) Two real multipliers
 that meet outside the circle and become a complex pair are no bifurcation. The Illinois method
-(:func:`fenics_crack.numerics.path.find_zero_and_residual`) locates a bifurcation by a change of
-sign:
+(:func:`fenics_crack.numerics.path.find_zero_point_and_function_value`) locates a bifurcation by a
+change of sign:
 
     period doubling     product of all 1 + mu
     Neimark-Sacker      |mu_k| - 1 of the k-th pair
@@ -64,7 +64,7 @@ from fenics_crack.numerics.path import (
     PathSegment,
     SegmentEnds,
     StepControl,
-    find_zero_and_residual,
+    find_zero_point_and_function_value,
 )
 
 ACCEPTED_LOG_CHANGE = 0.01
@@ -95,11 +95,11 @@ def leading_multipliers_and_counts(multipliers: np.ndarray) -> np.ndarray:
         The k = min(n, 8) multipliers with the largest modulus, in descending order, then three
         counts: real ones above 1 (r), real ones below -1 (d), complex pairs outside the circle (c).
     """
-    modulus = np.abs(multipliers)
-    leading_indices = np.argsort(-modulus, axis=1, kind="stable")[:, :8]
+    multiplier_moduli = np.abs(multipliers)
+    leading_indices = np.argsort(-multiplier_moduli, axis=1, kind="stable")[:, :8]
     point_indices = np.arange(len(leading_indices))[:, None]
     multipliers = multipliers[point_indices, leading_indices]
-    is_outside = modulus[point_indices, leading_indices] > 1.0 + MULTIPLIER_TOLERANCE
+    is_outside = multiplier_moduli[point_indices, leading_indices] > 1.0 + MULTIPLIER_TOLERANCE
     multipliers_and_counts = np.empty(
         (len(leading_indices), leading_indices.shape[1] + 3), dtype=complex
     )
@@ -113,7 +113,7 @@ def leading_multipliers_and_counts(multipliers: np.ndarray) -> np.ndarray:
     return multipliers_and_counts
 
 
-def changes_of_counts(multipliers_and_counts: np.ndarray) -> np.ndarray:
+def changes_of_multiplier_counts(multipliers_and_counts: np.ndarray) -> np.ndarray:
     """Return changes in the counts of multipliers outside the unit circle, point by point.
 
     Two real multipliers that become a complex pair, or the reverse, change no count.
@@ -129,16 +129,19 @@ def changes_of_counts(multipliers_and_counts: np.ndarray) -> np.ndarray:
         Change from each point to the next in the number of real multipliers above 1, real ones
         below -1, and complex pairs outside.
     """
-    count_change = np.diff(multipliers_and_counts[:, -3:].real, axis=0)
-    step_indices = np.flatnonzero(count_change[:, 2])
+    count_changes = np.diff(multipliers_and_counts[:, -3:].real, axis=0)
+    step_indices = np.flatnonzero(count_changes[:, 2])
     if not len(step_indices):
-        return count_change
-    real_change, complex_pair_change = count_change[step_indices, :2], count_change[step_indices, 2]
-    is_merger = (np.abs(real_change).max(axis=1) == 2.0) & (
-        real_change.sum(axis=1) == -2.0 * complex_pair_change
+        return count_changes
+    real_count_changes, complex_pair_count_changes = (
+        count_changes[step_indices, :2],
+        count_changes[step_indices, 2],
     )
-    count_change[step_indices[is_merger]] = 0.0
-    return count_change
+    is_merger = (np.abs(real_count_changes).max(axis=1) == 2.0) & (
+        real_count_changes.sum(axis=1) == -2.0 * complex_pair_count_changes
+    )
+    count_changes[step_indices[is_merger]] = 0.0
+    return count_changes
 
 
 def step_collision_severities(monodromy_matrices: np.ndarray) -> np.ndarray:
@@ -160,12 +163,16 @@ def step_collision_severities(monodromy_matrices: np.ndarray) -> np.ndarray:
         multiplier leaves the circle. inf if multipliers are not found.
     """
     n_points, n_states = monodromy_matrices.shape[:2]
-    severities = np.empty(n_points - 1)
+    collision_severities = np.empty(n_points - 1)
     contiguous_matrices = np.ascontiguousarray(monodromy_matrices)
     kernel.collision_severities(
-        n_points, n_states, pointer(contiguous_matrices), MULTIPLIER_TOLERANCE, pointer(severities)
+        n_points,
+        n_states,
+        pointer(contiguous_matrices),
+        MULTIPLIER_TOLERANCE,
+        pointer(collision_severities),
     )
-    return severities
+    return collision_severities
 
 
 class MultiplierStepControl(StepControl):
@@ -206,7 +213,10 @@ class MultiplierStepControl(StepControl):
         is_coarse &= step_lengths > self._min_step
         is_coarse |= has_collision & (step_lengths > self._min_collision_step)
         has_several_events = (
-            np.abs(changes_of_counts(segment.step_control_values[first_index:])).sum(axis=1) > 1
+            np.abs(changes_of_multiplier_counts(segment.step_control_values[first_index:])).sum(
+                axis=1
+            )
+            > 1
         )
         return np.asarray(is_coarse | has_several_events)
 
@@ -220,10 +230,10 @@ class PeriodDoubling(Event):
     kind = "period_doubling"
 
     def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
-        return np.asarray(changes_of_counts(segment.step_control_values)[:, 1] != 0.0)
+        return np.asarray(changes_of_multiplier_counts(segment.step_control_values)[:, 1] != 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
-        point = find_zero_and_residual(
+        point = find_zero_point_and_function_value(
             system,
             ends,
             lambda candidate: period_doubling_test_value(multipliers_of(candidate)),
@@ -241,7 +251,7 @@ class NeimarkSacker(Event):
     kind = "neimark_sacker"
 
     def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
-        return np.asarray(changes_of_counts(segment.step_control_values)[:, 2] != 0.0)
+        return np.asarray(changes_of_multiplier_counts(segment.step_control_values)[:, 2] != 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         assert ends[0].step_control_values is not None and ends[1].step_control_values is not None
@@ -249,19 +259,21 @@ class NeimarkSacker(Event):
             int(max(ends[0].step_control_values[-1].real, ends[1].step_control_values[-1].real)) - 1
         )
         end_excesses = [
-            multiplier_pair_excess(multipliers_of(end), multiplier_pair_index) for end in ends
+            complex_pair_modulus_excess(multipliers_of(end), multiplier_pair_index) for end in ends
         ]
         # A pair within the tolerance of the circle may have been outside all along.
         crossing_excess = 0.0 if end_excesses[0] * end_excesses[1] < 0.0 else MULTIPLIER_TOLERANCE
 
         def crossing_function(point: PathPoint) -> float:
-            excess = (
-                multiplier_pair_excess(multipliers_of(point), multiplier_pair_index)
+            excess_over_crossing = (
+                complex_pair_modulus_excess(multipliers_of(point), multiplier_pair_index)
                 - crossing_excess
             )
-            return excess if abs(excess) > ROOT_TOLERANCE else 0.0
+            return excess_over_crossing if abs(excess_over_crossing) > ROOT_TOLERANCE else 0.0
 
-        zero_point, excess_at_zero = find_zero_and_residual(system, ends, crossing_function, rtol)
+        zero_point, excess_at_zero = find_zero_point_and_function_value(
+            system, ends, crossing_function, rtol
+        )
         return zero_point if abs(excess_at_zero) <= MULTIPLIER_TOLERANCE else None
 
 
@@ -277,12 +289,16 @@ def period_doubling_test_value(multipliers: np.ndarray) -> float:
     It is the product of 1 + mu over all Floquet multipliers mu (n,); for complex mu, of |1 + mu|.
     Factors above 1 in modulus are scaled to 1. The result is 0 if a factor is at most 1.5e-8.
     """
-    factors = np.where(multipliers.imag == 0.0, 1.0 + multipliers.real, np.abs(1.0 + multipliers))
-    scaled_product = float(np.prod(factors / np.maximum(1.0, np.abs(factors))))
-    return scaled_product if np.abs(factors).min() > ROOT_TOLERANCE else 0.0
+    one_plus_multipliers = np.where(
+        multipliers.imag == 0.0, 1.0 + multipliers.real, np.abs(1.0 + multipliers)
+    )
+    scaled_product = float(
+        np.prod(one_plus_multipliers / np.maximum(1.0, np.abs(one_plus_multipliers)))
+    )
+    return scaled_product if np.abs(one_plus_multipliers).min() > ROOT_TOLERANCE else 0.0
 
 
-def multiplier_pair_excess(multipliers: np.ndarray, multiplier_pair_index: int) -> float:
+def complex_pair_modulus_excess(multipliers: np.ndarray, multiplier_pair_index: int) -> float:
     """Return |mu| - 1 for one complex pair of Floquet multipliers mu.
 
     Pairs are numbered by ``multiplier_pair_index`` from 0 on in descending order of |mu|. If there

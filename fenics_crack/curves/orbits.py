@@ -85,7 +85,7 @@ class OrbitEquations(CurveSystem):
 
     def problem_at(self, value: float) -> Problem:
         """Return the problem at a value of the curve's parameter."""
-        return self.balance_class.vary(self.problem, value)
+        return self.balance_class.vary_problem(self.problem, value)
 
     def omega(self, value: float, unknown: np.ndarray | None = None) -> float:
         return self.balance_class.load_frequency(self.problem, value)
@@ -130,16 +130,16 @@ class OrbitEquations(CurveSystem):
         return MultiplierStepControl(longest_step)
 
     @cached_property
-    def _scaled_rest_and_change(self) -> np.ndarray:
+    def _scaled_rest_state_and_change_along_curve(self) -> np.ndarray:
         """Scaled rest state under the mean load, and its change: (2, n_unknowns).
 
-        The first row is the rest state at the curve's start, the second the change to the end.
+        start_rest_state, end_rest_state row is the rest state at the curve's start, the second the change to the end.
         """
         start_rest, end_rest = (
             self._scale_state(self.flow(value).rest_state, value)
             for value in (self.start, self.end)
         )
-        return np.array([start_rest, end_rest - start_rest])
+        return np.array([start_rest_state, end_rest_state - start_rest_state])
 
     def curve_points_row(self, unknown: np.ndarray, value: float) -> np.ndarray:
         """Return the state at phase zero for unknowns x at a parameter value.
@@ -149,7 +149,7 @@ class OrbitEquations(CurveSystem):
         """
         state = (unknown + self._scaled_rest_state(value)) / self.state_factors
         if self.parameter_name == "speed":
-            state = state @ self._state_transformation(value).T
+            state = state @ self._matrix_from_start_modes_to_modes_at(value).T
         return np.asarray(state)
 
     def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
@@ -165,7 +165,7 @@ class OrbitEquations(CurveSystem):
         Over the speed, the state is first converted to the modes at the curve's start.
         """
         if self.parameter_name == "speed":
-            state = np.linalg.solve(self._state_transformation(value), state)
+            state = np.linalg.solve(self._matrix_from_start_modes_to_modes_at(value), state)
         return np.asarray(state * self.state_factors)
 
     def _scaled_rest_state(self, value: float) -> np.ndarray:
@@ -173,10 +173,14 @@ class OrbitEquations(CurveSystem):
 
         It is interpolated linearly in the path parameter between start and end of the curve.
         """
-        rest_start, rest_change = self._scaled_rest_and_change
-        return np.asarray(rest_start + self.parameter(value) * rest_change)
+        rest_state_at_start, rest_state_change_along_curve = (
+            self._scaled_rest_state_and_change_along_curve
+        )
+        return np.asarray(
+            rest_state_at_start + self.parameter(value) * rest_state_change_along_curve
+        )
 
-    def _state_transformation(self, value: float) -> np.ndarray:
+    def _matrix_from_start_modes_to_modes_at(self, value: float) -> np.ndarray:
         """Return the matrix that converts states from the start's modes to a speed's modes.
 
         Speed ``value`` is in rad/s. Shape: (n_unknowns, n_unknowns).
@@ -206,10 +210,12 @@ class OrbitEquations(CurveSystem):
 
         ``unknown`` is the start at phase zero, ``parameter`` the path parameter, 0 to 1.
         """
-        end_state = self._advance_motion(unknown, parameter, period_fraction).state
-        return self.unknown(end_state, self.value(parameter))
+        state_after_fraction = self._advance_motion(unknown, parameter, period_fraction).state
+        return self.unknown(state_after_fraction, self.value(parameter))
 
-    def relative_half_period_change(self, unknown: np.ndarray, parameter: float) -> float:
+    def relative_motion_change_over_half_period(
+        self, unknown: np.ndarray, parameter: float
+    ) -> float:
         """Return an orbit's change over half its period, relative to its size.
 
         It is near 0 if the motion has half the period. ``unknown`` is the scaled state,
@@ -235,8 +241,8 @@ class OrbitEquations(CurveSystem):
         omega_and_change = self.omega(self.start), self.omega(self.end) - self.omega(self.start)
         kernel_flow = start_flow = self._start_flow
         kernel_fields: dict[str, Any] = (
-            {"rest_states": self._scaled_rest_and_change}
-            if self._scaled_rest_and_change.any()
+            {"rest_states": self._scaled_rest_state_and_change_along_curve}
+            if self._scaled_rest_state_and_change_along_curve.any()
             else {}
         )
         if self.parameter_name != "omega":
@@ -247,13 +253,16 @@ class OrbitEquations(CurveSystem):
             )
             if is_over_damping:
                 damping_change = end_flow.modal_model.damping - start_flow.modal_model.damping
-                damping = start_flow.modal_model.damping
-                kernel_fields |= {"damping": as_doubles(damping), "n_damping": damping.size}
+                start_damping = start_flow.modal_model.damping
+                kernel_fields |= {
+                    "damping": as_doubles(start_damping),
+                    "n_damping": start_damping.size,
+                }
                 kernel_fields["damping_rate"] = as_doubles(damping_change)
             else:
-                load_change = end_flow.modal_load - start_flow.modal_load
+                modal_load_change = end_flow.modal_load - start_flow.modal_load
                 load_gap_change = end_flow.load_gap - start_flow.load_gap
-                kernel_fields |= {"force": kernel_flow.modal_load, "force_rate": load_change}
+                kernel_fields |= {"force": kernel_flow.modal_load, "force_rate": modal_load_change}
                 kernel_fields |= {"gap": kernel_flow.load_gap, "gap_rate": load_gap_change}
         return ShootingEquations(
             kernel_flow, self.state_factors, omega_and_change, self.subharmonic, **kernel_fields
@@ -283,26 +292,39 @@ class OrbitEquations(CurveSystem):
         residual = self.unknown(motion.state, value) - unknown
 
         def monodromy() -> np.ndarray:
-            tangent_matrix = motion.track.tangent
+            tangent_matrix = motion.track.derivative_of_end_state
             if self.parameter_name == "speed":
-                transformation = self._state_transformation(value)
-                tangent_matrix = np.linalg.solve(transformation, tangent_matrix @ transformation)
+                matrix_from_start_modes = self._matrix_from_start_modes_to_modes_at(value)
+                tangent_matrix = np.linalg.solve(
+                    matrix_from_start_modes, tangent_matrix @ matrix_from_start_modes
+                )
             return np.asarray(self.state_factors[:, None] * tangent_matrix / self.state_factors)
 
         def by_parameter() -> np.ndarray:
             if self.parameter_name == "speed" or self._start_flow.friction_law:
-                step = FORWARD_PARAMETER_STEP if parameter < 0.5 else -FORWARD_PARAMETER_STEP
-                return (self.advance_unknown(unknown, parameter + step) - unknown - residual) / step
-            state = self.curve_points_row(unknown, value)
-            softness_rate = -self.value_rate(value) / value * motion.track.flow.softness
-            unknown_change = self.state_factors * motion.track.derivative_by_softness(
-                state, softness_rate
+                parameter_step = (
+                    FORWARD_PARAMETER_STEP if parameter < 0.5 else -FORWARD_PARAMETER_STEP
+                )
+                return (
+                    self.advance_unknown(unknown, parameter + parameter_step) - unknown - residual
+                ) / parameter_step
+            start_state = self.curve_points_row(unknown, value)
+            softness_derivative_by_parameter = (
+                -self.value_rate(value) / value * motion.track.flow.softness
             )
-            rest_change = self._scaled_rest_and_change[1]
-            return np.asarray(unknown_change + monodromy() @ rest_change - rest_change)
+            unknown_derivative_by_softness = (
+                self.state_factors
+                * motion.track.derivative_by_softness(start_state, softness_derivative_by_parameter)
+            )
+            rest_state_change_along_curve = self._scaled_rest_state_and_change_along_curve[1]
+            return np.asarray(
+                unknown_derivative_by_softness
+                + monodromy() @ rest_state_change_along_curve
+                - rest_state_change_along_curve
+            )
 
-        n_events, n_pieces = motion.n_events, motion.n_taylor_pieces
-        return OrbitPoint(unknown, residual, monodromy, by_parameter, n_events, n_pieces)
+        n_events, n_taylor_pieces = motion.n_events, motion.n_taylor_pieces
+        return OrbitPoint(unknown, residual, monodromy, by_parameter, n_events, n_taylor_pieces)
 
     def step_control_values(self, records: np.ndarray) -> np.ndarray:
         """Return Floquet multipliers and their counts: (n_points, k + 3) complex.

@@ -96,19 +96,19 @@ class Peak(Described, LargestResponse):
         return add_frequency_entries(dict(vars(self)))
 
     def _repr_text(self) -> str:
-        damping_words = f"damping {self.damping:.3g}"
+        damping_text = f"damping {self.damping:.3g}"
         if self.at_end:
-            damping_words = RISING_AT_END_TEXT
+            damping_text = RISING_AT_END_TEXT
         elif math.isnan(self.damping):
-            damping_words = "the load's own harmonic has no half-power width"
-        error_words = f"error {self.error:.2g}"
+            damping_text = "the load's own harmonic has no half-power width"
+        error_text = f"error {self.error:.2g}"
         if not math.isnan(self.omega_error):
-            error_words += f", of the frequency {self.omega_error:.2g}"
-        error_words += f" ({self.without})" if self.without else ""
-        frequency_words = f"{self.frequency:.6g} Hz ({self.omega:.6g} rad/s)"
-        amplitude_words = format_quantity(self.amplitude, "m")
-        peak_words = f"{amplitude_words} at {frequency_words}"
-        return f"{peak_words}, {error_words}, {self.verdict}, {damping_words}"
+            error_text += f", of the frequency {self.omega_error:.2g}"
+        error_text += f" ({self.without})" if self.without else ""
+        frequency_text = f"{self.frequency:.6g} Hz ({self.omega:.6g} rad/s)"
+        amplitude_text = format_quantity(self.amplitude, "m")
+        peak_text = f"{amplitude_text} at {frequency_text}"
+        return f"{peak_text}, {error_text}, {self.verdict}, {damping_text}"
 
 
 def interpolate_peak_and_damping(
@@ -128,7 +128,8 @@ def interpolate_peak_and_damping(
     Returns
     -------
     value, amplitude : float
-        Parameter and amplitude at the peak; those of the point ``peak_index`` if it has no
+        Parameter and amplitude at the peak; amplitude.
+    damping_ratio of the point ``peak_index`` if it has no
         neighbour on a side, or if the curve turns back there.
     damping : float
         Width at 1/sqrt(2) of the peak's amplitude, over twice the peak's parameter; nan if the
@@ -138,7 +139,8 @@ def interpolate_peak_and_damping(
 
     peak_value, peak_amplitude = float(values[peak_index]), float(amplitudes[peak_index])
     first_index, last_index = (
-        _half_power_index(values, amplitudes, peak_index, index_step) for index_step in (-1, 1)
+        _first_index_below_half_power(values, amplitudes, peak_index, index_step)
+        for index_step in (-1, 1)
     )
     if not first_index < peak_index < last_index:
         return peak_value, peak_amplitude, math.nan
@@ -149,23 +151,31 @@ def interpolate_peak_and_damping(
     values_around_peak = values[peak_slice]
     relative_amplitudes = np.maximum(amplitudes[peak_slice] / peak_amplitude, np.finfo(float).eps)
     ascending_step = 1 if values_around_peak[-1] > values_around_peak[0] else -1
-    spline = CubicSpline(
+    inverse_square_spline = CubicSpline(
         values_around_peak[::ascending_step], relative_amplitudes[::ascending_step] ** -2.0
     )
-    values_at_minima = spline.derivative().roots(extrapolate=False)
+    values_at_minima = inverse_square_spline.derivative().roots(extrapolate=False)
     neighbour_values = np.sort(values[[peak_index - 1, peak_index + 1]])
     values_at_minima = values_at_minima[
         (values_at_minima > neighbour_values[0]) & (values_at_minima < neighbour_values[1])
     ]
-    top_value = float(min(values_at_minima, key=spline, default=peak_value))
-    if not spline(top_value) > 0.0:  # as next to a zero response
+    top_value = float(min(values_at_minima, key=inverse_square_spline, default=peak_value))
+    if not inverse_square_spline(top_value) > 0.0:  # as next to a zero response
         return top_value, peak_amplitude, math.nan
-    half_power_values = spline.solve(2.0 * spline(top_value), extrapolate=False)
+    half_power_values = inverse_square_spline.solve(
+        2.0 * inverse_square_spline(top_value), extrapolate=False
+    )
     band_start_value = half_power_values[half_power_values < top_value].max(initial=-math.inf)
     band_end_value = half_power_values[half_power_values > top_value].min(initial=math.inf)
-    width = band_end_value - band_start_value
-    damping = float(width / (2.0 * top_value)) if math.isfinite(width) else math.nan
-    return top_value, peak_amplitude * float(spline(top_value) ** -0.5), damping
+    half_power_width = band_end_value - band_start_value
+    damping_ratio = (
+        float(half_power_width / (2.0 * top_value)) if math.isfinite(half_power_width) else math.nan
+    )
+    return (
+        top_value,
+        peak_amplitude * float(inverse_square_spline(top_value) ** -0.5),
+        damping_ratio,
+    )
 
 
 def damping_by_half_power_width(
@@ -192,11 +202,16 @@ def damping_by_half_power_width(
     float
         nan if the harmonic does not fall to 1/sqrt(2) on both sides.
     """
-    cosine, sine = coefficients[:, 2 * subharmonic - 1], coefficients[:, 2 * subharmonic]
-    return interpolate_peak_and_damping(values, np.hypot(cosine, sine), peak_index)[2]
+    cosine_coefficients, sine_coefficients = (
+        coefficients[:, 2 * subharmonic - 1],
+        coefficients[:, 2 * subharmonic],
+    )
+    return interpolate_peak_and_damping(
+        values, np.hypot(cosine_coefficients, sine_coefficients), peak_index
+    )[2]
 
 
-def _half_power_index(
+def _first_index_below_half_power(
     values: np.ndarray, amplitudes: np.ndarray, peak_index: int, index_step: int
 ) -> int:
     """Return the first index on one side below half the peak's power.
@@ -205,11 +220,13 @@ def _half_power_index(
     turns back before, return the last index before. ``index_step`` is -1 to go down, 1 to go up;
     ``values`` and ``amplitudes`` are (n,).
     """
-    index, last_value_change = peak_index, 0.0
+    point_index, last_value_change = peak_index, 0.0
     half_power_amplitude = amplitudes[peak_index] / math.sqrt(2.0)
-    while amplitudes[index] >= half_power_amplitude and 0 <= index + index_step < len(values):
-        value_change = values[index + index_step] - values[index]
+    while amplitudes[point_index] >= half_power_amplitude and 0 <= point_index + index_step < len(
+        values
+    ):
+        value_change = values[point_index + index_step] - values[point_index]
         if value_change * last_value_change < 0.0 or value_change == 0.0:
             break
-        index, last_value_change = index + index_step, value_change
-    return index
+        point_index, last_value_change = point_index + index_step, value_change
+    return point_index

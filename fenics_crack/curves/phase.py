@@ -118,8 +118,10 @@ class PhasePoint(Linearisation):
         Load frequency w.
     complex_work : complex [N m]
         P / v.
-    slow_gap_frequency_derivative, complex_work_frequency_derivative : (2H+1, n_pairs), complex
-        ds/dw and dP/dw over v, along the response curve through the point.
+    slow_gap_derivative_by_frequency : (2H+1, n_pairs)
+        ds/dw over v, along the response curve through the point.
+    complex_work_derivative_by_frequency : complex
+        dP/dw over v.
     """
 
     def __init__(self, system: ResonanceSystem, unknown: np.ndarray, parameter: float) -> None:
@@ -133,7 +135,9 @@ class PhasePoint(Linearisation):
         self.complex_work = system.exciting_harmonic.complex_work(self.contact_point)
         load_factor = system.value(parameter)
         self._inverse_load_factor = 1.0 / load_factor
-        self._inverse_load_factor_rate = -system.value_rate(load_factor) / load_factor**2
+        self._inverse_load_factor_derivative_by_parameter = (
+            -system.value_rate(load_factor) / load_factor**2
+        )
 
     @cached_property
     def residual(self) -> np.ndarray:  # type: ignore[override]
@@ -149,7 +153,7 @@ class PhasePoint(Linearisation):
     def by_parameter(self) -> np.ndarray:  # type: ignore[override]
         residual_derivative = np.zeros_like(self.unknown)
         residual_derivative[: len(self.contact_point.gap[0])] = (
-            -self._inverse_load_factor_rate
+            -self._inverse_load_factor_derivative_by_parameter
             * self.contact_point.system.linear_gap[0]
             / self._vibration_size
         )
@@ -181,7 +185,7 @@ class PhasePoint(Linearisation):
         )
 
     @cached_property
-    def slow_gap_frequency_derivative(self) -> np.ndarray:
+    def slow_gap_derivative_by_frequency(self) -> np.ndarray:
         return -self.contact_point.solve(
             modal_compliance_of(self.contact_point).residual_derivative(
                 "omega", self.contact_point.force
@@ -189,30 +193,30 @@ class PhasePoint(Linearisation):
         )
 
     @cached_property
-    def complex_work_frequency_derivative(self) -> complex:
+    def complex_work_derivative_by_frequency(self) -> complex:
         return self.exciting_harmonic.complex_work_omega_derivative(
             self.contact_point
-        ) + self._complex_work_change(self.slow_gap_frequency_derivative)
+        ) + self._complex_work_change(self.slow_gap_derivative_by_frequency)
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
         gap_change = self._vibration_size * self.contact_point.solve(
             right_side[:-1].reshape(self.contact_point.unknown.shape)
         )
-        remainder = right_side[-1] - self._phase_cotangent_change(
+        phase_cotangent_remainder = right_side[-1] - self._phase_cotangent_change(
             self._complex_work_change(gap_change)
         )
-        omega_change = remainder / self._phase_cotangent_change(
-            self.complex_work_frequency_derivative
+        frequency_change = phase_cotangent_remainder / self._phase_cotangent_change(
+            self.complex_work_derivative_by_frequency
         )
         scaled_gap_change = (
-            gap_change + omega_change * self.slow_gap_frequency_derivative
+            gap_change + frequency_change * self.slow_gap_derivative_by_frequency
         ) / self._vibration_size
-        return np.append(scaled_gap_change, omega_change / self.problem.omega)
+        return np.append(scaled_gap_change, frequency_change / self.problem.omega)
 
     @property
     def sign(self) -> float:
         return self.contact_point.sign * float(
-            np.sign(self._phase_cotangent_change(self.complex_work_frequency_derivative))
+            np.sign(self._phase_cotangent_change(self.complex_work_derivative_by_frequency))
         )
 
     @property
@@ -221,7 +225,7 @@ class PhasePoint(Linearisation):
 
         D = -2 / Im(d ln P / dw), with the load's complex work P and the frequency w.
         """
-        return -2.0 / (self.complex_work_frequency_derivative / self.complex_work).imag
+        return -2.0 / (self.complex_work_derivative_by_frequency / self.complex_work).imag
 
     @property
     def distance_to_peak_in_widths(self) -> float:
@@ -232,7 +236,7 @@ class PhasePoint(Linearisation):
         return (
             0.25
             * self.half_power_width
-            * (self.complex_work_frequency_derivative / self.complex_work).real
+            * (self.complex_work_derivative_by_frequency / self.complex_work).real
         )
 
     @cached_property

@@ -33,7 +33,7 @@ from fenics_crack.curves.balance_equations import (
 from fenics_crack.curves.continuation import (
     GrowingCurve,
     StepLimits,
-    StepOptions,
+    StepLimitsKeywords,
     check_range,
     make_first_path_point,
 )
@@ -153,9 +153,11 @@ def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
     if not all_modes(problem.structure).damping.any():
         raise InputError("load", "no damped mode answers to it", load_requirement)
     start_omega = from_omega * (1.0 - MIN_RESOLVED_DISTANCE)  # a linear phase is then not 0
-    equations = BalanceAlongFrequency(problem, start_omega, 0.5 * start_omega)
-    start_unknown = Solver(equations.problem_at(start_omega)).solve().slow_gap_coefficients
-    contact_point = equations.linearise(start_unknown, 0.0)
+    frequency_equations = BalanceAlongFrequency(problem, start_omega, 0.5 * start_omega)
+    start_unknown = (
+        Solver(frequency_equations.problem_at(start_omega)).solve().slow_gap_coefficients
+    )
+    contact_point = frequency_equations.linearise(start_unknown, 0.0)
     n_load_harmonics = len(problem.structure.force) // 2
     exciting_harmonics = [
         ExcitingHarmonic.of_structure(problem.structure, harmonic + 1)
@@ -171,23 +173,28 @@ def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
 
     def phase_cosine(path_point: PathPoint) -> float:
         complex_work = exciting_harmonic.complex_work(
-            equations.linearise(path_point.unknown, path_point.parameter)
+            frequency_equations.linearise(path_point.unknown, path_point.parameter)
         )
         return complex_work.real / abs(complex_work)
 
-    start_path_point = point_on_path(equations, start_unknown, 0.0)
+    start_path_point = point_on_path(frequency_equations, start_unknown, 0.0)
     if complex_work.real > 0.0:  # the resonance is above
         start_path_point = replace(start_path_point, tangent=start_path_point.tangent.reverse())
     resonance_path_point = Path(
-        equations, start_path_point, PATH_TO_RESONANCE_OPTIONS, [_PhaseResonanceEvent(phase_cosine)]
+        frequency_equations,
+        start_path_point,
+        PATH_TO_RESONANCE_OPTIONS,
+        [_PhaseResonanceEvent(phase_cosine)],
     ).find_terminal_point_or_none()
     if resonance_path_point is None:
         raise ConvergenceError(f"resonance: not met by the response from {from_omega:.6g} rad/s on")
-    problem = replace(equations.problem, omega=equations.value(resonance_path_point.parameter))
+    problem = replace(
+        frequency_equations.problem, omega=frequency_equations.value(resonance_path_point.parameter)
+    )
     resonance_system = ResonanceSystem(
         problem,
         exciting_harmonic,
-        equations.linearise(resonance_path_point.unknown, resonance_path_point.parameter),
+        frequency_equations.linearise(resonance_path_point.unknown, resonance_path_point.parameter),
     )
     return resonance_system.linearise(resonance_system.start_unknown, 0.0)
 
@@ -212,7 +219,9 @@ def _find_nearby_resonance(resonance_point: PhasePoint, **changes: Any) -> Phase
     return system.linearise(path_point.unknown, 0.0)
 
 
-def _refined_point_and_error(point: PhasePoint, tolerance: float) -> tuple[PhasePoint, float]:
+def _refined_point_and_error(
+    resonance_point: PhasePoint, tolerance: float
+) -> tuple[PhasePoint, float]:
     """Double the harmonics of a resonance until the error meets a tolerance.
 
     The doubling also ends if several modes answer together, at 100 harmonics, or if no resonance is
@@ -225,31 +234,35 @@ def _refined_point_and_error(point: PhasePoint, tolerance: float) -> tuple[Phase
 
     Returns
     -------
-    point : PhasePoint
+    resonance_point : PhasePoint
         Resonance with the harmonics reached.
-    error : float
+    relative_amplitude_error : float
         Relative error of the amplitude; inf if unknown.
     """
-    error, n_harmonics = math.inf, 2 * point.problem.harmonics
+    relative_amplitude_error, n_harmonics = math.inf, 2 * resonance_point.problem.harmonics
     while (
-        error > tolerance
-        and abs(point.distance_to_peak_in_widths) <= MAX_DISTANCE_TO_PEAK
+        relative_amplitude_error > tolerance
+        and abs(resonance_point.distance_to_peak_in_widths) <= MAX_DISTANCE_TO_PEAK
         and n_harmonics <= MAX_HARMONIC_ORDER
     ):
         try:
-            finer_point = _find_nearby_resonance(point, harmonics=n_harmonics)
+            finer_point = _find_nearby_resonance(resonance_point, harmonics=n_harmonics)
         except ConvergenceError:
             break
-        amplitude_change = finer_point.solution.amplitude() / point.solution.amplitude() - 1.0
-        frequency_shift_in_widths = (finer_point.omega - point.omega) / finer_point.half_power_width
+        amplitude_change = (
+            finer_point.solution.amplitude() / resonance_point.solution.amplitude() - 1.0
+        )
+        frequency_shift_in_widths = (
+            finer_point.omega - resonance_point.omega
+        ) / finer_point.half_power_width
         harmonics_error = abs(amplitude_change) + 2.0 * frequency_shift_in_widths**2
-        error = max(harmonics_error, finer_point.solution.report.displacement)
-        point, n_harmonics = finer_point, 2 * n_harmonics
-    return point, error
+        relative_amplitude_error = max(harmonics_error, finer_point.solution.report.displacement)
+        resonance_point, n_harmonics = finer_point, 2 * n_harmonics
+    return resonance_point, relative_amplitude_error
 
 
 def _find_order_crossing_and_resonance_rate(
-    point: PhasePoint, order: float | None
+    resonance_point: PhasePoint, engine_order: float | None
 ) -> tuple[PhasePoint, float]:
     """Find the rotor speed at which an engine order meets the resonance.
 
@@ -257,14 +270,14 @@ def _find_order_crossing_and_resonance_rate(
 
     Parameters
     ----------
-    point : PhasePoint
+    resonance_point : PhasePoint
         Resonance at the structure's own speed.
-    order : float or None
+    engine_order : float or None
         Load frequency over rotor speed; None: the speed does not change.
 
     Returns
     -------
-    point : PhasePoint
+    resonance_point : PhasePoint
         Resonance at the speed of the crossing; the given point without an order.
     resonance_rate : float
         Derivative, by the rotor's speed, of the resonance frequency divided by the order; 0 without
@@ -275,19 +288,31 @@ def _find_order_crossing_and_resonance_rate(
     ConvergenceError
         No such speed was found.
     """
-    if order is None:
-        return point, 0.0
-    rotor, omega = as_run_up_structure(point.problem.structure), point.omega
-    speed, resonance_rate = rotor.speed, rotor.stiffening(omega * point.exciting_harmonic.harmonic)
+    if engine_order is None:
+        return resonance_point, 0.0
+    run_up_structure, resonance_omega = (
+        as_run_up_structure(resonance_point.problem.structure),
+        resonance_point.omega,
+    )
+    speed, resonance_rate = (
+        run_up_structure.speed,
+        run_up_structure.stiffening(resonance_omega * resonance_point.exciting_harmonic.harmonic),
+    )
     for _ in range(MAX_SPEED_CORRECTIONS):
-        next_speed = (omega / order - resonance_rate * speed) / (1.0 - resonance_rate)
-        if abs(next_speed - speed) <= MIN_RESOLVED_DISTANCE * speed:
-            return point, resonance_rate
-        point = _find_nearby_resonance(
-            point, structure=rotor.at_speed(next_speed), omega=order * next_speed
+        next_speed = (resonance_omega / engine_order - resonance_rate * speed) / (
+            1.0 - resonance_rate
         )
-        resonance_rate = (point.omega - omega) / order / (next_speed - speed)
-        speed, omega = next_speed, point.omega
+        if abs(next_speed - speed) <= MIN_RESOLVED_DISTANCE * speed:
+            return resonance_point, resonance_rate
+        resonance_point = _find_nearby_resonance(
+            resonance_point,
+            structure=run_up_structure.at_speed(next_speed),
+            omega=engine_order * next_speed,
+        )
+        resonance_rate = (
+            (resonance_point.omega - resonance_omega) / engine_order / (next_speed - speed)
+        )
+        speed, resonance_omega = next_speed, resonance_point.omega
     raise ConvergenceError(f"resonance: its order does not meet it next to {speed:.6g} rad/s")
 
 
@@ -379,25 +404,31 @@ def resonance_at(
         problem = Problem(problem, parameter, near, n_harmonics)
         near, parameter = None, "omega"
     check_choice("parameter", parameter, ("omega", "speed"))
-    order, error = None, math.nan
+    engine_order, amplitude_error = None, math.nan
     if parameter == "speed":
-        order = problem.omega / as_run_up_structure(problem.structure).speed
-    point = first_phase_resonance(*_small_problem_and_start_omega(problem, near, tolerance))
-    point, resonance_rate = _find_order_crossing_and_resonance_rate(point, order)
+        engine_order = problem.omega / as_run_up_structure(problem.structure).speed
+    resonance_point = first_phase_resonance(
+        *_small_problem_and_start_omega(problem, near, tolerance)
+    )
+    resonance_point, resonance_rate = _find_order_crossing_and_resonance_rate(
+        resonance_point, engine_order
+    )
     if tolerance is not None:
-        point, error = _refined_point_and_error(point, tolerance)
-        point, resonance_rate = _find_order_crossing_and_resonance_rate(point, order)
-    omega, omega_per_value = point.omega, order or 1.0
-    width = point.half_power_width / omega_per_value / (1.0 - resonance_rate)
-    harmonic = point.exciting_harmonic.harmonic
+        resonance_point, amplitude_error = _refined_point_and_error(resonance_point, tolerance)
+        resonance_point, resonance_rate = _find_order_crossing_and_resonance_rate(
+            resonance_point, engine_order
+        )
+    omega, omega_per_value = resonance_point.omega, engine_order or 1.0
+    width = resonance_point.half_power_width / omega_per_value / (1.0 - resonance_rate)
+    harmonic = resonance_point.exciting_harmonic.harmonic
     return Resonance(
         omega / omega_per_value,
         omega,
         harmonic,
         width,
-        point.distance_to_peak_in_widths,
-        point.solution,
-        error,
+        resonance_point.distance_to_peak_in_widths,
+        resonance_point.solution,
+        amplitude_error,
     )
 
 
@@ -406,7 +437,7 @@ def problem_at_small_load(problem: Problem) -> Problem:
 
     The mean load stays. A crack then stays open or closed if the mean load holds it so.
     """
-    return EQUATIONS_CLASS_BY_PARAMETER["resonance"].vary(problem, SMALL_LOAD_FACTOR)
+    return EQUATIONS_CLASS_BY_PARAMETER["resonance"].vary_problem(problem, SMALL_LOAD_FACTOR)
 
 
 def follow_resonance(
@@ -418,7 +449,7 @@ def follow_resonance(
     tolerance: float | None = None,
     progress: bool = False,
     throw: bool = True,
-    **steps: Unpack[StepOptions],
+    **steps: Unpack[StepLimitsKeywords],
 ) -> ResponseCurve:
     """Follow a phase resonance over a factor for the vibrating load.
 
@@ -453,17 +484,19 @@ def follow_resonance(
     check_range(problem, "resonance", start, end)
     (problem, near), vary_load_factor = (
         _small_problem_and_start_omega(problem, near, tolerance),
-        EQUATIONS_CLASS_BY_PARAMETER["resonance"].vary,
+        EQUATIONS_CLASS_BY_PARAMETER["resonance"].vary_problem,
     )
     if tolerance is not None:
         end_point = _refined_point_and_error(
             first_phase_resonance(vary_load_factor(problem, end), near), tolerance
         )[0]
         problem = problem.with_harmonics(end_point.problem.harmonics)
-    point = first_phase_resonance(vary_load_factor(problem, start), near)
-    start_problem = replace(point.problem, structure=problem.structure, omega=point.omega)
+    start_point = first_phase_resonance(vary_load_factor(problem, start), near)
+    start_problem = replace(
+        start_point.problem, structure=problem.structure, omega=start_point.omega
+    )
     system = ResonanceSystem(
-        start_problem, point.exciting_harmonic, point.contact_point, (start, end)
+        start_problem, start_point.exciting_harmonic, start_point.contact_point, (start, end)
     )
     growing_curve = GrowingCurve(
         system, make_first_path_point(system, system.start_unknown, 0.0, 0), StepLimits(**steps)
@@ -480,6 +513,6 @@ def follow_resonance(
     )
     if n_multimode_points:
         point_count_text = f"{n_multimode_points} of {format_count(len(curve), 'point')}"
-        remark = f"at {point_count_text} several modes answer together"
-        curve = replace(curve, status=f"{curve.status}; {remark}")
+        remark_text = f"at {point_count_text} several modes answer together"
+        curve = replace(curve, status=f"{curve.status}; {remark_text}")
     return curve

@@ -110,20 +110,25 @@ def monodromy_of_linear_flow(
         )[0]
         gap_samples = gap_samples - force_samples @ modes.residual_compliance
     check_slope(contact, gap_samples)
-    state_scale = np.repeat([np.sqrt(np.abs(modes.squares).max()) or 1.0, 1.0], len(modes.squares))
-    n_steps = 1 << (4 * len(gap_coefficients)).bit_length()
-    coarser_product = extrapolated_matrix = _monodromy_by_steps(
-        modes, contact, gap_coefficients, base_omega, n_steps
+    state_scales = np.repeat([np.sqrt(np.abs(modes.squares).max()) or 1.0, 1.0], len(modes.squares))
+    n_steps_per_period = 1 << (4 * len(gap_coefficients)).bit_length()
+    coarser_product = extrapolated_matrix = _monodromy_matrix_by_equal_steps(
+        modes, contact, gap_coefficients, base_omega, n_steps_per_period
     )
     change_norm = matrix_norm = np.inf
-    while n_steps < 2**13 and not change_norm <= MULTIPLIER_TOLERANCE * matrix_norm < np.inf:
-        n_steps *= 2
-        finer_product = _monodromy_by_steps(modes, contact, gap_coefficients, base_omega, n_steps)
+    while (
+        n_steps_per_period < 2**13
+        and not change_norm <= MULTIPLIER_TOLERANCE * matrix_norm < np.inf
+    ):
+        n_steps_per_period *= 2
+        finer_product = _monodromy_matrix_by_equal_steps(
+            modes, contact, gap_coefficients, base_omega, n_steps_per_period
+        )
         coarser_matrix = extrapolated_matrix
         extrapolated_matrix = finer_product + (finer_product - coarser_product) / 3.0
         coarser_product = finer_product
         scaled_change_and_matrix = (
-            state_scale[:, None] * change_or_matrix / state_scale
+            state_scales[:, None] * change_or_matrix / state_scales
             for change_or_matrix in (extrapolated_matrix - coarser_matrix, extrapolated_matrix)
         )
         change_norm, matrix_norm = (
@@ -134,7 +139,7 @@ def monodromy_of_linear_flow(
     return extrapolated_matrix
 
 
-def _monodromy_by_steps(
+def _monodromy_matrix_by_equal_steps(
     modes: AllModes, contact: ContactLaw, gap_coefficients: np.ndarray, base_omega: float,
     n_steps: int,
 ) -> np.ndarray:  # fmt: skip
@@ -162,27 +167,29 @@ def _monodromy_by_steps(
     steps_times_stiffness_of_stretches = steps_times_stiffness.reshape(
         n_stretches, n_steps // n_stretches, *steps_times_stiffness.shape[1:]
     )
-    transition = modes.transition_and_force_response(step_size)[0]
+    transition_by_step = modes.transition_and_force_response(step_size)[0]
     stretch_matrices = np.tile(np.eye(2 * n_modes), (n_stretches, 1, 1))
     with np.errstate(over="ignore", invalid="ignore"):  # with too few steps
         for step_times_stiffness in steps_times_stiffness_of_stretches.swapaxes(0, 1):
-            stretch_matrices[:, n_modes:] -= _velocity_change(
+            stretch_matrices[:, n_modes:] -= _velocity_change_by_contact(
                 modes, step_times_stiffness, stretch_matrices[:, :n_modes]
             )
-            stretch_matrices = _step_without_contact_forces(modes, transition, stretch_matrices)
+            stretch_matrices = _states_after_step_without_contact(
+                modes, transition_by_step, stretch_matrices
+            )
         monodromy_matrix = stretch_matrices[0]
         for stretch_matrix in stretch_matrices[1:]:
             monodromy_matrix = stretch_matrix @ monodromy_matrix
         half_kick_matrix = np.zeros_like(monodromy_matrix)
-        half_kick_matrix[n_modes:, :n_modes] = 0.5 * _velocity_change(
+        half_kick_matrix[n_modes:, :n_modes] = 0.5 * _velocity_change_by_contact(
             modes, steps_times_stiffness[0], np.eye(n_modes)
         )
         monodromy_matrix = monodromy_matrix + monodromy_matrix @ half_kick_matrix
         return monodromy_matrix - half_kick_matrix @ monodromy_matrix
 
 
-def _velocity_change(
-    modes: AllModes, step_times_stiffness: np.ndarray, displacement: np.ndarray
+def _velocity_change_by_contact(
+    modes: AllModes, step_times_stiffness: np.ndarray, modal_displacement: np.ndarray
 ) -> np.ndarray:
     """Return the modal velocity change by contact over a step, h P kappa P^T q.
 
@@ -198,34 +205,38 @@ def _velocity_change(
     (..., n_modes, k)
         Change to subtract from the velocities.
     """
-    pair_displacement = modes.gaps_by_mode.T @ displacement
+    pair_gaps = modes.gaps_by_mode.T @ modal_displacement
     has_uncoupled_pairs = modes.residual_compliance is None
     pair_impulse = (
-        step_times_stiffness * pair_displacement
+        step_times_stiffness * pair_gaps
         if has_uncoupled_pairs
-        else step_times_stiffness @ pair_displacement
+        else step_times_stiffness @ pair_gaps
     )
     return np.asarray(modes.gaps_by_mode @ pair_impulse)
 
 
-def _step_without_contact_forces(
-    modes: AllModes, transition: np.ndarray, states: np.ndarray
+def _states_after_step_without_contact(
+    modes: AllModes, transition_by_step: np.ndarray, states: np.ndarray
 ) -> np.ndarray:
     """Return modal states after one exact step without contact forces.
 
-    ``transition`` is the first result of :meth:`AllModes.transition_and_force_response`. ``states``
-    (m, 2 n_modes, k) have modal displacements, then velocities, in the second index.
+    ``transition_by_step`` is the first result of :meth:`AllModes.transition_and_force_response`.
+    States are the columns (m, 2 n_modes, k) have modal displacements, then velocities, in the second index.
     """
     if modes.damping.ndim == 2:
-        return np.asarray(transition @ states)
-    n_modes, transition_blocks = transition.shape[1], transition[:, :, None]
-    displacement, velocity = states[:, :n_modes], states[:, n_modes:]
-    new_displacement = transition_blocks[0] * displacement + transition_blocks[1] * velocity
-    new_velocity = transition_blocks[2] * displacement + transition_blocks[3] * velocity
+        return np.asarray(transition_by_step @ states)
+    n_modes, transition_blocks = transition_by_step.shape[1], transition_by_step[:, :, None]
+    modal_displacements, modal_velocities = states[:, :n_modes], states[:, n_modes:]
+    new_displacement = (
+        transition_blocks[0] * modal_displacements + transition_blocks[1] * modal_velocities
+    )
+    new_velocity = (
+        transition_blocks[2] * modal_displacements + transition_blocks[3] * modal_velocities
+    )
     return np.concatenate([new_displacement, new_velocity], axis=1)
 
 
-def _assessment_of(
+def _assess_solution_with_law(
     structure: Structure, solution: PeriodicSolution, contact: ContactLaw | None
 ) -> Assessment:
     """Return the assessment of a solution by the exact flow.
@@ -285,7 +296,10 @@ def shoot(
     >>> distance = orbit.multipliers
     """
     check_count("settle", settle, 0)
-    assessment, subharmonic = _assessment_of(structure, solution, contact), solution.subharmonic
+    assessment, subharmonic = (
+        _assess_solution_with_law(structure, solution, contact),
+        solution.subharmonic,
+    )
     assert assessment.wave.contact is not None
     flow = exact_flow_or_error(structure, assessment.wave.contact)
     orbit = None if settle else assessment.nearest_orbit
@@ -307,8 +321,8 @@ def shoot(
         )
         orbit = reconverged_orbit or orbit
     if orbit is None or not orbit.residual <= tolerance:
-        residual_words = "" if orbit is None else f"; closest {orbit.residual:.1e}"
-        raise ConvergenceError(f"shooting: no periodic orbit near the solution{residual_words}")
+        residual_text = "" if orbit is None else f"; closest {orbit.residual:.1e}"
+        raise ConvergenceError(f"shooting: no periodic orbit near the solution{residual_text}")
     return orbit
 
 
@@ -352,7 +366,7 @@ def floquet(
     >>> stability = fc.floquet(structure, solution)
     >>> verdict, reason = stability.verdict, stability.reason
     """
-    assessment = _assessment_of(structure, solution, contact)
+    assessment = _assess_solution_with_law(structure, solution, contact)
     law = assessment.wave.contact
     if assessment.flow is None:
         assert law is not None
@@ -418,21 +432,21 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
         * nearest_orbit.monodromy
         / orbit_equations.state_factors
     )
-    leading_index = int(np.abs(multipliers).argmax())
-    leading_multiplier = multipliers[leading_index]
-    start_change = eigenvectors[:, leading_index].real
+    largest_multiplier_index = int(np.abs(multipliers).argmax())
+    largest_multiplier = multipliers[largest_multiplier_index]
+    start_unknown_change = eigenvectors[:, largest_multiplier_index].real
     orbit_states = nearest_orbit.period_samples.whole_states
     rms_motion = motion_size(orbit_equations.state_factors * orbit_states) / np.sqrt(
         len(orbit_states)
     )
-    start_change *= 0.01 * rms_motion / np.linalg.norm(start_change)
+    start_unknown_change *= 0.01 * rms_motion / np.linalg.norm(start_unknown_change)
     distinct_attractors: list[Attractor] = []
     start_unknowns = (
-        orbit_equations.start_unknown + start_change,
-        orbit_equations.start_unknown - start_change,
+        orbit_equations.start_unknown + start_unknown_change,
+        orbit_equations.start_unknown - start_unknown_change,
     )
     for start_unknown in (
-        start_unknowns if leading_multiplier == abs(leading_multiplier) else start_unknowns[:1]
+        start_unknowns if largest_multiplier == abs(largest_multiplier) else start_unknowns[:1]
     ):
         attractor = find_attractor(orbit_equations, start_unknown)
         if not any(
@@ -488,17 +502,19 @@ def stability_of(assessment: Assessment) -> Stability:
         ):
             multipliers = eigenvalues(assessment.orbit_prediction.monodromy)
         return Stability(multipliers, "undecided", np.nan, reason=assessment.rejection_reason)
-    reason, largest_modulus = assessment.rejection_reason, abs(orbit.multipliers[0])
-    if not reason and abs(largest_modulus - 1.0) <= MULTIPLIER_TOLERANCE:
-        reason = "its largest multiplier is 1 to rounding: a bifurcation, or no damping"
-    verdict = "undecided" if reason else "stable" if largest_modulus < 1.0 else "unstable"
+    undecided_reason, largest_modulus = assessment.rejection_reason, abs(orbit.multipliers[0])
+    if not undecided_reason and abs(largest_modulus - 1.0) <= MULTIPLIER_TOLERANCE:
+        undecided_reason = "its largest multiplier is 1 to rounding: a bifurcation, or no damping"
+    stability_verdict = (
+        "undecided" if undecided_reason else "stable" if largest_modulus < 1.0 else "unstable"
+    )
     return Stability(
         orbit.multipliers,
-        verdict,
+        stability_verdict,
         MULTIPLIER_TOLERANCE,
         True,
         assessment.relative_orbit_distance,
-        reason,
+        undecided_reason,
     )
 
 
@@ -513,7 +529,7 @@ def _stability_by_linear_flow(
     """
     gap_coefficients = solution.slow_gap_coefficients
     static_cutoff = solution.static_above
-    uncertainty = np.inf
+    multiplier_uncertainty = np.inf
     try:
         multipliers = eigenvalues(
             monodromy_of_linear_flow(
@@ -529,16 +545,28 @@ def _stability_by_linear_flow(
             finer_matrix = monodromy_of_linear_flow(
                 structure, contact, finer_gap_coefficients, solution.base_omega, static_cutoff
             )
-            uncertainty = float(abs(abs(eigenvalues(finer_matrix)[0]) - abs(multipliers[0])))
+            multiplier_uncertainty = float(
+                abs(abs(eigenvalues(finer_matrix)[0]) - abs(multipliers[0]))
+            )
     except ConvergenceError as error:
         unknown_multipliers = np.full(2 * len(all_modes(structure).squares), np.nan + 0j)
         return Stability(unknown_multipliers, "undecided", np.nan, reason=str(error))
-    largest_modulus, solution_error, reason = abs(multipliers[0]), solution.report.truncation, ""
-    if solution_error >= ERROR_IF_UNKNOWN or not np.isfinite(uncertainty):
-        reason = "the error of the solution is unknown"
+    largest_modulus, solution_error, undecided_reason = (
+        abs(multipliers[0]),
+        solution.report.truncation,
+        "",
+    )
+    if solution_error >= ERROR_IF_UNKNOWN or not np.isfinite(multiplier_uncertainty):
+        undecided_reason = "the error of the solution is unknown"
     elif solution_error > LARGE_ERROR:
-        reason = f"the truncated harmonics change it by {format_percent(solution_error)}; use more"
-    elif abs(largest_modulus - 1.0) <= max(MULTIPLIER_TOLERANCE, uncertainty):
-        reason = "its largest multiplier is 1 within its uncertainty"
-    verdict = "undecided" if reason else "stable" if largest_modulus < 1.0 else "unstable"
-    return Stability(multipliers, verdict, uncertainty, reason=reason)
+        undecided_reason = (
+            f"the truncated harmonics change it by {format_percent(solution_error)}; use more"
+        )
+    elif abs(largest_modulus - 1.0) <= max(MULTIPLIER_TOLERANCE, multiplier_uncertainty):
+        undecided_reason = "its largest multiplier is 1 within its uncertainty"
+    stability_verdict = (
+        "undecided" if undecided_reason else "stable" if largest_modulus < 1.0 else "unstable"
+    )
+    return Stability(
+        multipliers, stability_verdict, multiplier_uncertainty, reason=undecided_reason
+    )

@@ -33,9 +33,9 @@ from fenics_crack.curves.balance_equations import BalanceEquations
 from fenics_crack.curves.branch import path_points_with_chord
 from fenics_crack.curves.curve import ResponseCurve, leading_multiplier_in_upper_half
 from fenics_crack.curves.orbit_events import (
-    changes_of_counts,
+    changes_of_multiplier_counts,
+    complex_pair_modulus_excess,
     leading_multipliers_and_counts,
-    multiplier_pair_excess,
     period_doubling_test_value,
 )
 from fenics_crack.curves.stability import floquet, monodromy_of_linear_flow, stability_of
@@ -143,7 +143,7 @@ def judge_by_linear_flow(curve: ResponseCurve) -> ResponseCurve:
     Neimark-Sacker point is located wherever multipliers leave the unit circle between two points.
     """
     begin_stage("stability of each point")
-    solutions = (curve.solution(index, search=False) for index in range(len(curve)))
+    solutions = (curve.solution(point_index, search=False) for point_index in range(len(curve)))
     stabilities = [floquet(solution.structure, solution) for solution in solutions]
     bifurcations = [
         bifurcation
@@ -152,18 +152,18 @@ def judge_by_linear_flow(curve: ResponseCurve) -> ResponseCurve:
     ]
     multipliers = np.array([stability.multipliers for stability in stabilities])
     multipliers_and_counts = leading_multipliers_and_counts(multipliers)
-    has_crossing = changes_of_counts(multipliers_and_counts)[:, 1:] != 0.0
+    has_crossing = changes_of_multiplier_counts(multipliers_and_counts)[:, 1:] != 0.0
     has_crossing &= np.isfinite(multipliers[1:] + multipliers[:-1]).all(axis=1)[:, None]
-    for index, kind_index in np.argwhere(has_crossing).tolist():
-        kind = ("period_doubling", "neimark_sacker")[kind_index]
-        multiplier_pair_counts = multipliers_and_counts[index : index + 2, -1]
+    for point_index, kind_index in np.argwhere(has_crossing).tolist():
+        bifurcation_kind = ("period_doubling", "neimark_sacker")[kind_index]
+        multiplier_pair_counts = multipliers_and_counts[point_index : point_index + 2, -1]
         multiplier_pair_index = int(multiplier_pair_counts.real.max()) - 1
         multiplier_pair_test = partial(
-            multiplier_pair_excess, multiplier_pair_index=multiplier_pair_index
+            complex_pair_modulus_excess, multiplier_pair_index=multiplier_pair_index
         )
         test_function = multiplier_pair_test if kind_index else period_doubling_test_value
-        bifurcation_location = _locate_bifurcation(curve, index, test_function)
-        bifurcations.append(curve.bifurcation(kind, *bifurcation_location))
+        bifurcation_location = _locate_bifurcation(curve, point_index, test_function)
+        bifurcations.append(curve.bifurcation(bifurcation_kind, *bifurcation_location))
     bifurcations.sort(key=curve.nearest)
     curve_multipliers = np.array(
         [_leading_multiplier_if_decided(stability) for stability in stabilities], dtype=complex
@@ -199,15 +199,15 @@ def _locate_bifurcation(
         for path_point in chord_ends
     )
 
-    def evaluate_test(path_point: PathPoint) -> float:
+    def test_value_at(path_point: PathPoint) -> float:
         problem = system.problem_at(system.value(path_point.parameter))
         static_cutoff, omega = problem.static_cutoff, problem.base_omega
-        matrix = monodromy_of_linear_flow(
+        monodromy_matrix = monodromy_of_linear_flow(
             problem.structure, problem.contact, path_point.unknown, omega, static_cutoff
         )
-        return test_function(eigenvalues(matrix))
+        return test_function(eigenvalues(monodromy_matrix))
 
-    zero_point = ZeroCrossing(evaluate_test).locate(
+    zero_point = ZeroCrossing(test_value_at).locate(
         system, (first_end_point, last_end_point), system.rounding(last_end_point.parameter)
     )
     assert zero_point is not None

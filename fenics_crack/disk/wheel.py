@@ -223,7 +223,7 @@ class Wheel(Structure):
         blade, sector_dof = self.blade_of(dof)
         return f"{self.sector.structure.dof_name(sector_dof)} of blade {blade}"
 
-    def with_harmonics(self, harmonics: Mapping[int, tuple[Any, Any]]) -> Structure:
+    def with_added_load_harmonics(self, harmonics: Mapping[int, tuple[Any, Any]]) -> Structure:
         """Raise InputError: a bladed disk cannot get further load harmonics.
 
         The harmonics must be in the scene: the engine order sets the phases on the blades.
@@ -730,5 +730,5 @@ def reduce_wheel(
         wheel_structure, modes=n_modes, method="massless", reference=n_reference_modes
     )
     return reduced_structure._in_setting(
-        wheel.setting, error_share_removed_by_reference=reference_share
+        wheel.setting, error_share_removed_by_larger_reduction=reference_share
     )

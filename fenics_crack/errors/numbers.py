@@ -249,14 +249,15 @@ class TruncatedOrbit(ObservedMotion):
         """Load frequency [rad/s]."""
         return self.orbit.omega
 
-    def records(self, rows: np.ndarray) -> Iterator[Record]:
+    def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[Record]:
         """Yield the records of m signals, with ``harmonics`` Fourier coefficients.
 
         ``rows`` (m, n_dofs) times the displacement are the signals, such as watched dofs.
         """
         coefficient_rows = self.orbit.product_coefficients(rows, self.harmonics)
         return (
-            replace(record, coefficients=coefficient_rows) for record in self.orbit.records(rows)
+            replace(record, coefficients=coefficient_rows)
+            for record in self.orbit.yield_records_of_row_products(rows)
         )
 
 
@@ -299,7 +300,7 @@ def measure_changes_by_name(
     watched_dofs = [point.dof for point in study.watched]
     record, other_record = (
         next(
-            motion.records(
+            motion.yield_records_of_row_products(
                 dof_selection_rows(motion.structure, watched_dofs),
                 INSTANTS_PER_PERIOD * motion.subharmonic,
             )

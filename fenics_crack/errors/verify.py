@@ -29,7 +29,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-from fenics_crack.balance.contact_integrals import default_n_samples
+from fenics_crack.balance.contact_integrals import default_instants_per_period
 from fenics_crack.basics.errors import MAX_SAMPLES_PER_PERIOD, ConvergenceError
 from fenics_crack.basics.progress import prefix_stages
 from fenics_crack.errors.case import (
@@ -491,7 +491,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
             return "without contact no contact force is sampled"
         if balance_table.samples is None and is_unilateral(contact_law):
             return "contact forces are integrated exactly, without samples"
-        n_samples = balance_table.samples or default_n_samples(balance_table.harmonics)
+        n_samples = balance_table.samples or default_instants_per_period(balance_table.harmonics)
         return self._estimate_error_by_larger_counts(
             "samples",
             self.study,

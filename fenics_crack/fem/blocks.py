@@ -112,8 +112,12 @@ class _GradedFace:
         coarse_length = self.tip_element_length / self.length_over_next_from_tip ** (
             self.n_elements - 1
         )
-        fraction = (position - self.tip_position) / (self.coarse_end_position - self.tip_position)
-        return self.tip_element_length + fraction * (coarse_length - self.tip_element_length)
+        fraction_from_tip = (position - self.tip_position) / (
+            self.coarse_end_position - self.tip_position
+        )
+        return self.tip_element_length + fraction_from_tip * (
+            coarse_length - self.tip_element_length
+        )
 
     def count_elements(self, start: float, stop: float) -> float:
         """Count the elements on an interval: integrate 1 / element length."""
@@ -137,27 +141,37 @@ def _find_plate_columns_rows_and_slits(
     """
     width, height = scene.geometry.sides
     cracks = list(scene.crack_by_name.values())
-    spans = [crack.span(width) for crack in cracks]
-    levels = [crack.height or 0.0 for crack in cracks]
+    crack_spans = [crack.span(width) for crack in cracks]
+    crack_heights = [crack.height or 0.0 for crack in cracks]
     if scene.mesh.layout == "grid":
-        crack_end_positions = [crack_end for span in spans for crack_end in span]
-        columns = _equal_intervals(width, scene.mesh.given("columns"), crack_end_positions)
-        rows = _equal_intervals(height, scene.mesh.given("rows"), levels)
+        crack_end_positions = [crack_end for crack_span in crack_spans for crack_end in crack_span]
+        columns = _intervals_with_equal_elements(
+            width, scene.mesh.given("columns"), crack_end_positions
+        )
+        rows = _intervals_with_equal_elements(height, scene.mesh.given("rows"), crack_heights)
     else:
-        columns, rows = _graded_columns_and_rows(scene, spans, levels)
-    xs, ys = (
+        columns, rows = _graded_columns_and_rows(scene, crack_spans, crack_heights)
+    column_positions, row_positions = (
         np.array([intervals[0].start, *(interval.stop for interval in intervals)])
         for intervals in (columns, rows)
     )
     slits = [
-        (_nearest_index(ys, level), range(*(_nearest_index(xs, crack_end) for crack_end in span)))
-        for span, level in zip(spans, levels, strict=True)
+        (
+            _index_of_nearest_position(row_positions, crack_height),
+            range(
+                *(
+                    _index_of_nearest_position(column_positions, crack_end)
+                    for crack_end in crack_span
+                )
+            ),
+        )
+        for crack_span, crack_height in zip(crack_spans, crack_heights, strict=True)
     ]
     return columns, rows, slits
 
 
 def check_cell_count(
-    scene: Scene, key: str, n_cells: float, dofs_per_cell: int, size_note: str = ""
+    scene: Scene, mesh_key: str, n_cells: float, dofs_per_cell: int, size_note: str = ""
 ) -> None:
     """Raise InputError if gmsh or the matrices cannot have that many cells.
 
@@ -176,7 +190,7 @@ def check_cell_count(
         refusal_reason = f"to solve {n_cells:.2g} takes about {memory_text}"
     if n_cells > allowed_cells or needed_bytes > machine_bytes:
         requirement = f"so that there are fewer cells{size_note}: {refusal_reason}"
-        raise InputError(f"mesh.{key}", getattr(scene.mesh, key), requirement)
+        raise InputError(f"mesh.{mesh_key}", getattr(scene.mesh, mesh_key), requirement)
 
 
 def _element_length_off_cracks(scene: Scene) -> float:
@@ -192,22 +206,25 @@ def plate_pair_upper_bound(scene: Scene) -> int:
 
     The first crack's length may be unknown.
     """
-    crack, order = scene.crack, scene.mesh.order
+    crack, element_order = scene.crack, scene.mesh.order
     if crack is not None and crack.length is None:  # then it is the only crack
-        return ((scene.mesh.lip_elements or 0) + 1) * order
+        return ((scene.mesh.lip_elements or 0) + 1) * element_order
     columns, _, slits = _find_plate_columns_rows_and_slits(scene)
     return sum(
-        columns[column_index].n_elements * order
+        columns[column_index].n_elements * element_order
         for _, crack_columns in slits
         for column_index in crack_columns
     )
 
 
-def _equal_intervals(extent: float, n_elements: int, cuts: list[float]) -> list[ElementInterval]:
+def _intervals_with_equal_elements(
+    side_length: float, n_elements: int, cut_positions: list[float]
+) -> list[ElementInterval]:
     """Divide a side into equal elements, cut at positions on grid lines."""
     position_by_grid_line = {
-        round(cut_position / extent * n_elements): cut_position for cut_position in cuts
-    } | {0: 0.0, n_elements: extent}
+        round(cut_position / side_length * n_elements): cut_position
+        for cut_position in cut_positions
+    } | {0: 0.0, n_elements: side_length}
     return [
         ElementInterval(
             position_by_grid_line[first_line],
@@ -219,7 +236,7 @@ def _equal_intervals(extent: float, n_elements: int, cuts: list[float]) -> list[
     ]
 
 
-def _nearest_index(positions: np.ndarray, position: float) -> int:
+def _index_of_nearest_position(positions: np.ndarray, position: float) -> int:
     """Return the index of the position nearest to another one."""
     return int(np.argmin(np.abs(positions - position)))
 
@@ -227,7 +244,7 @@ def _nearest_index(positions: np.ndarray, position: float) -> int:
 # --- the unit of length ---------------------------------------------------------------------------
 
 
-def scale_scene_to_mesh_unit(scene: Scene, unit: float = 0.0) -> tuple[Scene, float]:
+def scale_scene_to_mesh_unit(scene: Scene, metres_per_unit: float = 0.0) -> tuple[Scene, float]:
     """Convert a scene into the unit of length in which gmsh meshes.
 
     By default the unit is the power of ten for which the longest side is from 0.0316 to 0.316.
@@ -239,12 +256,12 @@ def scale_scene_to_mesh_unit(scene: Scene, unit: float = 0.0) -> tuple[Scene, fl
     float
         Unit [m].
     """
-    unit = unit or 10.0 ** (round(math.log10(max(scene.geometry.sides))) + 1)
+    metres_per_unit = metres_per_unit or 10.0 ** (round(math.log10(max(scene.geometry.sides))) + 1)
 
     def scale_table(table: Any) -> Any:
         """Return a table with its lengths in the unit."""
         scaled_length_by_name = {
-            field.name: np.divide(value, unit).tolist()
+            field.name: np.divide(value, metres_per_unit).tolist()
             for field in fields(table)
             if field.metadata.get("unit") == "m"
             and (value := getattr(table, field.name)) is not None
@@ -257,7 +274,7 @@ def scale_scene_to_mesh_unit(scene: Scene, unit: float = 0.0) -> tuple[Scene, fl
             getattr(scene, table_name)
         )
     vars(unit_scene)["cracks"] = tuple(map(scale_table, scene.cracks))
-    return unit_scene, unit
+    return unit_scene, metres_per_unit
 
 
 def _scale_nodes(metres_per_unit: float) -> None:
@@ -274,21 +291,23 @@ def _scale_nodes(metres_per_unit: float) -> None:
 
 
 def _graded_columns_and_rows(
-    scene: Scene, spans: list[tuple[float, float]], levels: list[float]
+    scene: Scene, crack_spans: list[tuple[float, float]], crack_heights: list[float]
 ) -> tuple[list[ElementInterval], list[ElementInterval]]:
     """Divide a plate into columns and rows whose elements shrink towards tips and cracks.
 
-    ``spans`` are each crack's ends across the plate, ``levels`` the cracks' heights [m].
+    ``crack_spans`` are each crack's ends across the plate, ``crack_heights`` the heights [m].
     """
-    (width, height), size = scene.geometry.sides, scene.mesh.given("size")
-    if not spans:
-        element_counts = [max(1, round(side_length / size)) for side_length in (width, height)]
+    (width, height), element_size = scene.geometry.sides, scene.mesh.given("size")
+    if not crack_spans:
+        element_counts = [
+            max(1, round(side_length / element_size)) for side_length in (width, height)
+        ]
         return [ElementInterval(0.0, width, element_counts[0], 1.0)], [
             ElementInterval(0.0, height, element_counts[1], 1.0)
         ]
     all_graded_faces: list[_GradedFace] = []
     crack_levels_and_element_lengths: list[tuple[float, float]] = []
-    for (left_end, right_end), level in zip(spans, levels, strict=True):
+    for (left_end, right_end), crack_height in zip(crack_spans, crack_heights, strict=True):
         coarse_end_position = (
             left_end
             if left_end == 0.0
@@ -302,18 +321,18 @@ def _graded_columns_and_rows(
             if tip_position != coarse_end_position
         ]
         crack_levels_and_element_lengths.append(
-            (level, min(face.tip_element_length for face in graded_faces))
+            (crack_height, min(face.tip_element_length for face in graded_faces))
         )
         all_graded_faces += graded_faces
     tip_positions_and_element_lengths = [
         (face.tip_position, face.tip_element_length) for face in all_graded_faces
     ]
-    return _graded_intervals(
-        width, tip_positions_and_element_lengths, all_graded_faces, size
-    ), _graded_intervals(height, crack_levels_and_element_lengths, [], size)
+    return _intervals_with_graded_elements(
+        width, tip_positions_and_element_lengths, all_graded_faces, element_size
+    ), _intervals_with_graded_elements(height, crack_levels_and_element_lengths, [], element_size)
 
 
-def _graded_intervals(
+def _intervals_with_graded_elements(
     extent: float,
     tip_positions_and_element_lengths: list[tuple[float, float]],
     faces: list[_GradedFace],
@@ -408,19 +427,19 @@ def _graded_interval(
 
 
 def _graded_count_and_ratio(
-    length: float, min_length: float, max_length: float
+    interval_length: float, min_length: float, max_length: float
 ) -> tuple[int, float]:
     """Return number and length ratio of elements that grow geometrically.
 
-    They grow from about ``min_length`` to about ``max_length``, or to half of a short ``length``.
+    They grow from about ``min_length`` to about ``max_length``, or to half of a short interval.
     """
     if min_length >= max_length:
-        return math.ceil(length / max_length), 1.0
-    max_length = min(max_length, 0.5 * length)
+        return math.ceil(interval_length / max_length), 1.0
+    max_length = min(max_length, 0.5 * interval_length)
     if min_length >= max_length:
-        return (1 if length <= min_length else 2), 1.0
-    growth = (length - min_length) / (length - max_length)
-    n_elements = max(1, round(1.0 + math.log(max_length / min_length) / math.log(growth)))
+        return (1 if interval_length <= min_length else 2), 1.0
+    growth_ratio = (interval_length - min_length) / (interval_length - max_length)
+    n_elements = max(1, round(1.0 + math.log(max_length / min_length) / math.log(growth_ratio)))
     return n_elements, (max_length / min_length) ** (1.0 / max(n_elements - 1, 1))
 
 
@@ -437,23 +456,24 @@ def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
     Cracks
         Cracks in the order of the scene.
     """
-    unit_scene, unit = scale_scene_to_mesh_unit(scene)
+    unit_scene, metres_per_unit = scale_scene_to_mesh_unit(scene)
     facet_tags_by_group = _draw_blocks(scene, unit_scene)
     if scene.has_graded_lengths:
-        rim = DiskRim(unit_scene)
+        disk_rim = DiskRim(unit_scene)
         get_group_entities = gmsh.model.getEntitiesForPhysicalGroup
         left_curves, right_curves = (
-            get_group_entities(1, *facet_tags_by_group[name]).tolist() for name in RIM_SIDE_NAMES
+            get_group_entities(1, *facet_tags_by_group[side_name]).tolist()
+            for side_name in RIM_SIDE_NAMES
         )
-        rim.set_periodic(0, left_curves, right_curves)
+        disk_rim.set_periodic(0, left_curves, right_curves)
         _mesh_current_model_with_gradings(
-            scene, unit_scene, [*_crack_gradings(unit_scene), *rim.gradings()]
+            scene, unit_scene, [*_crack_gradings(unit_scene), *disk_rim.gradings()]
         )
         # The mesh is made: end the periodicity.
         gmsh.model.mesh.setPeriodic(1, right_curves, right_curves, np.eye(4).ravel().tolist())
     else:
         gmsh.model.mesh.generate(2)
-    _scale_nodes(unit)
+    _scale_nodes(metres_per_unit)
     return (facet_tags_by_group, {}), _crack_paths(scene)
 
 
@@ -462,8 +482,8 @@ def _crack_paths(scene: Scene) -> tuple[CrackPath, ...]:
     width, crack_paths = scene.geometry.sides[0], []
     for crack in scene.crack_by_name.values():
         left_end, right_end = ((end_x, crack.given("height")) for end_x in crack.span(width))
-        ends = (right_end, left_end) if crack.edge == "right" else (left_end, right_end)
-        crack_paths.append(CrackPath(np.array(ends), crack.edge is not None))
+        path_ends = (right_end, left_end) if crack.edge == "right" else (left_end, right_end)
+        crack_paths.append(CrackPath(np.array(path_ends), crack.edge is not None))
     return tuple(crack_paths)
 
 
@@ -550,8 +570,8 @@ def _check_plate_cells(scene: Scene) -> None:
     )
     if scene.disk is not None:
         n_cells += DiskRim(scene).area / _element_length_off_cracks(scene) ** 2
-    key = "columns" if scene.mesh.layout == "grid" else "size"
-    check_cell_count(scene, key, n_cells, 2 * scene.mesh.order**2)
+    mesh_key = "columns" if scene.mesh.layout == "grid" else "size"
+    check_cell_count(scene, mesh_key, n_cells, 2 * scene.mesh.order**2)
 
 
 def _find_doubled_corner_indices(slits: list[Slit], n_columns: int) -> list[tuple[int, int]]:
@@ -619,15 +639,15 @@ def _add_groups_and_find_tags(entities_by_name: dict[str, tuple[int, list[int]]]
     return tag_by_name
 
 
-def _set_cell_kind(scene: Scene, surfaces: list[int]) -> None:
+def _set_cell_kind(scene: Scene, surface_tags: list[int]) -> None:
     """Set the cells that fill the surfaces."""
     if scene.has_graded_lengths or (scene.mesh.layout, scene.mesh.cells) == ("graded", "triangle"):
         gmsh.option.setNumber("Mesh.Algorithm", 6)  # frontal Delaunay
-        surfaces = []
-    for surface in surfaces:
-        gmsh.model.geo.mesh.setTransfiniteSurface(surface)
+        surface_tags = []
+    for surface_tag in surface_tags:
+        gmsh.model.geo.mesh.setTransfiniteSurface(surface_tag)
         if scene.mesh.cells == "quadrilateral":
-            gmsh.model.geo.mesh.setRecombine(2, surface)
+            gmsh.model.geo.mesh.setRecombine(2, surface_tag)
     gmsh.model.geo.synchronize()
 
 
@@ -777,12 +797,12 @@ class DiskRim:
         of a solid's surfaces.
         """
         c, s = math.cos(2.0 * self.half_angle), math.sin(2.0 * self.half_angle)
-        transformation, axis_point, plane_axes = np.eye(4), np.zeros(3), [1, across_axis]
-        transformation[np.ix_(plane_axes, plane_axes)] = [[c, -s], [s, c]]
+        transformation_matrix, axis_point, plane_axes = np.eye(4), np.zeros(3), [1, across_axis]
+        transformation_matrix[np.ix_(plane_axes, plane_axes)] = [[c, -s], [s, c]]
         axis_point[plane_axes] = self.axis_y_position, self.blade_middle_position
-        transformation[:3, 3] = axis_point - transformation[:3, :3] @ axis_point
+        transformation_matrix[:3, 3] = axis_point - transformation_matrix[:3, :3] @ axis_point
         gmsh.model.mesh.setPeriodic(
-            1 + across_axis // 2, right_tags, left_tags, transformation.ravel().tolist()
+            1 + across_axis // 2, right_tags, left_tags, transformation_matrix.ravel().tolist()
         )
 
     def draw(
@@ -878,7 +898,7 @@ def _mesh_current_model_with_gradings(
     InputError
         gmsh fails.
     """
-    size = unit_scene.mesh.given("size")
+    element_size = unit_scene.mesh.given("size")
     kernel_structs = [grading.as_kernel_struct() for grading in gradings]
 
     def element_length(dimension: int, tag: int, x: float, y: float, *_: float) -> float:
@@ -887,7 +907,10 @@ def _mesh_current_model_with_gradings(
         gmsh calls it 1e5 times for a mesh.
         """
         return min(
-            [size, *(kernel.element_length_at(struct.address, x, y) for struct in kernel_structs)]
+            [
+                element_size,
+                *(kernel.element_length_at(struct.address, x, y) for struct in kernel_structs),
+            ]
         )
 
     for option in ("MeshSizeFromPoints", "MeshSizeExtendFromBoundary", "MeshSizeFromCurvature"):
@@ -901,28 +924,30 @@ def _mesh_current_model_with_gradings(
         gmsh.model.mesh.removeSizeCallback()
 
 
-def meshing_refusal(scene: Scene, reason: str) -> InputError:
+def meshing_refusal(scene: Scene, reason_text: str) -> InputError:
     """Return the error for a geometry that gmsh cannot mesh.
 
     It names the smallest crack or, without cracks, the size of elements.
     """
     crack_size_by_key = {
-        f"{name}.{key}": crack_size
-        for name, crack in scene.crack_by_name.items()
-        for key in ("depth", "length", "radii")
-        if (crack_size := getattr(crack, key)) is not None
+        f"{crack_key}.{size_key}": crack_size
+        for crack_key, crack in scene.crack_by_name.items()
+        for size_key in ("depth", "length", "radii")
+        if (crack_size := getattr(crack, size_key)) is not None
     }
-    key = min(
+    smallest_size_key = min(
         crack_size_by_key,
         key=lambda size_key: np.min(crack_size_by_key[size_key]),
         default="mesh.size",
     )
     geometry_kind = scene.geometry.kind
     requirement = (
-        f"such that gmsh can mesh the {geometry_kind} ({reason}): not as small beside its other"
-        " sizes"
+        f"such that gmsh can mesh the {geometry_kind} ({reason_text}): not as small beside its"
+        " other sizes"
     )
-    return InputError(key, crack_size_by_key.get(key, scene.mesh.size), requirement)
+    return InputError(
+        smallest_size_key, crack_size_by_key.get(smallest_size_key, scene.mesh.size), requirement
+    )
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ from fenics_crack.fem.cracks import (
     RELATIVE_POSITION_TOLERANCE,
     Cracks,
     locate_on_cracks,
-    make_front_pressure_matrix,
+    make_matrix_extending_pressures_to_front,
 )
 from fenics_crack.fem.elasticity import (
     assemble_rotation,
@@ -63,7 +63,7 @@ from fenics_crack.fem.elasticity import (
     thickness_constant,
 )
 from fenics_crack.fem.loads import assemble_loads, make_clamp
-from fenics_crack.fem.plate import Dofs, build_mesh
+from fenics_crack.fem.plate import Dofs, build_plate_or_solid_mesh
 from fenics_crack.fem.setting import clearance_of, damping_rule_of
 from fenics_crack.model.body import Body
 from fenics_crack.model.factor import local_rows
@@ -125,7 +125,7 @@ def pair_crack_faces(
         nodes = dofs.nodes_on(face_name, pressure_space)
         node_table = np.column_stack([nodes + first_node, node_areas[nodes], points[nodes]])
         node_table_by_face.append(gather_rows(dofs.comm, node_table))
-    lower_node_table, upper_node_table, crack_index, distances_on_crack, n_inside = (
+    lower_node_table, upper_node_table, crack_of_pair, distances_on_crack, n_inside = (
         _match_face_nodes(part_mesh.crack_paths_or_surfaces, *node_table_by_face)
     )
     lower_nodes = lower_node_table[:, 0].astype(int)
@@ -142,7 +142,7 @@ def pair_crack_faces(
             )
         else:
             pair_node_index, shares = _find_patch_nodes_and_shares(
-                points, crack_index, distances_on_crack, n_inside, max_patches
+                points, crack_of_pair, distances_on_crack, n_inside, max_patches
             )
         nodal_force_shares = sparse.csc_matrix(shares.multiply(areas[:, None]))
         areas[pair_node_index] = shares.T @ areas
@@ -156,20 +156,20 @@ def pair_crack_faces(
         if mouth_only:
             kept_pairs = np.array([*_watched_pair_by_name(
                 part_mesh.crack_paths_or_surfaces,
-                crack_index[:n_inside], distances_on_crack[:n_inside],
+                crack_of_pair[:n_inside], distances_on_crack[:n_inside],
             ).values()])  # fmt: skip
             fields = {"nodes": points, "pressure_matrix": shares[:, kept_pairs]} if fields else {}
         pair_node_index, gap, lower_gap = kept_pairs, gap[:, kept_pairs], lower_gap[:, kept_pairs]
-    points, areas, crack_index, distances_on_crack = (
-        values[pair_node_index] for values in (points, areas, crack_index, distances_on_crack)
+    points, areas, crack_of_pair, distances_on_crack = (
+        values[pair_node_index] for values in (points, areas, crack_of_pair, distances_on_crack)
     )
     if dimension == 3:
         fields["tangential_gap_matrix"] = _free_rows(
             _make_tangential_gap_matrix(gap, lower_gap, dofs.comm), dofs
         )
     pairs = Pairs(
-        points, areas, crack_index, distances_on_crack,
-        _watched_pair_by_name(part_mesh.crack_paths_or_surfaces, crack_index, distances_on_crack),
+        points, areas, crack_of_pair, distances_on_crack,
+        _watched_pair_by_name(part_mesh.crack_paths_or_surfaces, crack_of_pair, distances_on_crack),
         **fields,
     )  # fmt: skip
     tangential = _free_rows(_rotate_by_right_angle(gap), dofs) if dimension == 2 else None
@@ -200,7 +200,7 @@ def _front_pressure_share_matrix(
         (overlap_triplets[:, 2], overlap_triplets[:, :2].astype(int).T),
         (n_global_nodes, n_global_nodes),
     )
-    return make_front_pressure_matrix(
+    return make_matrix_extending_pressures_to_front(
         overlap_matrix[node_numbers[n_inside:]][:, node_numbers[:n_inside]]
     )
 
@@ -239,7 +239,7 @@ def _make_tangential_gap_matrix(gap: Any, lower_gap: Any, comm: MPI.Comm) -> spa
 
 def _find_patch_nodes_and_shares(
     points: np.ndarray,
-    crack_index: np.ndarray,
+    crack_of_node: np.ndarray,
     distances_on_crack: np.ndarray,
     n_inside: int,
     max_patches: int,
@@ -251,7 +251,7 @@ def _find_patch_nodes_and_shares(
     points : (n, d) [m]
         Nodes of a face. The first ``n_inside`` are off tips and fronts, in order along each
         crack.
-    crack_index : (n,) int
+    crack_of_node : (n,) int
         Crack of each node.
     distances_on_crack : (n,) [m]
         Distance of each node along its path, or from the front.
@@ -268,8 +268,8 @@ def _find_patch_nodes_and_shares(
         Values of the patches' pressure functions at all nodes, 0 to 1.
     """
     patch_nodes, pressure_shares = np.zeros(0, dtype=int), np.zeros((len(points), 0))
-    for crack_number in np.unique(crack_index):
-        crack_nodes = np.flatnonzero(crack_index[:n_inside] == crack_number)
+    for crack_number in np.unique(crack_of_node):
+        crack_nodes = np.flatnonzero(crack_of_node[:n_inside] == crack_number)
         n_patches = min(max_patches, len(crack_nodes))
         if points.shape[1] == 2:
             crack_nodes = crack_nodes[
@@ -290,7 +290,7 @@ def _find_patch_nodes_and_shares(
             [
                 pressure_shares,
                 *(
-                    patch_values * (crack_index == crack_number)
+                    patch_values * (crack_of_node == crack_number)
                     for patch_values in patch_value_arrays
                 ),
             ]
@@ -326,7 +326,7 @@ def _free_rows(columns: Any, dofs: Dofs) -> sparse.csr_matrix:
 
 
 def _assemble_nodal_gap_columns(
-    dofs: Dofs, t: Any, both_faces_measure: Any
+    dofs: Dofs, thickness: Any, both_faces_measure: Any
 ) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
     """Assemble a face's gap vectors b, one for each displacement node.
 
@@ -342,43 +342,54 @@ def _assemble_nodal_gap_columns(
         b of every pressure, the rows of this rank's dofs.
     """
     space, dimension = dofs.space, dofs.dimension
-    normal = ufl.FacetNormal(space.mesh)
+    facet_normal = ufl.FacetNormal(space.mesh)
     normal_integrals = compat.assembled_vector(
-        t * ufl.inner(normal, ufl.TestFunction(space)) * both_faces_measure
+        thickness * ufl.inner(facet_normal, ufl.TestFunction(space)) * both_faces_measure
     )
     normal_integrals = normal_integrals.reshape(-1, dimension)
     node_areas = np.linalg.norm(normal_integrals, axis=1)
     face_nodes = np.flatnonzero(node_areas)
-    normals = normal_integrals[face_nodes] / node_areas[face_nodes, None]
+    node_normals = normal_integrals[face_nodes] / node_areas[face_nodes, None]
     row_indices = dimension * face_nodes[:, None] + np.arange(dimension)
     column_indices = np.repeat(dofs.first_node + face_nodes, dimension)
     matrix_shape = len(dofs.structure_dof_numbers), space.dofmap.index_map.size_global
     return (
         space,
         node_areas,
-        sparse.csc_matrix((normals.ravel(), (row_indices.ravel(), column_indices)), matrix_shape),
+        sparse.csc_matrix(
+            (node_normals.ravel(), (row_indices.ravel(), column_indices)), matrix_shape
+        ),
     )
 
 
 def _assemble_pressure_gap_columns(
-    dofs: Dofs, t: Any, both_faces_measure: Any
+    dofs: Dofs, thickness: Any, both_faces_measure: Any
 ) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
     """Assemble a face's gap vectors with pressures linear between corners of facets.
 
     The results are as in :func:`_assemble_nodal_gap_columns`.
     """
-    space = compat.function_space(dofs.space.mesh, 1, vectors=False)
-    normal, pressure = ufl.FacetNormal(space.mesh), ufl.TrialFunction(space)
-    work_form = ufl.inner(t * pressure * normal, ufl.TestFunction(dofs.space)) * both_faces_measure
+    pressure_space = compat.function_space(dofs.space.mesh, 1, vectors=False)
+    facet_normal, pressure = ufl.FacetNormal(pressure_space.mesh), ufl.TrialFunction(pressure_space)
+    work_form = (
+        ufl.inner(thickness * pressure * facet_normal, ufl.TestFunction(dofs.space))
+        * both_faces_measure
+    )
     petsc_gap_matrix = compat.assembled_petsc_matrix(work_form)
     gap_columns = local_rows(petsc_gap_matrix).tocsc()
     petsc_gap_matrix.destroy()
-    node_areas = compat.assembled_vector(t * ufl.TestFunction(space) * both_faces_measure)
+    node_areas = compat.assembled_vector(
+        thickness * ufl.TestFunction(pressure_space) * both_faces_measure
+    )
     all_node_areas = gather_rows(dofs.comm, node_areas)
     reciprocal_areas = np.divide(
         1.0, all_node_areas, out=np.zeros_like(all_node_areas), where=all_node_areas > 0.0
     )
-    return space, node_areas, sparse.csc_matrix(gap_columns @ sparse.diags(reciprocal_areas))
+    return (
+        pressure_space,
+        node_areas,
+        sparse.csc_matrix(gap_columns @ sparse.diags(reciprocal_areas)),
+    )
 
 
 def _match_face_nodes(
@@ -398,7 +409,7 @@ def _match_face_nodes(
     lower_node_table, upper_node_table : (n, 2 + d)
         Partners in order along the cracks; nodes of tips and fronts come last. As both faces
         share these, their weights are halved.
-    crack_index : (n,) int
+    crack_of_pair : (n,) int
         Crack of each pair.
     distances_on_crack : (n,) [m]
         Distance along the path, or from the front.
@@ -408,18 +419,18 @@ def _match_face_nodes(
     crack_extent = np.ptp(lower_node_table[:, 2:], axis=0).max()
     is_front_node = np.isin(lower_node_table[:, 0], upper_node_table[:, 0])
     lower_node_table[is_front_node, 1] *= 0.5
-    crack_index, distances_on_crack = locate_on_cracks(cracks, lower_node_table[:, 2:])
+    crack_of_pair, distances_on_crack = locate_on_cracks(cracks, lower_node_table[:, 2:])
     # Equal distances, as along a front, are sorted by coordinates.
     sort_positions = np.round(lower_node_table[:, 2:] / crack_extent, 7).T
     node_order = np.lexsort(
         (
             *sort_positions,
             np.round(distances_on_crack / crack_extent, 7),
-            crack_index,
+            crack_of_pair,
             is_front_node,
         )
     )
-    lower_node_table, crack_index = lower_node_table[node_order], crack_index[node_order]
+    lower_node_table, crack_of_pair = lower_node_table[node_order], crack_of_pair[node_order]
     distances_on_crack = distances_on_crack[node_order]
     n_front = int(is_front_node.sum())
     n_inside = len(lower_node_table) - n_front
@@ -431,10 +442,10 @@ def _match_face_nodes(
             for lower_point in lower_node_table[:, 2:]
         ]
         nearest_distances = np.min(distances_to_upper_nodes, axis=1)
-        partners = np.argmin(distances_to_upper_nodes, axis=1)
+        upper_partner_indices = np.argmin(distances_to_upper_nodes, axis=1)
         has_matching_faces = (
             nearest_distances.max() <= RELATIVE_POSITION_TOLERANCE * crack_extent
-            and len(np.unique(partners)) == len(partners)
+            and len(np.unique(upper_partner_indices)) == len(upper_partner_indices)
         )
         position_text = ", ".join(
             f"{coordinate:g}"
@@ -443,21 +454,29 @@ def _match_face_nodes(
         mismatch_reason = f"the upper node nearest to the lower one at ({position_text})"
         mismatch_reason += f" is {nearest_distances.max():.2g} m away"
     if not has_matching_faces:
-        problem = f"{n_inside} lower and {len(upper_node_table) - n_front} upper nodes"
-        advice = "in a mesh file one curve or surface named 'crack' is split into two that do"
+        problem_text = f"{n_inside} lower and {len(upper_node_table) - n_front} upper nodes"
+        advice_text = "in a mesh file one curve or surface named 'crack' is split into two that do"
         requirement = "meshed identically, so that nodes of the two faces pair one to one"
-        raise InputError("lips", problem, f"{requirement}, but {mismatch_reason}; {advice}")
-    return lower_node_table, upper_node_table[partners], crack_index, distances_on_crack, n_inside
+        raise InputError(
+            "lips", problem_text, f"{requirement}, but {mismatch_reason}; {advice_text}"
+        )
+    return (
+        lower_node_table,
+        upper_node_table[upper_partner_indices],
+        crack_of_pair,
+        distances_on_crack,
+        n_inside,
+    )
 
 
 def _watched_pair_by_name(
-    cracks: Cracks, crack_index: np.ndarray, distances_on_crack: np.ndarray
+    cracks: Cracks, crack_of_pair: np.ndarray, distances_on_crack: np.ndarray
 ) -> dict[str, int]:
     """Return the index of each crack's watched pair, by name."""
     pair_by_name: dict[str, int] = {}
     crack: Any
     for crack_number, crack in enumerate(cracks):
-        crack_pairs = np.flatnonzero(crack_index == crack_number)
+        crack_pairs = np.flatnonzero(crack_of_pair == crack_number)
         place_name, watched_distance = crack.watched_name_and_position
         if len(cracks) > 1:
             place_name += f" of crack {crack_number + 1}"
@@ -528,7 +547,7 @@ def _assemble_structure_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure
     Of a bladed disk it is one sector, whose sides are free.
     """
     begin_stage("mesh")
-    part_mesh = build_mesh(scene, comm)
+    part_mesh = build_plate_or_solid_mesh(scene, comm)
     begin_stage("matrices")
     if (
         not part_mesh.has_cracks
@@ -551,9 +570,9 @@ def _assemble_structure_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure
         compat.assembled_petsc_matrix, _make_stiffness_and_mass_forms(scene, space)
     )
     mouth_only = scene.contact is not None and scene.contact.pairs == "mouth"
-    t, max_patches = thickness_constant(scene, space), scene.mesh.patches
+    thickness, max_patches = thickness_constant(scene, space), scene.mesh.patches
     gap, tangential, pairs = pair_crack_faces(
-        dofs, t, mouth_only=mouth_only, max_patches=max_patches
+        dofs, thickness, mouth_only=mouth_only, max_patches=max_patches
     )
     nodal_force_harmonics, watched_vector = assemble_loads(scene, dofs, mass_with_clamped_dofs)
     clamp = make_clamp(dofs, mass_with_clamped_dofs, nodal_force_harmonics)
@@ -572,13 +591,18 @@ def _assemble_structure_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure
 
 def _make_stiffness_and_mass_forms(scene: Scene, space: Any) -> tuple[Any, Any]:
     """Return the UFL forms for stiffness and mass."""
-    (density,), t = form_constants(space, scene.material.density), thickness_constant(scene, space)
-    u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
-    strain = ufl.sym(ufl.grad(u))
-    stiffness = (
-        t * ufl.inner(stress_expression(scene, space, strain), ufl.sym(ufl.grad(v))) * ufl.dx
+    (density,), thickness = (
+        form_constants(space, scene.material.density),
+        thickness_constant(scene, space),
     )
-    return stiffness, t * density * ufl.inner(u, v) * ufl.dx
+    u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
+    trial_strain = ufl.sym(ufl.grad(u))
+    stiffness_form = (
+        thickness
+        * ufl.inner(stress_expression(scene, space, trial_strain), ufl.sym(ufl.grad(v)))
+        * ufl.dx
+    )
+    return stiffness_form, thickness * density * ufl.inner(u, v) * ufl.dx
 
 
 # --- cracks ---------------------------------------------------------------------------------------

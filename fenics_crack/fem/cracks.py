@@ -89,8 +89,8 @@ class CrackPath:
         positions : (n,) [m]
             Distance from the beginning to the nearest point on the path.
         """
-        offsets, edge_fractions = offsets_from_edges(points, self.edges)
-        distances_to_edges = np.linalg.norm(offsets, axis=2)
+        offsets_from_path_edges, edge_fractions = offsets_from_edges(points, self.edges)
+        distances_to_edges = np.linalg.norm(offsets_from_path_edges, axis=2)
         corner_arc_lengths = self.corner_arc_lengths
         nearest_arc_lengths = corner_arc_lengths[:-1] + edge_fractions * np.diff(corner_arc_lengths)
         edge_index, point_index = distances_to_edges.argmin(axis=1), np.arange(len(points))
@@ -202,17 +202,17 @@ def _offsets_from_triangles(points: np.ndarray, triangles: np.ndarray) -> np.nda
     a, b, c = (side_1**2).sum(1), (side_1 * side_2).sum(1), (side_2**2).sum(1)
     d, e = (corner_offsets * side_1).sum(2), (corner_offsets * side_2).sum(2)
     u, v = (c * d - b * e) / (a * c - b**2), (a * e - b * d) / (a * c - b**2)
-    offsets = corner_offsets - u[..., None] * side_1 - v[..., None] * side_2
+    offsets_from_plane = corner_offsets - u[..., None] * side_1 - v[..., None] * side_2
     is_outside = (u < 0.0) | (v < 0.0) | (u + v > 1.0)
-    distances = np.where(is_outside, np.inf, np.linalg.norm(offsets, axis=2))
+    nearest_distances = np.where(is_outside, np.inf, np.linalg.norm(offsets_from_plane, axis=2))
     for start_corner, end_corner in ((0, 1), (1, 2), (2, 0)):
         side_offsets, _ = offsets_from_edges(points, triangles[:, [start_corner, end_corner]])
-        is_nearer = np.linalg.norm(side_offsets, axis=2) < distances
-        offsets[is_nearer], distances[is_nearer] = (
+        is_nearer = np.linalg.norm(side_offsets, axis=2) < nearest_distances
+        offsets_from_plane[is_nearer], nearest_distances[is_nearer] = (
             side_offsets[is_nearer],
             np.linalg.norm(side_offsets, axis=2)[is_nearer],
         )
-    return offsets
+    return offsets_from_plane
 
 
 def _size_weighted_normals(facets: np.ndarray) -> np.ndarray:
@@ -254,7 +254,7 @@ def points_on_both_sides(
     point: Sequence[float],
     distance_to_crack: float,
     front_distance: float,
-    normal: np.ndarray,
+    crack_normal: np.ndarray,
     crack_size: float,
 ) -> tuple[list[float], list[float]] | None:
     """Return points below and above a point on a crack, on the crack's normal.
@@ -274,11 +274,15 @@ def points_on_both_sides(
         or front_distance <= RELATIVE_POSITION_TOLERANCE * crack_size
     ):
         return None
-    offset = 1e-3 * crack_size * upward_sign(normal) * normal / np.linalg.norm(normal)
-    return np.round(point - offset, 9).tolist(), np.round(point + offset, 9).tolist()
+    offset_to_upper_point = (
+        1e-3 * crack_size * upward_sign(crack_normal) * crack_normal / np.linalg.norm(crack_normal)
+    )
+    return np.round(point - offset_to_upper_point, 9).tolist(), np.round(
+        point + offset_to_upper_point, 9
+    ).tolist()
 
 
-def make_front_pressure_matrix(overlaps: sparse.csr_matrix) -> sparse.csr_matrix:
+def make_matrix_extending_pressures_to_front(overlaps: sparse.csr_matrix) -> sparse.csr_matrix:
     """Return the matrix that assigns pressures at fronts to their neighbours.
 
     The share of each neighbour is proportional to the overlap of basis functions.
@@ -293,8 +297,8 @@ def make_front_pressure_matrix(overlaps: sparse.csr_matrix) -> sparse.csr_matrix
     (n_inside + n_front, n_inside)
         Identity, then rows that sum to 1.
     """
-    inverse_totals = sparse.diags(1.0 / np.asarray(overlaps.sum(axis=1)).ravel())
-    return sparse.vstack([sparse.eye(overlaps.shape[1]), inverse_totals @ overlaps]).tocsr()
+    inverse_row_sums = sparse.diags(1.0 / np.asarray(overlaps.sum(axis=1)).ravel())
+    return sparse.vstack([sparse.eye(overlaps.shape[1]), inverse_row_sums @ overlaps]).tocsr()
 
 
 def upward_sign(normal: np.ndarray) -> float:
@@ -313,7 +317,7 @@ def locate_on_cracks(cracks: Sequence[Any], points: np.ndarray) -> tuple[np.ndar
 
     Returns
     -------
-    crack_index : (n,) int
+    nearest_crack_of_point : (n,) int
         The nearest crack's index.
     positions : (n,) [m]
         Distance along a path from the beginning, or on a surface from the front.
@@ -321,51 +325,62 @@ def locate_on_cracks(cracks: Sequence[Any], points: np.ndarray) -> tuple[np.ndar
     distances_to_cracks, positions_on_cracks = np.array(
         [crack.locate(points) for crack in cracks]
     ).transpose(1, 0, 2)
-    crack_index = distances_to_cracks.argmin(axis=0)
-    return crack_index, positions_on_cracks[crack_index, np.arange(len(points))]
+    nearest_crack_of_point = distances_to_cracks.argmin(axis=0)
+    return nearest_crack_of_point, positions_on_cracks[
+        nearest_crack_of_point, np.arange(len(points))
+    ]
 
 
-def label_connected_rows(rows: np.ndarray) -> np.ndarray:
+def label_connected_rows(node_rows: np.ndarray) -> np.ndarray:
     """Label connected rows, such as facets, of nodes: (n,) int.
 
     Rows have the same label if a chain of rows with common nodes connects them.
     """
     from scipy.sparse.csgraph import connected_components  # slow to import, and few meshes need it
 
-    link_ends, n_node_numbers = (rows[:, :-1].ravel(), rows[:, 1:].ravel()), int(rows.max()) + 1
-    graph = sparse.coo_matrix(
+    link_ends, n_node_numbers = (
+        (node_rows[:, :-1].ravel(), node_rows[:, 1:].ravel()),
+        int(node_rows.max()) + 1,
+    )
+    node_link_graph = sparse.coo_matrix(
         (np.ones(len(link_ends[0]), bool), link_ends), (n_node_numbers, n_node_numbers)
     )
-    row_labels = connected_components(graph, directed=False)[1][rows[:, 0]]
+    row_labels = connected_components(node_link_graph, directed=False)[1][node_rows[:, 0]]
     return np.unique(row_labels, return_inverse=True)[1]
 
 
-def find_unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def find_unique_rows(node_rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Find the different rows of nodes, in any order of nodes.
 
     Returns
     -------
     first_rows : (n_unique,) int
         First row of each kind.
-    unique_index : (n,) int
+    unique_row_of_row : (n,) int
         Kind of each row.
-    counts : (n_unique,) int
+    unique_row_counts : (n_unique,) int
         Rows of each kind.
     """
-    _, first_rows, unique_index, counts = np.unique(
-        np.sort(rows, axis=1), axis=0, return_index=True, return_inverse=True, return_counts=True
+    _, first_rows, unique_row_of_row, unique_row_counts = np.unique(
+        np.sort(node_rows, axis=1),
+        axis=0,
+        return_index=True,
+        return_inverse=True,
+        return_counts=True,
     )
-    return first_rows, unique_index.ravel(), counts
+    return first_rows, unique_row_of_row.ravel(), unique_row_counts
 
 
-def are_rows_in(rows: np.ndarray, reference_rows: np.ndarray) -> np.ndarray:
+def are_rows_in(node_rows: np.ndarray, other_node_rows: np.ndarray) -> np.ndarray:
     """Return True for rows of nodes among the reference rows: (n,) bool.
 
     The order of nodes in a row does not matter.
     """
-    _, unique_index, _ = find_unique_rows(np.concatenate([reference_rows, rows]))
+    _, unique_row_of_row, _ = find_unique_rows(np.concatenate([other_node_rows, node_rows]))
     return np.asarray(
-        np.isin(unique_index[len(reference_rows) :], unique_index[: len(reference_rows)])
+        np.isin(
+            unique_row_of_row[len(other_node_rows) :], unique_row_of_row[: len(other_node_rows)]
+        )
     )
 
 
@@ -398,21 +413,23 @@ def find_crack_paths(
         )
         raise InputError("lips", "the same nodes for 'lower_lip' and 'upper_lip'", requirement)
     crack_paths = []
-    for chain in _yield_node_chains(lower_edges, common_nodes, positions):
+    for chain_nodes in _yield_node_chains(lower_edges, common_nodes, positions):
         first_end_position, last_end_position = (
-            tuple(positions[chain[end_index]]) for end_index in (0, -1)
+            tuple(positions[chain_nodes[end_index]]) for end_index in (0, -1)
         )
-        is_mouth = chain[0] not in common_nodes, chain[-1] not in common_nodes
+        are_ends_at_mouths = chain_nodes[0] not in common_nodes, chain_nodes[-1] not in common_nodes
         is_reversed = (
-            last_end_position < first_end_position if is_mouth[0] == is_mouth[1] else is_mouth[1]
+            last_end_position < first_end_position
+            if are_ends_at_mouths[0] == are_ends_at_mouths[1]
+            else are_ends_at_mouths[1]
         )
-        points = positions[chain[::-1] if is_reversed else chain]
-        crack_paths.append(CrackPath(points, any(is_mouth)))
+        path_points = positions[chain_nodes[::-1] if is_reversed else chain_nodes]
+        crack_paths.append(CrackPath(path_points, any(are_ends_at_mouths)))
     return tuple(sorted(crack_paths, key=lambda crack_path: tuple(crack_path.points[0, ::-1])))
 
 
 def _yield_node_chains(
-    edges: np.ndarray, tips: np.ndarray, positions: np.ndarray
+    edges: np.ndarray, tip_nodes: np.ndarray, positions: np.ndarray
 ) -> Iterator[np.ndarray]:
     """Yield chains of nodes, from end to end, into which edges (n, 2) connect.
 
@@ -420,31 +437,31 @@ def _yield_node_chains(
     """
     from scipy.sparse.csgraph import breadth_first_order
 
-    nodes, edge_counts = np.unique(edges, return_counts=True)
-    for node, n_node_edges in zip(nodes, edge_counts, strict=True):
-        if n_node_edges > 2 and node not in tips:
-            position_text = "({:g}, {:g})".format(*positions[node])
+    edge_nodes, edge_counts = np.unique(edges, return_counts=True)
+    for edge_node, n_node_edges in zip(edge_nodes, edge_counts, strict=True):
+        if n_node_edges > 2 and edge_node not in tip_nodes:
+            position_text = "({:g}, {:g})".format(*positions[edge_node])
             requirement = "cracks that neither branch nor cross, as one of them does here"
             raise InputError(
                 "lips", f"{n_node_edges} edges of a crack face at {position_text}", requirement
             )
     # Cracks that share a tip are different: number the tips of each edge anew.
     new_tip_numbers = len(positions) + np.arange(edges.size).reshape(edges.shape)
-    edge_labels = label_connected_rows(np.where(np.isin(edges, tips), new_tip_numbers, edges))
+    edge_labels = label_connected_rows(np.where(np.isin(edges, tip_nodes), new_tip_numbers, edges))
     for chain_index in range(edge_labels.max() + 1):
-        sorted_chain_nodes, local_edges = np.unique(
+        sorted_chain_nodes, local_end_nodes = np.unique(
             edges[edge_labels == chain_index].ravel(), return_inverse=True
         )
-        end_nodes = np.flatnonzero(np.bincount(local_edges) == 1)
-        if not len(end_nodes):
+        local_chain_ends = np.flatnonzero(np.bincount(local_end_nodes) == 1)
+        if not len(local_chain_ends):
             requirement = (
                 "cracks with two ends; a closed curve would cut a piece out of the structure"
             )
             raise InputError("lips", "a closed curve", requirement)
-        graph_triplets = np.ones(len(local_edges) // 2), tuple(local_edges.reshape(-1, 2).T)
-        graph = sparse.coo_matrix(graph_triplets, (len(sorted_chain_nodes),) * 2)
+        graph_triplets = np.ones(len(local_end_nodes) // 2), tuple(local_end_nodes.reshape(-1, 2).T)
+        chain_graph = sparse.coo_matrix(graph_triplets, (len(sorted_chain_nodes),) * 2)
         yield sorted_chain_nodes[
-            breadth_first_order(graph.tocsr(), end_nodes[0], directed=False)[0]
+            breadth_first_order(chain_graph.tocsr(), local_chain_ends[0], directed=False)[0]
         ]
 
 
@@ -462,12 +479,12 @@ def find_crack_surfaces(
     positions : (n_nodes, 3) [m]
         Positions of all nodes.
     """
-    edges, edge_facet_counts = np.unique(
+    polygon_edges, edge_facet_counts = np.unique(
         _edges_of_polygons(lower_facets), axis=0, return_counts=True
     )
-    rim_edges = edges[edge_facet_counts == 1]
+    rim_edges = polygon_edges[edge_facet_counts == 1]
     is_front_edge = np.isin(rim_edges, upper_facets).all(axis=1)
-    facet_labels, surfaces = label_connected_rows(lower_facets), []
+    facet_labels, crack_surfaces = label_connected_rows(lower_facets), []
     triangle_columns = [[0, 1, 2], [0, 2, 3]][: lower_facets.shape[1] - 2]
     for crack_index in range(facet_labels.max() + 1):
         crack_facets = lower_facets[facet_labels == crack_index]
@@ -476,15 +493,15 @@ def find_crack_surfaces(
             np.concatenate([crack_facets[:, corner_columns] for corner_columns in triangle_columns])
         ]
         front_edge_positions = positions[rim_edges[is_edge_on_crack & is_front_edge]]
-        surfaces.append(
+        crack_surfaces.append(
             CrackSurface(
                 triangle_positions,
                 front_edge_positions,
                 bool(np.any(is_edge_on_crack & ~is_front_edge)),
             )
         )
-    surfaces.sort(key=lambda crack: tuple(crack.triangles.mean(axis=(0, 1))[[1, 0, 2]]))
-    return tuple(surfaces)
+    crack_surfaces.sort(key=lambda crack: tuple(crack.triangles.mean(axis=(0, 1))[[1, 0, 2]]))
+    return tuple(crack_surfaces)
 
 
 # --- doubling nodes along cracks ------------------------------------------------------------------
@@ -526,17 +543,17 @@ class Cells:
         local_corners : (n, m) int
             Columns of ``cell_nodes`` that hold the corners.
         """
-        corners = self.cell_nodes[:, self.facet_corner_columns].reshape(
+        facet_corners = self.cell_nodes[:, self.facet_corner_columns].reshape(
             -1, self.facet_corner_columns.shape[1]
         )
-        corner_order = np.argsort(corners, axis=1)
+        corner_order = np.argsort(facet_corners, axis=1)
         local_corners = np.take_along_axis(
             np.tile(self.facet_corner_columns, (len(self.cell_nodes), 1)), corner_order, axis=1
         )
-        corners = np.take_along_axis(corners, corner_order, axis=1)
-        facet_order = np.lexsort(corners.T[::-1])
+        facet_corners = np.take_along_axis(facet_corners, corner_order, axis=1)
+        facet_order = np.lexsort(facet_corners.T[::-1])
         return (
-            corners[facet_order],
+            facet_corners[facet_order],
             facet_order // len(self.facet_corner_columns),
             local_corners[facet_order],
         )
@@ -681,16 +698,16 @@ def split_cracks(
     return nodes, copied_nodes, np.stack([lower_facets, node_map[lower_facets]], axis=1)
 
 
-def check_mesh(condition: object, problem: str, requirement: str) -> None:
+def check_mesh(is_mesh_valid: object, problem_text: str, requirement: str) -> None:
     """Raise InputError for the mesh unless a condition holds."""
-    if not condition:
-        raise InputError("mesh", problem, requirement)
+    if not is_mesh_valid:
+        raise InputError("mesh", problem_text, requirement)
 
 
 def _edges_of_polygons(polygons: np.ndarray) -> np.ndarray:
     """Return the edges of polygons (n, k), nodes in ascending order: (n k, 2)."""
-    edges = np.stack([polygons, np.roll(polygons, -1, axis=1)], axis=2)
-    return np.sort(edges.reshape(-1, 2), axis=1)
+    polygon_edges = np.stack([polygons, np.roll(polygons, -1, axis=1)], axis=2)
+    return np.sort(polygon_edges.reshape(-1, 2), axis=1)
 
 
 def _front_edges_or_tips(crack_facets: np.ndarray, boundary_facets: np.ndarray) -> np.ndarray:
@@ -727,12 +744,13 @@ def _label_corner_stars(cells: Cells, is_passable: np.ndarray, is_split: np.ndar
     """
     from scipy.sparse.csgraph import connected_components
 
-    sorted_facets, owner, local_corners = cells.sorted_facets_and_owners
+    sorted_facets, cell_of_sorted_facet, local_corners = cells.sorted_facets_and_owners
     passable_facets = np.flatnonzero(is_passable & is_split[sorted_facets[:-1]].any(axis=1))
     is_split_corner = is_split[sorted_facets[passable_facets]]
     flat_corner_index, neighbour_corner_index = (
-        owner[facet_rows][:, None] * cells.n_corners + local_corners[facet_rows]
-        for facet_rows in (passable_facets, passable_facets + 1)
+        cell_of_sorted_facet[sorted_facet_indices][:, None] * cells.n_corners
+        + local_corners[sorted_facet_indices]
+        for sorted_facet_indices in (passable_facets, passable_facets + 1)
     )
     n_all_corners = len(cells.cell_nodes) * cells.n_corners
     graph_triplets = (

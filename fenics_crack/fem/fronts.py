@@ -175,14 +175,16 @@ class Front:
         hat_values, hat_slopes : (..., n_stations)
             Hats and their derivatives with respect to t.
         """
-        spacing = self.hat_peak_parameters[1] - self.hat_peak_parameters[0]
-        distances = (t[..., None] - self.station_parameters) / spacing
+        station_spacing = self.hat_peak_parameters[1] - self.hat_peak_parameters[0]
+        distances_in_spacings = (t[..., None] - self.station_parameters) / station_spacing
         if self.is_closed:
-            distances -= len(self.station_parameters) * np.round(
-                distances / len(self.station_parameters)
+            distances_in_spacings -= len(self.station_parameters) * np.round(
+                distances_in_spacings / len(self.station_parameters)
             )
-        hat_values = np.maximum(0.0, 1.0 - np.abs(distances))
-        return hat_values, np.where(hat_values > 0.0, -np.sign(distances) / spacing, 0.0)
+        hat_values = np.maximum(0.0, 1.0 - np.abs(distances_in_spacings))
+        return hat_values, np.where(
+            hat_values > 0.0, -np.sign(distances_in_spacings) / station_spacing, 0.0
+        )
 
     def hat_integrals(self) -> np.ndarray:
         """Integrate each hat function along the front, int h ds: (n_stations,) [m]."""
@@ -266,8 +268,10 @@ class Front:
         t = sample_parameters[sample_tree.query(points)[1]]
         for _ in range(3):  # Newton's steps
             c_0, c_1, c_2 = (self.curve_function(t, order) for order in range(3))
-            offsets = points - c_0
-            t = t + (offsets * c_1).sum(-1) / ((c_1 * c_1).sum(-1) - (offsets * c_2).sum(-1))
+            offsets_from_curve = points - c_0
+            t = t + (offsets_from_curve * c_1).sum(-1) / (
+                (c_1 * c_1).sum(-1) - (offsets_from_curve * c_2).sum(-1)
+            )
             if not self.is_closed:
                 t = np.clip(t, self.node_parameters[0], self.node_parameters[-1])
         if self.is_closed:
@@ -317,28 +321,35 @@ def find_fronts(structure: Structure) -> list[Front]:
     )
     front_arguments = []
     for crack_index, crack in enumerate(cracks):
-        other_corners = [
+        corner_positions_of_other_cracks = [
             other_crack.triangles.reshape(-1, 3)
             for other_crack in cracks
             if other_crack is not crack
         ]
-        obstacle_tree = cKDTree(np.concatenate([clamped_points, *other_corners]))
-        for chain_points, normals, is_closed, ends_at_surface in _yield_smooth_front_parts(crack):
-            allowed_radius = MAX_RADIUS_TO_CLEARANCE * obstacle_tree.query(chain_points)[0].min()
+        obstacle_tree = cKDTree(np.concatenate([clamped_points, *corner_positions_of_other_cracks]))
+        for chain_points, node_normals, is_closed, ends_at_surface in _yield_smooth_front_parts(
+            crack
+        ):
+            allowed_domain_radius = (
+                MAX_RADIUS_TO_CLEARANCE * obstacle_tree.query(chain_points)[0].min()
+            )
             front_arguments.append(
                 (
                     crack_index,
                     chain_points,
-                    normals,
+                    node_normals,
                     *_fit_parameters_and_curve(chain_points, is_closed),
                     is_closed,
                     ends_at_surface,
-                    allowed_radius,
+                    allowed_domain_radius,
                 )
             )
     return [
-        Front("the crack front" + (f" {index + 1}" if len(front_arguments) > 1 else ""), *arguments)
-        for index, arguments in enumerate(front_arguments)
+        Front(
+            "the crack front" + (f" {front_index + 1}" if len(front_arguments) > 1 else ""),
+            *arguments,
+        )
+        for front_index, arguments in enumerate(front_arguments)
     ]
 
 
@@ -361,57 +372,57 @@ def _yield_smooth_front_parts(
     corner_positions = crack.triangles.reshape(-1, 3)
     corner_tree, tolerance = cKDTree(corner_positions), RELATIVE_POSITION_TOLERANCE * crack.size
     edges = np.sort(corner_tree.query(crack.front_chords.reshape(-1, 3))[1].reshape(-1, 2), axis=1)
-    links: dict[int, list[int]] = {}
+    linked_nodes_by_node: dict[int, list[int]] = {}
     edge_end_nodes = np.array(
         [
             min(corner_tree.query_ball_point(corner_position, tolerance))
             for corner_position in corner_positions[edges.ravel()]
         ]
     )
-    for node, neighbour in edge_end_nodes.reshape(-1, 2):
-        links.setdefault(int(node), []).append(int(neighbour))
-        links.setdefault(int(neighbour), []).append(int(node))
+    for node, other_node in edge_end_nodes.reshape(-1, 2):
+        linked_nodes_by_node.setdefault(int(node), []).append(int(other_node))
+        linked_nodes_by_node.setdefault(int(other_node), []).append(int(node))
     triangle_sides = crack.triangles[:, 1:] - crack.triangles[:, :1]
     triangle_normals = np.cross(triangle_sides[:, 0], triangle_sides[:, 1])
     normal_signs = np.array([upward_sign(triangle_normal) for triangle_normal in triangle_normals])
     triangle_normals *= normal_signs[:, None]
     triangle_centres = crack.triangles.mean(axis=1)
-    while links:
+    while linked_nodes_by_node:
         first_node = min(
-            (node for node, neighbours in links.items() if len(neighbours) == 1), default=min(links)
+            (node for node, linked_nodes in linked_nodes_by_node.items() if len(linked_nodes) == 1),
+            default=min(linked_nodes_by_node),
         )
-        chain, is_closed = [first_node], len(links[first_node]) == 2
-        while links.get(chain[-1]):
-            next_node = links[chain[-1]].pop()
-            links[next_node].remove(chain[-1])
-            chain.append(next_node)
-        for node in chain:
-            links.pop(node, None)
-        points = corner_positions[chain]
-        point_normals, inward_vectors = np.empty_like(points), np.empty_like(points)
-        for index, point in enumerate(points):
+        chained_nodes, is_closed = [first_node], len(linked_nodes_by_node[first_node]) == 2
+        while linked_nodes_by_node.get(chained_nodes[-1]):
+            next_node = linked_nodes_by_node[chained_nodes[-1]].pop()
+            linked_nodes_by_node[next_node].remove(chained_nodes[-1])
+            chained_nodes.append(next_node)
+        for node in chained_nodes:
+            linked_nodes_by_node.pop(node, None)
+        chained_points = corner_positions[chained_nodes]
+        point_normals, inward_vectors = np.empty_like(chained_points), np.empty_like(chained_points)
+        for index, point in enumerate(chained_points):
             near_triangles = np.unique(
                 np.array(corner_tree.query_ball_point(point, tolerance)) // 3
             )
             point_normals[index] = triangle_normals[near_triangles].sum(axis=0)
             inward_vectors[index] = triangle_centres[near_triangles].mean(axis=0) - point
         point_normals /= np.linalg.norm(point_normals, axis=1)[:, None]
-        edge_vectors = np.diff(points, axis=0)
+        edge_vectors = np.diff(chained_points, axis=0)
         edge_side_vectors = np.cross(point_normals[:-1] + point_normals[1:], edge_vectors)
         if (edge_side_vectors * (inward_vectors[:-1] + inward_vectors[1:])).sum() > 0.0:
-            points = points[::-1]
+            chained_points = chained_points[::-1]
             point_normals = point_normals[::-1]
             edge_vectors = -edge_vectors[::-1]
         edge_vectors /= np.linalg.norm(edge_vectors, axis=1)[:, None]
-        previous_vectors = np.roll(edge_vectors, 1, axis=0)
         corner_indices = np.flatnonzero(
-            (previous_vectors * edge_vectors).sum(axis=1) < np.cos(MIN_CORNER_ANGLE)
+            (np.roll(edge_vectors, 1, axis=0) * edge_vectors).sum(axis=1) < np.cos(MIN_CORNER_ANGLE)
         ).tolist()
         if is_closed and corner_indices:
             start_index = corner_indices[0]
-            points, point_normals = (
+            chained_points, point_normals = (
                 np.concatenate([node_vectors[start_index:-1], node_vectors[: start_index + 1]])
-                for node_vectors in (points, point_normals)
+                for node_vectors in (chained_points, point_normals)
             )
             corner_indices = [corner_index - start_index for corner_index in corner_indices]
         for part_start, part_stop in pairwise(sorted({0, *corner_indices, len(edge_vectors)})):
@@ -420,7 +431,7 @@ def _yield_smooth_front_parts(
                 part_stop == len(edge_vectors) and not is_closed,
             )
             yield (
-                points[part_start : part_stop + 1],
+                chained_points[part_start : part_stop + 1],
                 point_normals[part_start : part_stop + 1],
                 is_closed and not corner_indices,
                 ends_at_surface,
@@ -443,14 +454,22 @@ def _fit_parameters_and_curve(
     """
     centroid = node_positions.mean(axis=0)
     _, extents, axes = np.linalg.svd(node_positions - centroid, full_matrices=False)
-    x, y = ((node_positions - centroid) @ axes[:2].T / extents[0]).T
+    scaled_x, scaled_y = ((node_positions - centroid) @ axes[:2].T / extents[0]).T
     if (
         len(node_positions) > 5
         and extents[1] > RELATIVE_POSITION_TOLERANCE * extents[0]
         and extents[2] <= RELATIVE_POSITION_TOLERANCE * extents[0]
     ):
-        conic_terms = np.column_stack([x * x, 2.0 * x * y, y * y, -2.0 * x, -2.0 * y])
-        a, b, c, d, e = np.linalg.lstsq(conic_terms, np.ones(len(x)), rcond=None)[0]
+        conic_terms = np.column_stack(
+            [
+                scaled_x * scaled_x,
+                2.0 * scaled_x * scaled_y,
+                scaled_y * scaled_y,
+                -2.0 * scaled_x,
+                -2.0 * scaled_y,
+            ]
+        )
+        a, b, c, d, e = np.linalg.lstsq(conic_terms, np.ones(len(scaled_x)), rcond=None)[0]
         quadratic_form = np.array([[a, b], [b, c]])
         if np.linalg.det(quadratic_form) > 0.0:
             scaled_center = np.linalg.solve(quadratic_form, [d, e])
@@ -458,7 +477,7 @@ def _fit_parameters_and_curve(
                 quadratic_form / (1.0 + scaled_center @ quadratic_form @ scaled_center)
             )
             unit_points = (
-                (np.column_stack([x, y]) - scaled_center)
+                (np.column_stack([scaled_x, scaled_y]) - scaled_center)
                 @ eigenvectors
                 * np.sqrt(np.abs(eigenvalues))
             )
@@ -484,10 +503,12 @@ def _fit_parameters_and_curve(
         node_positions = np.array(
             [node_positions[0], node_positions.mean(axis=0), node_positions[1]]
         )
-        knots = np.array([0, 0.5, 1]) * t[-1]
+        knot_parameters = np.array([0, 0.5, 1]) * t[-1]
     else:
-        knots = t
-    spline = CubicSpline(knots, node_positions, bc_type="periodic" if is_closed else "not-a-knot")
+        knot_parameters = t
+    spline = CubicSpline(
+        knot_parameters, node_positions, bc_type="periodic" if is_closed else "not-a-knot"
+    )
 
     return t, lambda t, order: np.asarray(spline(t, order))
 
@@ -536,20 +557,20 @@ def front_functionals(
         raise InputError("mesh", "other cells", "tetrahedra of order 2, for stress intensities")
     points, cells = gather_rows(comm, nodes.points), gather_rows(comm, nodes.cells)
     stations: list[Station] = []
-    displacement_rows: list[np.ndarray] = []
-    force_rows: list[np.ndarray] = []
+    displacement_rows_of_fronts: list[np.ndarray] = []
+    force_rows_of_fronts: list[np.ndarray] = []
     for front in find_fronts(structure):
         _check_front_is_resolved(front)
-        domain = _IntegrationDomain(scene, front, points, cells)
+        integration_domain = _IntegrationDomain(scene, front, points, cells)
         displacement_factors, nodal_fields = (
-            _values_at_free_dofs(nodes, domain.nodes, node_values)
-            for node_values in domain.find_factors_and_nodal_fields(comm)
+            _values_at_free_dofs(nodes, integration_domain.nodes, node_values)
+            for node_values in integration_domain.find_factors_and_nodal_fields(comm)
         )
         force_factors = np.zeros((len(displacement_factors), structure.n_pairs))
         if structure.pairs.nodes is not None:
-            force_factors -= domain.intensity_per_integral[:, None] * structure.apply_bt(
-                nodal_fields
-            )
+            force_factors -= integration_domain.intensity_per_integral[
+                :, None
+            ] * structure.apply_bt(nodal_fields)
             force_factors[: len(front.station_parameters)] += _contact_force_factors(
                 structure, front
             )
@@ -558,12 +579,12 @@ def front_functionals(
             for station_index in range(len(front.station_parameters))
             if station_index not in front.corner_station_indices
         ]
-        for row_list, factors in (
-            (displacement_rows, displacement_factors),
-            (force_rows, force_factors),
+        for rows_of_fronts, factors_of_front in (
+            (displacement_rows_of_fronts, displacement_factors),
+            (force_rows_of_fronts, force_factors),
         ):
-            row_list.append(
-                _rows_by_station(front, factors)[valid_station_indices].reshape(
+            rows_of_fronts.append(
+                _rows_by_station(front, factors_of_front)[valid_station_indices].reshape(
                     3 * len(valid_station_indices), -1
                 )
             )
@@ -571,7 +592,11 @@ def front_functionals(
             _make_stations(structure, front)[station_index]
             for station_index in valid_station_indices
         ]
-    return stations, np.concatenate(displacement_rows), np.concatenate(force_rows)
+    return (
+        stations,
+        np.concatenate(displacement_rows_of_fronts),
+        np.concatenate(force_rows_of_fronts),
+    )
 
 
 def _values_at_free_dofs(
@@ -636,47 +661,53 @@ def _make_stations(structure: Structure, front: Front) -> list[Station]:
 def _check_front_is_resolved(front: Front) -> None:
     """Raise InputError if elements along a front exceed the domain."""
     edge_lengths = np.linalg.norm(np.diff(front.node_positions, axis=0), axis=1)
-    radii = front.domain_radius(
+    domain_radii_at_edges = front.domain_radius(
         front.frame_and_curvature(0.5 * (front.node_parameters[1:] + front.node_parameters[:-1]))[2]
     )
-    worst_edge = (edge_lengths / radii).argmax()
-    if edge_lengths[worst_edge] > MAX_ELEMENT_LENGTH_TO_RADIUS * radii[worst_edge]:
-        allowed_length = MAX_ELEMENT_LENGTH_TO_RADIUS * radii[worst_edge]
+    worst_edge = (edge_lengths / domain_radii_at_edges).argmax()
+    if edge_lengths[worst_edge] > MAX_ELEMENT_LENGTH_TO_RADIUS * domain_radii_at_edges[worst_edge]:
+        allowed_edge_length = MAX_ELEMENT_LENGTH_TO_RADIUS * domain_radii_at_edges[worst_edge]
         position_text = ", ".join(
             f"{coordinate:.4g}" for coordinate in front.node_positions[worst_edge]
         )
         requirement = (
-            f"no longer than {allowed_length:.3g} m along the front in ({position_text}) m"
+            f"no longer than {allowed_edge_length:.3g} m along the front in ({position_text}) m"
         )
         raise InputError("mesh", f"elements of {edge_lengths[worst_edge]:.3g} m", requirement)
 
 
-def _rows_by_station(front: Front, rows: np.ndarray) -> np.ndarray:
+def _rows_by_station(front: Front, functional_rows: np.ndarray) -> np.ndarray:
     """Arrange the functionals for K_I, K_II and K_III by station: (n_stations, 3, m).
 
-    ``rows`` (3 n_stations, m) are means over the hat functions, mode after mode. At an open
-    front's end, the half hat's centroid is not the station. The functional there is
+    ``functional_rows`` (3 n_stations, m) are means over the hat functions, mode after mode. At an
+    open front's end, the half hat's centroid is not the station. The functional there is
     extrapolated linearly from the last two hats.
     """
-    rows = rows.reshape(3, len(front.station_parameters), -1).swapaxes(0, 1)
+    functional_rows = functional_rows.reshape(3, len(front.station_parameters), -1).swapaxes(0, 1)
     if not front.is_closed and len(front.station_parameters) > 2:
-        first_row, last_row = (
-            1.5 * rows[end_station] - 0.5 * rows[neighbour_station]
+        first_station_rows, last_station_rows = (
+            1.5 * functional_rows[end_station] - 0.5 * functional_rows[neighbour_station]
             for end_station, neighbour_station in ((0, 1), (-1, -2))
         )
-        rows = np.concatenate([first_row[None], rows[1:-1], last_row[None]])
-    return rows
+        functional_rows = np.concatenate(
+            [first_station_rows[None], functional_rows[1:-1], last_station_rows[None]]
+        )
+    return functional_rows
 
 
-def _weight_and_slope(radius_ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _weight_and_slope_by_radius_ratio(radius_ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the weight q and its derivative with respect to r / R.
 
     ``radius_ratio`` is r / R: distance from the front over the domain's radius. q is 1 at the front
     and 0 at the radius.
     """
-    x = np.clip((radius_ratio - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION), 0.0, 1.0)
-    slope = -30.0 * x**2 * (1.0 - x) ** 2 / (1.0 - PLATEAU_FRACTION)
-    return 1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2), slope
+    ramp_position = np.clip((radius_ratio - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION), 0.0, 1.0)
+    slope_by_radius_ratio = (
+        -30.0 * ramp_position**2 * (1.0 - ramp_position) ** 2 / (1.0 - PLATEAU_FRACTION)
+    )
+    return 1.0 - ramp_position**3 * (
+        10.0 - 15.0 * ramp_position + 6.0 * ramp_position**2
+    ), slope_by_radius_ratio
 
 
 def _collapsed_gauss_rule(dimension: int, n_side_points: int) -> tuple[np.ndarray, np.ndarray]:
@@ -691,16 +722,16 @@ def _collapsed_gauss_rule(dimension: int, n_side_points: int) -> tuple[np.ndarra
     weights : (n_side_points^d,)
         Weights that sum to 1.
     """
-    remainder, weights = np.ones(1), np.ones(1)
+    remaining_coordinate, weights = np.ones(1), np.ones(1)
     coordinates: list[np.ndarray] = []
-    for power in range(dimension - 1, -1, -1):
-        x, w = roots_jacobi(n_side_points, power, 0)
-        x, w = 0.5 * (1.0 + x), w / w.sum()
+    for jacobi_exponent in range(dimension - 1, -1, -1):
+        points_1d, weights_1d = roots_jacobi(n_side_points, jacobi_exponent, 0)
+        points_1d, weights_1d = 0.5 * (1.0 + points_1d), weights_1d / weights_1d.sum()
         coordinates = [np.repeat(coordinate, n_side_points) for coordinate in coordinates]
-        coordinates.append((remainder[:, None] * x).ravel())
-        remainder = (remainder[:, None] * (1.0 - x)).ravel()
-        weights = (weights[:, None] * w).ravel()
-    return np.column_stack([*coordinates, remainder]), weights
+        coordinates.append((remaining_coordinate[:, None] * points_1d).ravel())
+        remaining_coordinate = (remaining_coordinate[:, None] * (1.0 - points_1d)).ravel()
+        weights = (weights[:, None] * weights_1d).ravel()
+    return np.column_stack([*coordinates, remaining_coordinate]), weights
 
 
 def _split_into_chunks(cells: np.ndarray, n_cell_points: int) -> list[np.ndarray]:
@@ -744,24 +775,28 @@ class _IntegrationDomain:
 
     def __init__(self, scene: Scene, front: Front, points: np.ndarray, cells: np.ndarray) -> None:
         self.front = front
-        young, self.nu = scene.material.young, scene.material.poisson
-        self.mu = 0.5 * young / (1.0 + self.nu)
-        self.lame = young * self.nu / (1.0 + self.nu) / (1.0 - 2.0 * self.nu)
-        half_plane_strain_modulus = 0.5 * young / (1.0 - self.nu**2)
-        mode_moduli = np.repeat(
+        youngs_modulus, self.nu = scene.material.young, scene.material.poisson
+        self.mu = 0.5 * youngs_modulus / (1.0 + self.nu)
+        self.lame = youngs_modulus * self.nu / (1.0 + self.nu) / (1.0 - 2.0 * self.nu)
+        half_plane_strain_modulus = 0.5 * youngs_modulus / (1.0 - self.nu**2)
+        intensity_moduli_by_mode_and_station = np.repeat(
             [half_plane_strain_modulus, half_plane_strain_modulus, self.mu],
             len(front.station_parameters),
         )
-        self.intensity_per_integral = mode_moduli / np.tile(front.hat_integrals(), 3)
+        self.intensity_per_integral = intensity_moduli_by_mode_and_station / np.tile(
+            front.hat_integrals(), 3
+        )
         front_distances = front._sample_parameters_and_tree[1].query(points)[0][cells]
         # Cells with all corners outside R touch the domain only where q is below 1e-5.
-        is_near = front_distances.min(axis=1) < front.straight_domain_radius
-        self.nodes, local_nodes = np.unique(cells[is_near], return_inverse=True)
+        is_near_cell = front_distances.min(axis=1) < front.straight_domain_radius
+        self.nodes, local_nodes = np.unique(cells[is_near_cell], return_inverse=True)
         self.points, self.cells = points[self.nodes], local_nodes.reshape(-1, cells.shape[1])
         corner_positions = self.points[self.cells[:, :4]]
         # Nearest to the front first; equally near corners by position. So the order is the same
         # on all ranks, and the rule for an edge on the front takes its ends in a fixed order.
-        sort_keys = np.dstack([corner_positions, front_distances[is_near, :4]]).transpose(2, 0, 1)
+        sort_keys = np.dstack([corner_positions, front_distances[is_near_cell, :4]]).transpose(
+            2, 0, 1
+        )
         self.corner_order = corner_order = np.lexsort(
             np.round(sort_keys / (RELATIVE_POSITION_TOLERANCE * front.straight_domain_radius)),
             axis=-1,
@@ -770,55 +805,58 @@ class _IntegrationDomain:
             corner_positions, corner_order[..., None], axis=1
         )
         corner_nodes = np.take_along_axis(self.cells[:, :4], corner_order, axis=1)
-        facets = [
+        sorted_facets = [
             np.sort(np.delete(corner_nodes, corner_index, axis=1), axis=1)
             for corner_index in range(4)
         ]
-        facet_keys = np.ravel_multi_index(np.concatenate(facets).T, (len(self.points),) * 3)
+        facet_keys = np.ravel_multi_index(np.concatenate(sorted_facets).T, (len(self.points),) * 3)
         _, first_facets, facet_counts = np.unique(facet_keys, return_index=True, return_counts=True)
         self.is_outer_facet = (
             np.isin(facet_keys, facet_keys[first_facets[facet_counts == 1]]).reshape(4, -1).T
         )
-        edge_vectors = self.corner_positions[:, 1:] - self.corner_positions[:, :1]
-        self.volumes = np.abs(np.linalg.det(edge_vectors)) / 6.0
-        inverse_edge_matrices = np.linalg.inv(edge_vectors).swapaxes(
+        cell_edge_vectors = self.corner_positions[:, 1:] - self.corner_positions[:, :1]
+        self.volumes = np.abs(np.linalg.det(cell_edge_vectors)) / 6.0
+        inverse_cell_edge_matrices = np.linalg.inv(cell_edge_vectors).swapaxes(
             1, 2
         )  # rows: gradients of lambda_1 to lambda_3
         self.barycentric_gradients = np.concatenate(
-            [-inverse_edge_matrices.sum(axis=1, keepdims=True), inverse_edge_matrices], axis=1
+            [-inverse_cell_edge_matrices.sum(axis=1, keepdims=True), inverse_cell_edge_matrices],
+            axis=1,
         )
-        centres = self.corner_positions.mean(axis=1)
-        centre_parameters = front.nearest_parameters(centres)
+        cell_centres = self.corner_positions.mean(axis=1)
+        front_parameters_of_centres = front.nearest_parameters(cell_centres)
         self.side_signs = np.sign(
             (
-                (centres - front.curve_function(centre_parameters, 0))
-                * front.frame_and_curvature(centre_parameters)[0][:, 1]
+                (cell_centres - front.curve_function(front_parameters_of_centres, 0))
+                * front.frame_and_curvature(front_parameters_of_centres)[0][:, 1]
             ).sum(-1)
         )
 
-    def _basis_gradients(self, cell_index: np.ndarray) -> np.ndarray:
+    def _basis_gradients(self, cell_indices: np.ndarray) -> np.ndarray:
         """Differentiate the cells' quadratic basis functions N_a: (n, 10, 4, 3).
 
         The result D has grad N_a = sum_b D_ab lambda_b. The N_a are in the order of the cell's
         nodes, the barycentric coordinates lambda_b in the order of ``corner_positions``.
         """
-        inverse_order = self.corner_order[cell_index].argsort(axis=1)
-        gradients = np.take_along_axis(
-            self.barycentric_gradients[cell_index], inverse_order[..., None], axis=1
+        inverse_corner_order = self.corner_order[cell_indices].argsort(axis=1)
+        barycentric_gradients = np.take_along_axis(
+            self.barycentric_gradients[cell_indices], inverse_corner_order[..., None], axis=1
         )
-        gradient_coefficients = np.zeros((len(cell_index), 10, 4, 3))
+        gradient_coefficients = np.zeros((len(cell_indices), 10, 4, 3))
         for corner_index in range(4):
-            gradient_coefficients[:, corner_index] = -gradients[:, corner_index, None]
-            gradient_coefficients[:, corner_index, corner_index] += 4.0 * gradients[:, corner_index]
+            gradient_coefficients[:, corner_index] = -barycentric_gradients[:, corner_index, None]
+            gradient_coefficients[:, corner_index, corner_index] += (
+                4.0 * barycentric_gradients[:, corner_index]
+            )
         for edge_index, (corner_index, other_corner_index) in enumerate(TETRAHEDRON_EDGES):
             gradient_coefficients[:, 4 + edge_index, corner_index] = (
-                4.0 * gradients[:, other_corner_index]
+                4.0 * barycentric_gradients[:, other_corner_index]
             )
             gradient_coefficients[:, 4 + edge_index, other_corner_index] = (
-                4.0 * gradients[:, corner_index]
+                4.0 * barycentric_gradients[:, corner_index]
             )
         return np.take_along_axis(
-            gradient_coefficients, self.corner_order[cell_index][:, None, :, None], axis=2
+            gradient_coefficients, self.corner_order[cell_indices][:, None, :, None], axis=2
         )
 
     def find_factors_and_nodal_fields(self, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
@@ -826,25 +864,25 @@ class _IntegrationDomain:
 
         Returns
         -------
-        factors : (n_nodes, 3 n_stations, 3)
+        displacement_factors : (n_nodes, 3 n_stations, 3)
             Factors for the nodes' displacements in K.
         nodal_fields : (n_nodes, 3 n_stations, 3)
             Fields w = q h a_,1, whose product with nodal forces enters I: weight, hat, and
             derivative of the unit K field along e_1.
         """
         n_rows = 3 * len(self.front.station_parameters)
-        factors, nodal_fields = np.zeros((2, len(self.points), n_rows, 3))
+        displacement_factors, nodal_fields = np.zeros((2, len(self.points), n_rows, 3))
         for chunk_cells in _split_into_chunks(np.arange(len(self.cells)), 10):
             nodal_fields[self.cells[chunk_cells]] = self._weighted_nodal_fields(chunk_cells)
-        is_at_front = (
+        is_cell_at_front = (
             cKDTree(self.front.node_positions).query(self.corner_positions[:, 0])[0]
             < RELATIVE_POSITION_TOLERANCE * self.front.straight_domain_radius
         )
         cells_and_gauss_numbers = (
-            (np.flatnonzero(is_at_front), GAUSS_POINTS_AT_FRONT),
-            (np.flatnonzero(~is_at_front), GAUSS_POINTS_ELSEWHERE),
+            (np.flatnonzero(is_cell_at_front), GAUSS_POINTS_AT_FRONT),
+            (np.flatnonzero(~is_cell_at_front), GAUSS_POINTS_ELSEWHERE),
         )
-        for chunk_cells, n_gauss in (
+        for chunk_cells, n_side_gauss_points in (
             (cell_chunk, n_side_points)
             for group_cells, n_side_points in cells_and_gauss_numbers
             for cell_chunk in _split_into_chunks(
@@ -852,24 +890,26 @@ class _IntegrationDomain:
             )
         ):
             (rule_points, weights), (facet_rule_points, facet_weights) = (
-                _collapsed_gauss_rule(dimension, n_gauss) for dimension in (3, 2)
+                _collapsed_gauss_rule(dimension, n_side_gauss_points) for dimension in (3, 2)
             )
             tensor_integrals = self._integrate_tensors(
                 chunk_cells, rule_points, self.volumes[chunk_cells, None] * weights, None
             )
             for corner_index in range(4):
-                is_outer = self.is_outer_facet[chunk_cells, corner_index]
-                if np.any(is_outer):
+                has_outer_facet = self.is_outer_facet[chunk_cells, corner_index]
+                if np.any(has_outer_facet):
                     surface_rule_points = np.insert(facet_rule_points, corner_index, 0.0, axis=1)
-                    gradients = self.barycentric_gradients[chunk_cells[is_outer], corner_index]
+                    corner_gradients = self.barycentric_gradients[
+                        chunk_cells[has_outer_facet], corner_index
+                    ]
                     areas = (
                         3.0
-                        * self.volumes[chunk_cells[is_outer]]
-                        * np.linalg.norm(gradients, axis=1)
+                        * self.volumes[chunk_cells[has_outer_facet]]
+                        * np.linalg.norm(corner_gradients, axis=1)
                     )
-                    normals = -gradients / np.linalg.norm(gradients, axis=1)[:, None]
-                    tensor_integrals[is_outer] += self._integrate_tensors(
-                        chunk_cells[is_outer],
+                    normals = -corner_gradients / np.linalg.norm(corner_gradients, axis=1)[:, None]
+                    tensor_integrals[has_outer_facet] += self._integrate_tensors(
+                        chunk_cells[has_outer_facet],
                         surface_rule_points,
                         areas[:, None] * facet_weights,
                         normals,
@@ -892,26 +932,28 @@ class _IntegrationDomain:
             tensor_integrals = tensor_integrals.swapaxes(2, 3).reshape(len(chunk_cells), -1, 12)
             cell_factors = basis_gradients @ tensor_integrals.swapaxes(1, 2)
             np.add.at(
-                factors,
+                displacement_factors,
                 self.cells[chunk_cells],
                 cell_factors.reshape(len(chunk_cells), 10, n_rows, 3),
             )
-        return self.intensity_per_integral[:, None] * comm.allreduce(factors), nodal_fields
+        return self.intensity_per_integral[:, None] * comm.allreduce(
+            displacement_factors
+        ), nodal_fields
 
-    def _stress(self, gradient: np.ndarray) -> np.ndarray:
+    def _stress(self, displacement_gradients: np.ndarray) -> np.ndarray:
         """Return the elastic stress from displacement gradients (..., 3, 3): same shape."""
-        stress = self.mu * (gradient + gradient.swapaxes(-1, -2))
-        volumetric_stress = self.lame * np.trace(gradient, axis1=-2, axis2=-1)
+        stress = self.mu * (displacement_gradients + displacement_gradients.swapaxes(-1, -2))
+        volumetric_stress = self.lame * np.trace(displacement_gradients, axis1=-2, axis2=-1)
         for k in range(3):
             stress[..., k, k] += volumetric_stress
         return stress
 
     def _front_coordinates(
-        self, positions: np.ndarray, cell_index: np.ndarray
+        self, positions: np.ndarray, cell_indices: np.ndarray
     ) -> tuple[np.ndarray, ...]:
         """Return points in cells as coordinates relative to the nearest front point.
 
-        ``positions`` (n, m, 3) [m] are m points in each of the n cells ``cell_index``.
+        ``positions`` (n, m, 3) [m] are m points in each of the n cells ``cell_indices``.
 
         Returns
         -------
@@ -929,11 +971,14 @@ class _IntegrationDomain:
         front = self.front
         t = front.nearest_parameters(positions)
         frame_vectors, speed, curvature, curvature_slope = front.frame_and_curvature(t)
-        offsets = positions - front.curve_function(t, 0)
-        xi, y = ((offsets * frame_vectors[..., axis_index, :]).sum(-1) for axis_index in range(2))
+        offsets_from_front = positions - front.curve_function(t, 0)
+        xi, y = (
+            (offsets_from_front * frame_vectors[..., axis_index, :]).sum(-1)
+            for axis_index in range(2)
+        )
         domain_radius = front.domain_radius(curvature)
         r = np.hypot(xi, y)
-        y = np.where(np.abs(y) < 1e-6 * r, 1e-12 * r * self.side_signs[cell_index][:, None], y)
+        y = np.where(np.abs(y) < 1e-6 * r, 1e-12 * r * self.side_signs[cell_indices][:, None], y)
         hat, hat_slope_by_t = front.hats_and_slopes(t)
         return (
             frame_vectors,
@@ -947,21 +992,21 @@ class _IntegrationDomain:
             domain_radius,
         )
 
-    def _weighted_nodal_fields(self, cell_index: np.ndarray) -> np.ndarray:
+    def _weighted_nodal_fields(self, cell_indices: np.ndarray) -> np.ndarray:
         """Return the fields w = q h a_,1 at the cells' nodes: (n, 10, 3 n_stations, 3).
 
         q is the weight, h the hat, and a_,1 the derivative of the unit K field along e_1. On the
         front and on the front's element edges w is 0: such an edge is a chord, and the chord's
         middle is on neither crack side.
         """
-        node_positions = self.points[self.cells[cell_index]]
+        node_positions = self.points[self.cells[cell_indices]]
         frame_vectors, xi, y, r, hat, _, _, _, domain_radius = self._front_coordinates(
-            node_positions, cell_index
+            node_positions, cell_indices
         )
         is_node_at_front = r < 1e-6 * domain_radius
         is_node_at_front[:, 4:] = is_node_at_front[:, np.array(TETRAHEDRON_EDGES)].all(axis=2)
         r = np.where(is_node_at_front, domain_radius, r)
-        q = np.where(is_node_at_front, 0.0, _weight_and_slope(r / domain_radius)[0])
+        q = np.where(is_node_at_front, 0.0, _weight_and_slope_by_radius_ratio(r / domain_radius)[0])
         mode_fields = []
         for mode in range(3):
             _, a_by_xi, _ = self._plane_field_and_derivatives(mode, xi, y, r)
@@ -1030,7 +1075,7 @@ class _IntegrationDomain:
 
     def _integrate_tensors(
         self,
-        cell_index: np.ndarray,
+        cell_indices: np.ndarray,
         rule_points: np.ndarray,
         weights: np.ndarray,
         normals: np.ndarray | None,
@@ -1051,13 +1096,13 @@ class _IntegrationDomain:
         (n, 3 n_stations, 4, 3, 3)
             Integrals for each cell, row, corner b, and component of T.
         """
-        positions = rule_points @ self.corner_positions[cell_index]
+        positions = rule_points @ self.corner_positions[cell_indices]
         frame_vectors, xi, y, r, hat, hat_slope, curvature, curvature_slope, radius = (
-            self._front_coordinates(positions, cell_index)
+            self._front_coordinates(positions, cell_indices)
         )
         if normals is not None:  # At a concave front, crack faces reach ahead of the curve.
             xi = np.where(np.abs(y) < 1e-9 * r, -r, xi)
-        q, q_slope = _weight_and_slope(r / radius)
+        q, q_slope = _weight_and_slope_by_radius_ratio(r / radius)
         q_slope /= radius
         metric = 1.0 + curvature * xi
         local_curvature = curvature / metric
@@ -1100,15 +1145,17 @@ class _IntegrationDomain:
                     auxiliary_stress,
                     (q, q_gradient, metric, local_curvature, curvature_slope, hat, hat_slope),
                 )
-            total: Any = 0.0
+            hat_weighted_integral: Any = 0.0
             for hat_values, tensor in hats_and_tensors:
                 rotated_tensor = frame_vectors.swapaxes(-1, -2) @ tensor @ frame_vectors
                 weighted_tensors = weights_times_coordinates[..., None] * rotated_tensor.reshape(
                     *r.shape, 1, 9
                 )
                 weighted_tensors = weighted_tensors.reshape(*r.shape, 36)
-                total = total + hat_values.swapaxes(-1, -2) @ weighted_tensors
-            mode_integrals.append(total.reshape(len(cell_index), -1, 4, 3, 3))
+                hat_weighted_integral = (
+                    hat_weighted_integral + hat_values.swapaxes(-1, -2) @ weighted_tensors
+                )
+            mode_integrals.append(hat_weighted_integral.reshape(len(cell_indices), -1, 4, 3, 3))
         return np.concatenate(mode_integrals, axis=1)
 
     def _hats_and_volume_tensors(
@@ -1241,7 +1288,7 @@ def _contact_force_factors(structure: Structure, front: Front) -> np.ndarray:
         t = front.nearest_parameters(points)
         r = np.linalg.norm(points - front.curve_function(t, 0), axis=1)
         domain_radii = front.domain_radius(front.frame_and_curvature(t)[2])
-        kernel = _weight_and_slope(r / domain_radii)[0] / np.sqrt(r) * area_weights
+        kernel = _weight_and_slope_by_radius_ratio(r / domain_radii)[0] / np.sqrt(r) * area_weights
         corner_crack_nodes = crack_node_tree.query(triangle[corner_order])[1]
         factors[:, corner_crack_nodes] += front.hats_and_slopes(t)[0].T @ (
             kernel[:, None] * shape_values

@@ -135,12 +135,14 @@ def _outer_boundary_points(dofs: Dofs) -> np.ndarray:
     part_mesh = dofs.part_mesh
     topology = part_mesh.mesh.topology
     topology.create_connectivity(1, 2)
-    face_facets = np.concatenate([part_mesh.facets(name) for name in CRACK_FACE_NAMES])
-    outer_facets = np.setdiff1d(dolfinx.mesh.exterior_facet_indices(topology), face_facets).astype(
-        np.int32
+    crack_face_facets = np.concatenate(
+        [part_mesh.facets(crack_face_name) for crack_face_name in CRACK_FACE_NAMES]
     )
-    nodes = dolfinx.fem.locate_dofs_topological(dofs.space, 1, outer_facets)
-    return dofs.points[nodes[nodes < dofs.n_own_nodes]]
+    outer_facets = np.setdiff1d(
+        dolfinx.mesh.exterior_facet_indices(topology), crack_face_facets
+    ).astype(np.int32)
+    outer_nodes = dolfinx.fem.locate_dofs_topological(dofs.space, 1, outer_facets)
+    return dofs.points[outer_nodes[outer_nodes < dofs.n_own_nodes]]
 
 
 def _check_tips_are_resolved(scene: Scene, tips: list[Tip], face_points: np.ndarray) -> None:
@@ -149,16 +151,19 @@ def _check_tips_are_resolved(scene: Scene, tips: list[Tip], face_points: np.ndar
     Then q falls within one element, and the integral has nothing to do with K.
     """
     for tip in tips:
-        distances = np.linalg.norm(face_points - tip.point, axis=1)
-        element_length = scene.mesh.order * distances[distances > 1e-9 * tip.domain_radius].min()
+        face_point_distances = np.linalg.norm(face_points - tip.point, axis=1)
+        element_length = (
+            scene.mesh.order
+            * face_point_distances[face_point_distances > 1e-9 * tip.domain_radius].min()
+        )
         if tip.domain_radius >= element_length:
             continue
-        clearance = tip.domain_radius / RADIUS_TO_CLEARANCE
-        problem = f"{tip.name}, {clearance:.3g} m from an edge, a bend or another crack"
+        tip_clearance = tip.domain_radius / RADIUS_TO_CLEARANCE
+        problem_text = f"{tip.name}, {tip_clearance:.3g} m from an edge, a bend or another crack"
         required_clearance = element_length / RADIUS_TO_CLEARANCE
         requirement = f"further away than {required_clearance:.3g} m where stress intensities are"
         requirement += " requested, or with shorter elements along the crack"
-        raise InputError("crack", problem, requirement)
+        raise InputError("crack", problem_text, requirement)
 
 
 def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.ndarray, np.ndarray]:
@@ -213,9 +218,11 @@ def _crack_face_normals_at_nodes(dofs: Dofs) -> np.ndarray:
 
     They are zero away from the crack faces.
     """
-    normal, test = ufl.FacetNormal(dofs.part_mesh.mesh), ufl.TestFunction(dofs.space)
-    form = ufl.inner(normal, test) * dofs.part_mesh.measure_on(*CRACK_FACE_NAMES)
-    return compat.assembled_vector(form).reshape(-1, 2)
+    facet_normal, test_function = ufl.FacetNormal(dofs.part_mesh.mesh), ufl.TestFunction(dofs.space)
+    normal_form = ufl.inner(facet_normal, test_function) * dofs.part_mesh.measure_on(
+        *CRACK_FACE_NAMES
+    )
+    return compat.assembled_vector(normal_form).reshape(-1, 2)
 
 
 def _singular_displacement_derivative(
@@ -261,29 +268,37 @@ def _kolosov_and_field_scale(scene: Scene) -> tuple[float, float]:
     return (3.0 - nu) / (1.0 + nu), 1.0 / (4.0 * shear_modulus * np.sqrt(2.0 * np.pi))
 
 
-def _weight_values(r: np.ndarray, radius: float) -> np.ndarray:
+def _weight_values(tip_distances: np.ndarray, domain_radius: float) -> np.ndarray:
     """Return the weight q at distances r from a tip.
 
     q is 1 near the tip, and 0 beyond the radius."""
-    xi = np.clip((r / radius - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION), 0.0, 1.0)
-    return np.asarray(1.0 - xi**3 * (10.0 - 15.0 * xi + 6.0 * xi**2))
+    ramp_position = np.clip(
+        (tip_distances / domain_radius - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION), 0.0, 1.0
+    )
+    return np.asarray(
+        1.0 - ramp_position**3 * (10.0 - 15.0 * ramp_position + 6.0 * ramp_position**2)
+    )
 
 
 def _weighted_singular_field(
-    scene: Scene, tip: Tip, mode: int, points: np.ndarray, normals: np.ndarray
+    scene: Scene, tip: Tip, mode: int, points: np.ndarray, outward_normals: np.ndarray
 ) -> np.ndarray:
     """Return the field w = q s at nodes: (n, 2).
 
     q is the weight, and s the x_1 derivative of the displacement with K = 1. The field is zero at
-    the tip. Nodes on crack faces are on the side opposite to their outward ``normals`` (n, 2).
+    the tip. Nodes on crack faces are on the side opposite to ``outward_normals`` (n, 2).
     """
-    offsets = points - tip.point
-    r = np.linalg.norm(offsets, axis=1)
-    is_near = (r < tip.domain_radius) & (r > 1e-9 * tip.domain_radius)
+    offsets_from_tip = points - tip.point
+    r = np.linalg.norm(offsets_from_tip, axis=1)
+    is_in_domain = (r < tip.domain_radius) & (r > 1e-9 * tip.domain_radius)
     e_2 = np.array([-tip.growth_direction[1], tip.growth_direction[0]])
     weighted_field = np.zeros_like(points)
-    r, x, y = r[is_near], offsets[is_near] @ tip.growth_direction, offsets[is_near] @ e_2
-    normal_components = normals[is_near] @ e_2
+    r, x, y = (
+        r[is_in_domain],
+        offsets_from_tip[is_in_domain] @ tip.growth_direction,
+        offsets_from_tip[is_in_domain] @ e_2,
+    )
+    normal_components = outward_normals[is_in_domain] @ e_2
     side_signs = np.where(
         normal_components == 0.0, np.where(y >= 0.0, 1.0, -1.0), -np.sign(normal_components)
     )
@@ -295,9 +310,9 @@ def _weighted_singular_field(
         r, cos_half_angle, side_signs * sin_half_angle, kolosov, mode
     )
     scaled_weights = field_scale * _weight_values(r, tip.domain_radius)
-    weighted_field[is_near] = (scaled_weights * derivative_1)[:, None] * tip.growth_direction + (
-        scaled_weights * derivative_2
-    )[:, None] * e_2
+    weighted_field[is_in_domain] = (scaled_weights * derivative_1)[
+        :, None
+    ] * tip.growth_direction + (scaled_weights * derivative_2)[:, None] * e_2
     return weighted_field
 
 
@@ -312,10 +327,12 @@ def _make_row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndar
     tip_constants = form_constants(
         space, *(0.0,) * 6, *_kolosov_and_field_scale(scene), scene.material.young
     )
-    tip_x, tip_y, e_1x, e_1y, radius, mode_constant, kolosov, field_scale, young = tip_constants
-    offset = ufl.SpatialCoordinate(space.mesh) - ufl.as_vector([tip_x, tip_y])
+    tip_x, tip_y, e_1x, e_1y, domain_radius, mode_constant, kolosov, field_scale, youngs_modulus = (
+        tip_constants
+    )
+    offset_from_tip = ufl.SpatialCoordinate(space.mesh) - ufl.as_vector([tip_x, tip_y])
     e_1, e_2 = ufl.as_vector([e_1x, e_1y]), ufl.as_vector([-e_1y, e_1x])
-    x, y = ufl.dot(offset, e_1), ufl.dot(offset, e_2)
+    x, y = ufl.dot(offset_from_tip, e_1), ufl.dot(offset_from_tip, e_2)
     r = ufl.sqrt(x * x + y * y)
     cos_half_angle = ufl.sqrt((r + x) / (2.0 * r))
     sin_half_angle = ufl.sign(y) * ufl.sqrt((r - x) / (2.0 * r))
@@ -323,26 +340,39 @@ def _make_row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndar
         r, cos_half_angle, sin_half_angle, kolosov, mode_constant
     )
     singular_derivative = field_scale * (derivative_1 * e_1 + derivative_2 * e_2)
-    xi = (r / radius - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION)
-    q_slope = -30.0 * xi**2 * (1.0 - xi) ** 2 / (radius * (1.0 - PLATEAU_FRACTION))
-    is_on_ramp = ufl.And(ufl.gt(xi, 0.0), ufl.lt(xi, 1.0))
-    q_gradient = ufl.conditional(is_on_ramp, q_slope, 0.0) / r * offset
-    test = ufl.TestFunction(space)
+    ramp_position = (r / domain_radius - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION)
+    q_slope = (
+        -30.0
+        * ramp_position**2
+        * (1.0 - ramp_position) ** 2
+        / (domain_radius * (1.0 - PLATEAU_FRACTION))
+    )
+    is_on_ramp = ufl.And(ufl.gt(ramp_position, 0.0), ufl.lt(ramp_position, 1.0))
+    q_gradient = ufl.conditional(is_on_ramp, q_slope, 0.0) / r * offset_from_tip
+    test_function = ufl.TestFunction(space)
     test_strain, derivative_strain, nodal_strain = (
         ufl.sym(ufl.grad(vector_field))
-        for vector_field in (test, singular_derivative, nodal_function)
+        for vector_field in (test_function, singular_derivative, nodal_function)
     )
     betti_integrand = ufl.inner(
         stress_expression(scene, space, test_strain), ufl.outer(singular_derivative, q_gradient)
     )
     betti_integrand -= ufl.inner(
-        stress_expression(scene, space, derivative_strain), ufl.outer(test, q_gradient)
+        stress_expression(scene, space, derivative_strain), ufl.outer(test_function, q_gradient)
     )
-    form = 0.5 * young * betti_integrand * ufl.dx(metadata={"quadrature_degree": QUADRATURE_DEGREE})
-    form -= (
-        0.5 * young * ufl.inner(stress_expression(scene, space, nodal_strain), test_strain) * ufl.dx
+    functional_form = (
+        0.5
+        * youngs_modulus
+        * betti_integrand
+        * ufl.dx(metadata={"quadrature_degree": QUADRATURE_DEGREE})
     )
-    compiled_form = compat.compile_form(form)
+    functional_form -= (
+        0.5
+        * youngs_modulus
+        * ufl.inner(stress_expression(scene, space, nodal_strain), test_strain)
+        * ufl.dx
+    )
+    compiled_form = compat.compile_form(functional_form)
 
     def assemble_row(tip: Tip, mode: int, nodal_field: np.ndarray) -> np.ndarray:
         """Return factors (n_local,) for a tip, a mode and its nodal field w."""
@@ -374,11 +404,11 @@ def _contact_force_factors(
     pairs, thickness = structure.pairs, scene.geometry.thickness or 1.0
     assert pairs.cracks is not None and pairs.positions is not None and pairs.areas is not None
     force_factors -= structure.apply_bt(nodal_field[None])[0]
-    crack_pair_index = np.flatnonzero(pairs.cracks == tip.crack_index)
-    crack_pair_index = crack_pair_index[
-        np.argsort(np.abs(tip.arc_length - pairs.positions[crack_pair_index]))
+    pairs_of_crack = np.flatnonzero(pairs.cracks == tip.crack_index)
+    pairs_of_crack = pairs_of_crack[
+        np.argsort(np.abs(tip.arc_length - pairs.positions[pairs_of_crack]))
     ]
-    pair_distances = np.abs(tip.arc_length - pairs.positions[crack_pair_index])
+    pair_distances = np.abs(tip.arc_length - pairs.positions[pairs_of_crack])
     quadrature_distances, rule_weights = _singular_quadrature_rule(
         pair_distances, tip.domain_radius
     )
@@ -393,24 +423,26 @@ def _contact_force_factors(
     hat_values = np.array(
         [
             np.interp(quadrature_distances, pair_distances, identity_row)
-            for identity_row in np.eye(len(crack_pair_index))
+            for identity_row in np.eye(len(pairs_of_crack))
         ]
     )
-    force_factors[crack_pair_index] += (
-        thickness * hat_values @ point_weights / pairs.areas[crack_pair_index]
+    force_factors[pairs_of_crack] += (
+        thickness * hat_values @ point_weights / pairs.areas[pairs_of_crack]
     )
     return 0.5 * scene.material.young / thickness * force_factors
 
 
 def _singular_quadrature_rule(
-    interval_ends: np.ndarray, radius: float
+    interval_ends: np.ndarray, domain_radius: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a rule for integrals of f(r) r^-1/2 up to the radius.
 
     The results are points r and weights. f is smooth between ``interval_ends``. Gauss's rule is
     applied to the square root of r in each interval.
     """
-    sqrt_ends = np.sqrt(np.unique(np.clip([0.0, *interval_ends, radius], 0.0, radius)))
+    sqrt_ends = np.sqrt(
+        np.unique(np.clip([0.0, *interval_ends, domain_radius], 0.0, domain_radius))
+    )
     gauss_points, gauss_weights = np.polynomial.legendre.leggauss(QUADRATURE_DEGREE)
     half_widths = 0.5 * np.diff(sqrt_ends)[:, None]
     sqrt_points = sqrt_ends[:-1, None] + half_widths * (1.0 + gauss_points)

@@ -71,15 +71,15 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
     nodal_force_harmonics = np.zeros((2 * scene.highest_order + 1, len(dofs.structure_dof_numbers)))
     watched_vector = None
     excitation = scene.excitation
-    point = (
+    point_load_position = (
         excitation.point
         if excitation.point is not None
         else dofs.part_mesh.position_by_point_name.get("load")
     )
-    if point is not None:
+    if point_load_position is not None:
         force_vectors = list_force_harmonic_vectors(scene)
         load_force_harmonics, displacement_weights = _assemble_point_load(
-            scene, dofs, "excitation", point, force_vectors
+            scene, dofs, "excitation", point_load_position, force_vectors
         )
         nodal_force_harmonics += load_force_harmonics
         watched_vector = (
@@ -90,14 +90,14 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         requirement = f"given{key_note}, or a physical point 'load' in the mesh file"
         raise InputError("excitation.point", None, requirement)
     for load_number, load in enumerate(scene.loads, 1):
-        key = f"loads.{load_number}"
+        load_key = f"loads.{load_number}"
         if load.point is not None:
             load_force_harmonics, displacement_weights = _assemble_point_load(
-                scene, dofs, key, load.point, load.harmonic_components("force")
+                scene, dofs, load_key, load.point, load.harmonic_components("force")
             )
             watched_vector = displacement_weights if watched_vector is None else watched_vector
         else:
-            load_force_harmonics = _assemble_edge_force(scene, dofs, key, load)
+            load_force_harmonics = _assemble_edge_force(scene, dofs, load_key, load)
             if watched_vector is None and np.any(
                 gather_rows(dofs.comm, load_force_harmonics.ravel())
             ):
@@ -117,10 +117,14 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
             nodal_force_harmonics[row_index] -= _inertia_forces(
                 mass, np.tile(acceleration, dofs.n_own_nodes)
             )
-    if watched_vector is None and point is not None and not any(map(any, force_vectors)):
+    if (
+        watched_vector is None
+        and point_load_position is not None
+        and not any(map(any, force_vectors))
+    ):
         mean_and_cos_directions = [np.eye(dofs.dimension)[0].tolist()] * 2
         _, watched_vector = _assemble_point_load(
-            scene, dofs, "excitation", point, mean_and_cos_directions
+            scene, dofs, "excitation", point_load_position, mean_and_cos_directions
         )
     return nodal_force_harmonics, watched_vector
 
@@ -172,15 +176,18 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
     basis_values = np.where(np.abs(basis_values) < 1e-12, 0.0, basis_values)  # rounding
     has_point_by_rank = dofs.comm.allgather(len(local_cell_nodes) > 0)
     if not any(has_point_by_rank):
-        distances = np.linalg.norm(all_node_positions - point, axis=1)
+        node_distances = np.linalg.norm(all_node_positions - point, axis=1)
         mesh_extent = np.ptp(all_node_positions, axis=0).max()
-        if scene.geometry.file is None or distances.min() > MAX_NODE_DISTANCE_RATIO * mesh_extent:
+        if (
+            scene.geometry.file is None
+            or node_distances.min() > MAX_NODE_DISTANCE_RATIO * mesh_extent
+        ):
             raise InputError(
                 key,
                 tuple(point),
                 f"on the mesh ({describe_nearest_node(all_node_positions, point)})",
             )
-        return np.where(owned_node_numbers == int(distances.argmin()), 1.0, 0.0)
+        return np.where(owned_node_numbers == int(node_distances.argmin()), 1.0, 0.0)
     if dofs.comm.rank != has_point_by_rank.index(True):
         local_cell_nodes, basis_values = local_cell_nodes[:0], basis_values[:0]
 
@@ -222,12 +229,12 @@ def _assemble_point_load(
         if any(map(any, force_vectors))
         else None
     )
-    return _require_free_force(
+    return _checked_force_on_free_dofs(
         dofs, f"{key}.point", tuple(point), nodal_force_harmonics
     ), displacement_weights
 
 
-def _require_free_force(
+def _checked_force_on_free_dofs(
     dofs: Dofs, key: str, place: object, nodal_force_harmonics: np.ndarray
 ) -> np.ndarray:
     """Return forces; raise InputError if all act on clamped dofs."""
@@ -240,9 +247,9 @@ def _require_free_force(
     return nodal_force_harmonics
 
 
-def _distribute_vector(dofs: Dofs, fractions: np.ndarray, vector: Vector) -> np.ndarray:
+def _distribute_vector(dofs: Dofs, node_fractions: np.ndarray, vector: Vector) -> np.ndarray:
     """Distribute a vector over nodes by fractions (n_nodes,): (n_dofs,)."""
-    return np.asarray(np.outer(fractions, vector or np.zeros(dofs.dimension)).ravel())
+    return np.asarray(np.outer(node_fractions, vector or np.zeros(dofs.dimension)).ravel())
 
 
 # --- loads on edges -------------------------------------------------------------------------------
@@ -256,26 +263,32 @@ def _assemble_edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.n
     edge_name = load.given("edge")
     check_choice(f"{key}.edge", edge_name, sorted(set(dofs.part_mesh.tags_by_group) - {"clamp"}))
     edge_measure = dofs.part_mesh.measure_on(edge_name)
-    test_function, t = ufl.TestFunction(dofs.space), thickness_constant(scene, dofs.space)
+    test_function, thickness = ufl.TestFunction(dofs.space), thickness_constant(scene, dofs.space)
     x_direction = ufl.as_vector(np.eye(dofs.dimension)[0].tolist())
     test_function_integrals = compat.assembled_vector(
-        t * ufl.inner(x_direction, test_function) * edge_measure
+        thickness * ufl.inner(x_direction, test_function) * edge_measure
     )
     edge_area = gather_rows(dofs.comm, test_function_integrals).sum()
     if not edge_area > 0.0:
         raise InputError(f"{key}.edge", load.edge, "an edge of the plate: it lies inside")
-    weights = test_function_integrals.reshape(-1, dofs.dimension)[:, 0]
+    nodal_edge_areas = test_function_integrals.reshape(-1, dofs.dimension)[:, 0]
     nodal_force_harmonics = np.array(
-        [_distribute_vector(dofs, weights, part) for part in load.harmonic_components("traction")]
+        [
+            _distribute_vector(dofs, nodal_edge_areas, load_component)
+            for load_component in load.harmonic_components("traction")
+        ]
     )
-    normal = ufl.FacetNormal(dofs.space.mesh)
+    facet_normal = ufl.FacetNormal(dofs.space.mesh)
     unit_pressure_force = -compat.assembled_vector(
-        t * ufl.inner(normal, test_function) * edge_measure
+        thickness * ufl.inner(facet_normal, test_function) * edge_measure
     )
     nodal_force_harmonics += np.array(
-        [sum(part) * unit_pressure_force for part in load.harmonic_components("pressure")]
+        [
+            sum(load_component) * unit_pressure_force
+            for load_component in load.harmonic_components("pressure")
+        ]
     )
-    return _require_free_force(dofs, f"{key}.edge", load.edge, nodal_force_harmonics)
+    return _checked_force_on_free_dofs(dofs, f"{key}.edge", load.edge, nodal_force_harmonics)
 
 
 def _make_watch_vector_at_edge(
@@ -306,15 +319,21 @@ def make_clamp(dofs: Dofs, mass: Any, nodal_force_harmonics: np.ndarray) -> Clam
     The mass matrix and the forces (2K+1, n_dofs) include the clamped dofs.
     """
     clamped_points = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")])
-    center = np.round(0.5 * (clamped_points.min(axis=0) + clamped_points.max(axis=0)), 12) + 0.0
-    motions = rigid_motions(dofs.points - center)
-    inertia_rows = dofs.restrict_to_free(
-        np.array([_inertia_forces(mass, motion) for motion in motions])
+    clamp_center = (
+        np.round(0.5 * (clamped_points.min(axis=0) + clamped_points.max(axis=0)), 12) + 0.0
     )
-    return Clamp(center, inertia_rows, dofs.comm.allreduce(nodal_force_harmonics @ motions.T))
+    rigid_motion_rows = rigid_motion_displacements(dofs.points - clamp_center)
+    inertia_rows = dofs.restrict_to_free(
+        np.array(
+            [_inertia_forces(mass, rigid_motion_row) for rigid_motion_row in rigid_motion_rows]
+        )
+    )
+    return Clamp(
+        clamp_center, inertia_rows, dofs.comm.allreduce(nodal_force_harmonics @ rigid_motion_rows.T)
+    )
 
 
-def rigid_motions(points: np.ndarray) -> np.ndarray:
+def rigid_motion_displacements(points: np.ndarray) -> np.ndarray:
     """Return displacements of points (n, d) in rigid motions of unit amplitude: (n_rigid, n d).
 
     The motions are the translations along the axes, then the rotations e x r about the origin.
@@ -349,9 +368,9 @@ def _make_watch_vector_at_node(
     ``distance_rank`` 0 selects the nearest node, -1 the farthest.
     """
     all_points = gather_rows(dofs.comm, dofs.points[nodes])
-    distances = np.linalg.norm(all_points - position, axis=1)
+    node_distances = np.linalg.norm(all_points - position, axis=1)
     distance_order = np.lexsort(
-        [*all_points.T, np.round(distances / max(distances.max(), 1e-300), 9)]
+        [*all_points.T, np.round(node_distances / max(node_distances.max(), 1e-300), 9)]
     )
     selected_nodes = nodes[
         np.all(dofs.points[nodes] == all_points[distance_order[distance_rank]], axis=1)

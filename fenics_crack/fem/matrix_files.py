@@ -39,7 +39,7 @@ from fenics_crack.fem.cracks import (
     FACET_CORNERS_BY_CORNER_COUNT,
     RELATIVE_POSITION_TOLERANCE,
     find_unique_rows,
-    make_front_pressure_matrix,
+    make_matrix_extending_pressures_to_front,
 )
 from fenics_crack.fem.model_files import Model, read_model
 from fenics_crack.model.factor import local_rows, make_matrix_from_local_rows
@@ -90,8 +90,10 @@ def read_structure(scene: Scene, damping_rule: DampingRule | None, comm: MPI.Com
     except InputError as error:
         if error.key not in table.field_by_key():
             raise
-        given_value, problem = getattr(table, error.key), error.value
-        path_text = given_value if problem == given_value else f"{given_value} ({problem})"
+        given_value, problem_text = getattr(table, error.key), error.value
+        path_text = (
+            given_value if problem_text == given_value else f"{given_value} ({problem_text})"
+        )
         raise InputError(table.full_key(error.key), path_text, error.allowed) from None
 
 
@@ -219,15 +221,15 @@ def _read_matrices_columns_and_model(
 
 
 def _order_rows_by_nodes(
-    model: Model, labels: np.ndarray, table: StructureTable
+    model: Model, row_labels: np.ndarray, table: StructureTable
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Order the matrices' rows by nodes.
 
-    ``labels`` (n_dofs, 2) are node and direction of each row.
+    ``row_labels`` (n_dofs, 2) are node and direction of each row.
 
     Returns
     -------
-    order : (n_dofs,) int
+    row_order : (n_dofs,) int
         Present index of each row in the new order.
     node_dofs : (n_nodes, 3) int
         New row of each node along x, y and z, or -1.
@@ -235,25 +237,27 @@ def _order_rows_by_nodes(
         Start of each node's rows, and end of the last rows.
     """
     _, first_rows, node_index_of_row = np.unique(
-        labels[:, 0], return_index=True, return_inverse=True
+        row_labels[:, 0], return_index=True, return_inverse=True
     )
-    order = np.argsort(first_rows[node_index_of_row], kind="stable")
-    labels = labels[order]
+    row_order = np.argsort(first_rows[node_index_of_row], kind="stable")
+    row_labels = row_labels[row_order]
     node_dofs = np.full((len(model.labels), 3), -1)
-    model_index = np.minimum(np.searchsorted(model.labels, labels[:, 0]), len(model.labels) - 1)
-    is_known = model.labels[model_index] == labels[:, 0]
-    is_translation = is_known & (labels[:, 1] >= 1) & (labels[:, 1] <= 3)
-    # Label 0 is no node, but a coordinate.
-    missing_nodes = labels[~is_known & (labels[:, 1] >= 1), 0]
-    if len(missing_nodes) or not np.any(is_translation):
-        problem = f"no node {missing_nodes[0]}" if len(missing_nodes) else "no node that moves"
-        requirement = f"the model of {table.stiffness}, with all the nodes of its rows"
-        raise InputError("model", problem, requirement)
-    node_dofs[model_index[is_translation], labels[is_translation, 1] - 1] = np.flatnonzero(
-        is_translation
+    model_node_of_row = np.minimum(
+        np.searchsorted(model.labels, row_labels[:, 0]), len(model.labels) - 1
     )
-    node_starts = np.flatnonzero(np.append(True, np.diff(labels[:, 0]) != 0))
-    return order, node_dofs, np.append(node_starts, len(labels))
+    is_known = model.labels[model_node_of_row] == row_labels[:, 0]
+    is_translation = is_known & (row_labels[:, 1] >= 1) & (row_labels[:, 1] <= 3)
+    # Label 0 is no node, but a coordinate.
+    missing_nodes = row_labels[~is_known & (row_labels[:, 1] >= 1), 0]
+    if len(missing_nodes) or not np.any(is_translation):
+        problem_text = f"no node {missing_nodes[0]}" if len(missing_nodes) else "no node that moves"
+        requirement = f"the model of {table.stiffness}, with all the nodes of its rows"
+        raise InputError("model", problem_text, requirement)
+    node_dofs[model_node_of_row[is_translation], row_labels[is_translation, 1] - 1] = (
+        np.flatnonzero(is_translation)
+    )
+    node_starts = np.flatnonzero(np.append(True, np.diff(row_labels[:, 0]) != 0))
+    return row_order, node_dofs, np.append(node_starts, len(row_labels))
 
 
 def _own_row_range(node_starts: np.ndarray, comm: MPI.Comm) -> tuple[int, int]:
@@ -261,8 +265,8 @@ def _own_row_range(node_starts: np.ndarray, comm: MPI.Comm) -> tuple[int, int]:
 
     A rank has whole nodes, and about as many rows as others.
     """
-    targets = node_starts[-1] * np.array([comm.rank, comm.rank + 1]) // comm.size
-    start, stop = node_starts[np.searchsorted(node_starts, targets)]
+    target_rows = node_starts[-1] * np.array([comm.rank, comm.rank + 1]) // comm.size
+    start, stop = node_starts[np.searchsorted(node_starts, target_rows)]
     return int(start), int(stop)
 
 
@@ -297,11 +301,15 @@ def _own_nodes(model: Model, node_dofs: np.ndarray, start: int, stop: int, comm:
     return Nodes(model.points[own_nodes], node_dofs[own_nodes], renumbered_cells, vtk_type)
 
 
-def _read_number_or_pair_values(name: str, setting: float | str, n_pairs: int) -> Any:
+def _read_number_or_pair_values(name: str, number_or_path: float | str, n_pairs: int) -> Any:
     """Return a number, or a file's numbers (n_pairs,) for the pairs."""
-    if not isinstance(setting, str):
-        return setting
-    return make_whole_csr_matrix(name, Path(setting), n_pairs).toarray().ravel() if n_pairs else 0.0
+    if not isinstance(number_or_path, str):
+        return number_or_path
+    return (
+        make_whole_csr_matrix(name, Path(number_or_path), n_pairs).toarray().ravel()
+        if n_pairs
+        else 0.0
+    )
 
 
 def table_pair_upper_bound(table: StructureTable) -> int:
@@ -503,7 +511,7 @@ class _TwinNodes:
             link_values_and_indices, (n_model_nodes + 1, n_model_nodes + 1)
         )[:n_model_nodes, :n_model_nodes]
         is_free_node = np.any(dofs >= 0, axis=1)
-        is_pair = is_free_node[node_pairs].all(axis=1) & ~np.isin(
+        is_contact_pair = is_free_node[node_pairs].all(axis=1) & ~np.isin(
             n_model_nodes * node_pairs[:, 0] + node_pairs[:, 1],
             n_model_nodes * node_links[0] + node_links[1],
         )
@@ -513,12 +521,12 @@ class _TwinNodes:
         self.is_in_half_held_pair[
             node_pairs[is_free_node[node_pairs[:, 0]] != is_free_node[node_pairs[:, 1]]]
         ] = True
-        self.first_nodes, self.second_nodes = node_pairs[is_pair].T
-        paired_nodes, n_pairs_of_node = np.unique(
+        self.first_nodes, self.second_nodes = node_pairs[is_contact_pair].T
+        unique_paired_nodes, n_pairs_of_node = np.unique(
             np.append(self.first_nodes, self.second_nodes), return_counts=True
         )
         if np.any(n_pairs_of_node > 1):
-            worst_node = paired_nodes[np.argmax(n_pairs_of_node)]
+            worst_node = unique_paired_nodes[np.argmax(n_pairs_of_node)]
             place_text = format_point(model.points[worst_node], "g")
             place_text += f", one of them {model.labels[worst_node]}"
             requirement = (
@@ -526,11 +534,11 @@ class _TwinNodes:
             )
             raise InputError("model", f"more than two nodes at {place_text}", requirement)
         if not len(self.first_nodes):
-            problem = (
+            problem_text = (
                 f"{len(node_pairs)} nodes in the same place as another, all of them joined or held"
             )
             raise InputError(
-                "model", problem, "one with two nodes at each place of a crack's faces"
+                "model", problem_text, "one with two nodes at each place of a crack's faces"
             )
         self.pair_index = np.full(n_model_nodes, -1)
         self.pair_index[self.first_nodes] = self.pair_index[self.second_nodes] = np.arange(
@@ -576,24 +584,25 @@ def find_gap_matrix_and_pairs(
         gap, front_nodes = _assemble_normal_gap_matrix(twins, 2 if has_surface_cracks else 1)
         areas, twin_pair_index = None, np.arange(len(twins.first_nodes))
     points = model.points[twins.first_nodes[twin_pair_index]]
-    crack_index = _find_crack_of_each_pair(twins, twin_pair_index)
+    crack_of_pair = _find_crack_of_each_pair(twins, twin_pair_index)
     front_distances = np.zeros(len(twin_pair_index))
     if len(front_nodes):
         from scipy.spatial import cKDTree
 
         front_distances = cKDTree(model.points[front_nodes]).query(points)[0]
-    order = np.lexsort((front_distances, crack_index))
-    crack_index, front_distances = crack_index[order], front_distances[order]
-    mouth_pairs = np.flatnonzero(np.append(np.diff(crack_index), 1))
+    pair_order = np.lexsort((front_distances, crack_of_pair))
+    crack_of_pair, front_distances = crack_of_pair[pair_order], front_distances[pair_order]
+    mouth_pairs = np.flatnonzero(np.append(np.diff(crack_of_pair), 1))
     mouth_names = [
         f"the mouth of crack {crack_number + 1}" if len(mouth_pairs) > 1 else "the mouth"
-        for crack_number in crack_index[mouth_pairs]
+        for crack_number in crack_of_pair[mouth_pairs]
     ]
     contact_pairs = Pairs(
-        points[order], None if areas is None else areas[order], crack_index, front_distances,
+        points[pair_order], None if areas is None else areas[pair_order], crack_of_pair,
+        front_distances,
         dict(zip(mouth_names, mouth_pairs.tolist(), strict=True)),
     )  # fmt: skip
-    return gap[:, order], contact_pairs
+    return gap[:, pair_order], contact_pairs
 
 
 def _find_crack_of_each_pair(twins: _TwinNodes, twin_pair_index: np.ndarray) -> np.ndarray:
@@ -609,19 +618,21 @@ def _find_crack_of_each_pair(twins: _TwinNodes, twin_pair_index: np.ndarray) -> 
     links_in_same_order = twins.connectivity[first_node_of_pair][:, first_node_of_pair].multiply(
         twins.connectivity[second_node_of_pair][:, second_node_of_pair]
     )
-    links = links_in_same_order + twins.connectivity[first_node_of_pair][
+    pair_links = links_in_same_order + twins.connectivity[first_node_of_pair][
         :, second_node_of_pair
     ].multiply(twins.connectivity[second_node_of_pair][:, first_node_of_pair])
-    n_cracks, crack_labels = connected_components(links)
-    centres = [
-        twins.points[first_node_of_pair[crack_labels == crack]].mean(axis=0)[[1, 0, 2]]
-        for crack in range(n_cracks)
+    n_cracks, unsorted_crack_of_pair = connected_components(pair_links)
+    crack_centres = [
+        twins.points[first_node_of_pair[unsorted_crack_of_pair == unsorted_crack]].mean(axis=0)[
+            [1, 0, 2]
+        ]
+        for unsorted_crack in range(n_cracks)
     ]
     sorted_crack_number = np.empty(n_cracks, dtype=int)
-    sorted_crack_number[sorted(range(n_cracks), key=lambda crack: tuple(centres[crack]))] = (
-        np.arange(n_cracks)
-    )
-    return np.asarray(sorted_crack_number[crack_labels])
+    sorted_crack_number[
+        sorted(range(n_cracks), key=lambda unsorted_crack: tuple(crack_centres[unsorted_crack]))
+    ] = np.arange(n_cracks)
+    return np.asarray(sorted_crack_number[unsorted_crack_of_pair])
 
 
 # --- of facets ------------------------------------------------------------------------------------
@@ -641,7 +652,9 @@ def _crack_face_facets(model: Model, twins: _TwinNodes) -> list[Facets]:
     facet_sets = []
     for n_facet_corners in (3, 4):
         facets_and_centres_of_kinds = [
-            _all_cell_facets(model.points, cells, N_CORNERS_BY_VTK_TYPE[vtk_type], local_facets)
+            _cell_facets_and_cell_centres(
+                model.points, cells, N_CORNERS_BY_VTK_TYPE[vtk_type], local_facets
+            )
             for vtk_type, cells in model.cells_by_vtk_type.items()
             for local_facets in FACETS_BY_CORNER_COUNT[N_CORNERS_BY_VTK_TYPE[vtk_type]]
             if local_facets.shape[1] == n_facet_corners
@@ -665,7 +678,7 @@ def _crack_face_facets(model: Model, twins: _TwinNodes) -> list[Facets]:
     return facet_sets
 
 
-def _all_cell_facets(
+def _cell_facets_and_cell_centres(
     points: np.ndarray, cells: np.ndarray, n_corners: int, local_facets: np.ndarray
 ) -> Facets:
     """Return the facets of all cells of one kind.
@@ -682,12 +695,14 @@ def _all_cell_facets(
     facet_middle_columns = np.array(
         [[middle_column_by_edge[frozenset(edge)] for edge in facet] for facet in edge_ends.tolist()]
     )
-    nodes = np.full((len(cells), len(local_facets), 2 * n_facet_corners), -1)
-    nodes[..., :n_facet_corners] = cells[:, local_facets]
+    facet_nodes = np.full((len(cells), len(local_facets), 2 * n_facet_corners), -1)
+    facet_nodes[..., :n_facet_corners] = cells[:, local_facets]
     if cells.shape[1] > n_corners:
-        nodes[..., n_facet_corners:] = cells[:, facet_middle_columns]
-    centres = np.repeat(points[cells[:, :n_corners]].mean(axis=1), len(local_facets), axis=0)
-    return nodes.reshape(-1, 2 * n_facet_corners), centres
+        facet_nodes[..., n_facet_corners:] = cells[:, facet_middle_columns]
+    cell_centres_of_facets = np.repeat(
+        points[cells[:, :n_corners]].mean(axis=1), len(local_facets), axis=0
+    )
+    return facet_nodes.reshape(-1, 2 * n_facet_corners), cell_centres_of_facets
 
 
 def _row_multiplicities(rows: np.ndarray) -> np.ndarray:
@@ -814,7 +829,7 @@ def _assemble_patch_gap_matrix(
     gap = sparse.csr_matrix((integrals, (rows, patch_columns)), (twins.n_dofs, len(areas)))
     integrals, rows, patch_columns = map(np.concatenate, zip(*overlap_triplets, strict=True))
     overlap_matrix = sparse.csr_matrix((integrals, (rows, patch_columns)), (len(areas), len(areas)))
-    front_shares = make_front_pressure_matrix(overlap_matrix[n_pairs:, :n_pairs])
+    front_shares = make_matrix_extending_pressures_to_front(overlap_matrix[n_pairs:, :n_pairs])
     areas = front_shares.T @ areas
     twin_pair_index = np.flatnonzero(areas)
     gap = (gap @ front_shares)[:, twin_pair_index] @ sparse.diags(1.0 / areas[twin_pair_index])
@@ -843,9 +858,9 @@ def _assemble_normal_gap_matrix(
     front_nodes: list[np.ndarray] = []
     model_extent = float(np.ptp(model_points, axis=0).max())
     for pair_column, (a, b) in enumerate(zip(twins.first_nodes, twins.second_nodes, strict=True)):
-        neighbours = [twins.connectivity[pair_node].indices for pair_node in (a, b)]
-        front_nodes.append(np.intersect1d(*neighbours))
-        nearby_crack_nodes = np.unique(np.concatenate(neighbours))
+        linked_nodes_of_both = [twins.connectivity[pair_node].indices for pair_node in (a, b)]
+        front_nodes.append(np.intersect1d(*linked_nodes_of_both))
+        nearby_crack_nodes = np.unique(np.concatenate(linked_nodes_of_both))
         nearby_crack_nodes = np.append(
             nearby_crack_nodes[twins.pair_index[nearby_crack_nodes] >= 0], front_nodes[-1]
         )
@@ -855,9 +870,9 @@ def _assemble_normal_gap_matrix(
             axis=0
         )
         tangents = np.linalg.svd(centred_points, full_matrices=False)[2][:crack_dimension]
-        pair_normal = model_points[neighbours[1]].mean(axis=0) - model_points[neighbours[0]].mean(
-            axis=0
-        )
+        pair_normal = model_points[linked_nodes_of_both[1]].mean(axis=0) - model_points[
+            linked_nodes_of_both[0]
+        ].mean(axis=0)
         pair_normal -= tangents.T @ (tangents @ pair_normal)
         if np.linalg.norm(pair_normal) <= RELATIVE_POSITION_TOLERANCE * model_extent:
             place_text = format_point(model_points[a], "g")

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fenics_crack.model.matrices import numbered_lines, read_number_rows
+from fenics_crack.model.matrices import read_number_rows, yield_numbered_lines
 from fenics_crack.scene.fields import MAX_ALLOWED_MAGNITUDE
 
 VTK_TYPE_BY_NODE_COUNT = {4: 10, 6: 13, 8: 12, 10: 24, 15: 26, 20: 25}
@@ -100,7 +100,7 @@ def list_included_files(path: Path) -> list[Path]:
         with contextlib.suppress(OSError):
             included_paths = [
                 _included_path(file_path, line)
-                for _, line in numbered_lines(file_path, "**")
+                for _, line in yield_numbered_lines(file_path, "**")
                 if match_include(line)
             ]
             file_paths += [
@@ -155,7 +155,7 @@ def _read_node_table(path: Path, nodes: NodePositions, cells: CellLabels) -> Non
 def _read_abaqus(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
     """Read an input file of CalculiX or Abaqus into ``nodes`` and ``cells``."""
     keyword, n_nodes_per_element, element_and_node_labels = "", 0, list[int]()
-    for line_number, line in numbered_lines(path, "**"):
+    for line_number, line in yield_numbered_lines(path, "**"):
         try:
             if line.startswith("*"):
                 keyword, *options = (
@@ -252,7 +252,7 @@ def _yield_nastran_cards(path: Path) -> Iterator[tuple[int, list[str]]]:
         Name and fields.
     """
     first_line_number, card = 0, list[str]()
-    for line_number, line in numbered_lines(path, "$"):
+    for line_number, line in yield_numbered_lines(path, "$"):
         line = line.expandtabs(8)
         if "," in line:
             name, *fields = line.split(",")
@@ -285,7 +285,7 @@ def _read_ansys(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
     block, n_nodes_per_element, node_labels = "", 0, list[int]()
     integer_width, real_width, n_integers = 0, 0, 0
     type_number_by_index, is_solid, other_type_numbers = dict[int, int](), True, set[int]()
-    for line_number, line in numbered_lines(path, "!"):
+    for line_number, line in yield_numbered_lines(path, "!"):
         keyword = line.strip().upper()
         try:
             if keyword.startswith("ET,") and not block:

@@ -38,7 +38,7 @@ class NodalMesh:
     """
 
     def __init__(self, structure: Structure) -> None:
-        if structure.nodes is None or structure.drawable_nodes is None:
+        if structure.nodes is None or structure.local_nodes_with_cells_or_none is None:
             raise InputError("structure", "made from matrices", "made from a mesh")
         whole_structure = structure.whole
         nodes, comm = structure.nodes, whole_structure.comm
@@ -131,7 +131,7 @@ class NodalMesh:
         return centre_matrix, nodal_pressure_matrix
 
     @cached_property
-    def _sides(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _all_cell_sides(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the sides of all cells.
 
         They are a plate's edges, or a solid's facets.
@@ -168,7 +168,7 @@ class NodalMesh:
     @property
     def edges(self) -> np.ndarray:
         """Return nodes of a plate's edges: (n_edges, 2 or 3), a middle node in between."""
-        return self._sides[0]
+        return self._all_cell_sides[0]
 
     @cached_property
     def boundary_sides(self) -> np.ndarray:
@@ -177,7 +177,7 @@ class NodalMesh:
         A plate has edges, as in ``edges``. A solid has facets with 3 or 4 corners, anticlockwise
         seen from outside.
         """
-        sides, cell_counts, cell_index = self._sides
+        sides, cell_counts, cell_index = self._all_cell_sides
         sides, cells = sides[cell_counts == 1], self.cells[cell_index[cell_counts == 1]]
         if self.dimension == 3:
             side_positions, n_cell_corners = self.points[sides], 4 if sides.shape[1] == 3 else 8

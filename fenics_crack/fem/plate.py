@@ -69,13 +69,15 @@ class PartMesh:
             np.concatenate([self.facet_tags.find(tag) for tag in self.tags_by_group[group_name]])
         )
 
-    def measure_on(self, *groups: str) -> Any:
+    def measure_on(self, *group_names: str) -> Any:
         """Return the measure ds for integrals over named curves or surfaces."""
-        tags = tuple(tag for group in groups for tag in self.tags_by_group[group])
-        return ufl.ds(domain=self.mesh, subdomain_data=self.facet_tags)(tags)
+        facet_tags = tuple(
+            tag for group_name in group_names for tag in self.tags_by_group[group_name]
+        )
+        return ufl.ds(domain=self.mesh, subdomain_data=self.facet_tags)(facet_tags)
 
 
-def build_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PartMesh:
+def build_plate_or_solid_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PartMesh:
     """Mesh the scene's plate or solid, or read its mesh file (collective).
 
     Raises
@@ -86,7 +88,7 @@ def build_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PartMesh:
     """
     with _gmsh_on_root_context(comm):
         (facet_tags_by_group, position_by_point_name), crack_paths_or_surfaces = on_root(
-            comm, lambda: _mesh_scene(scene)
+            comm, lambda: _fill_gmsh_model_from_scene(scene)
         )
         mesh, _, facet_tags = compat.model_to_mesh(gmsh.model, comm, scene.dimension)
     return PartMesh(
@@ -114,7 +116,7 @@ def write_msh(scene: Scene, path: str | Path) -> None:
     >>> fc.write_msh(scene, "plate.msh")
     """
     with _gmsh_on_root_context(MPI.COMM_SELF):
-        _mesh_scene(scene)
+        _fill_gmsh_model_from_scene(scene)
         with partial_file(path) as partial_path:
             gmsh.write(str(partial_path))
             if not read_regular_file(partial_path, None).endswith(
@@ -144,7 +146,7 @@ def _gmsh_on_root_context(comm: MPI.Comm) -> Iterator[None]:
                 gmsh.finalize()
 
 
-def _mesh_scene(scene: Scene) -> tuple[NamedParts, Cracks]:
+def _fill_gmsh_model_from_scene(scene: Scene) -> tuple[NamedParts, Cracks]:
     """Fill gmsh's current model with the mesh of a scene.
 
     Returns
@@ -221,11 +223,11 @@ class Dofs:
 
         They are nodes of another function space if ``space`` is given.
         """
-        facets, topology = self.part_mesh.facets(group_name), self.part_mesh.mesh.topology
+        group_facets, topology = self.part_mesh.facets(group_name), self.part_mesh.mesh.topology
         facet_dimension = topology.dim - 1
         topology.create_connectivity(facet_dimension, facet_dimension + 1)
         space = self.space if space is None else space
-        nodes = np.sort(dolfinx.fem.locate_dofs_topological(space, facet_dimension, facets))
+        nodes = np.sort(dolfinx.fem.locate_dofs_topological(space, facet_dimension, group_facets))
         return nodes[nodes < space.dofmap.index_map.size_local]
 
     def set_sector_sides(self, side_node_pairs: np.ndarray, rotation: np.ndarray) -> None:
@@ -261,7 +263,7 @@ class Dofs:
             else np.asarray(free_forces @ self._rotation_matrix)
         )
 
-    def restrict_matrix(self, matrix: Any) -> Any:
+    def restrict_matrix(self, full_matrix: Any) -> Any:
         """Return the free rows and columns of a matrix, which is destroyed.
 
         Stored zeros are removed, such as masses between directions. Products with M then take a
@@ -270,17 +272,17 @@ class Dofs:
         gone.
         """
         global_free_dofs = (self.dimension * self.first_node + self.free_dofs).astype(PETSc.IntType)
-        index_set = PETSc.IS().createGeneral(global_free_dofs, comm=matrix.comm)
-        block = matrix.createSubMatrix(index_set, index_set)
-        local_rows_matrix = sparse.csr_matrix(block.getValuesCSR()[::-1], block.sizes[0])
+        index_set = PETSc.IS().createGeneral(global_free_dofs, comm=full_matrix.comm)
+        free_block = full_matrix.createSubMatrix(index_set, index_set)
+        local_rows_matrix = sparse.csr_matrix(free_block.getValuesCSR()[::-1], free_block.sizes[0])
         if self._rotation_matrix is not None:
             local_rows_matrix = sparse.csr_matrix(
                 self._rotation_matrix.T @ local_rows_matrix @ self._rotation_matrix
             )
         local_rows_matrix.eliminate_zeros()
-        csr = local_rows_matrix.indptr, local_rows_matrix.indices, local_rows_matrix.data
-        free_matrix = PETSc.Mat().createAIJ(block.sizes, csr=csr, comm=self.comm)
-        for petsc_object in (index_set, block, matrix):
+        csr_arrays = local_rows_matrix.indptr, local_rows_matrix.indices, local_rows_matrix.data
+        free_matrix = PETSc.Mat().createAIJ(free_block.sizes, csr=csr_arrays, comm=self.comm)
+        for petsc_object in (index_set, free_block, full_matrix):
             petsc_object.destroy()
         return free_matrix
 

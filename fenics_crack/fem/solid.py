@@ -73,27 +73,38 @@ def mesh_solid(scene: Scene) -> tuple[NamedParts, Cracks]:
     """
     from fenics_crack.fem.msh_file import load_mesh_into_gmsh, unpack_groups  # it splits cracks
 
-    contents, unit = _mesh_box(scene) if scene.geometry.file is None else _mesh_cad_part(scene)
+    mesh_array_by_name, metres_per_unit = (
+        _mesh_box(scene) if scene.geometry.file is None else _mesh_cad_part(scene)
+    )
     gmsh.model.remove()
     gmsh.model.add("fenics_crack")
     try:
         named_parts, crack_surfaces = load_mesh_into_gmsh(
-            (contents["numbers"], unit * contents["positions"], unpack_groups(contents)), 3
+            (
+                mesh_array_by_name["numbers"],
+                metres_per_unit * mesh_array_by_name["positions"],
+                unpack_groups(mesh_array_by_name),
+            ),
+            3,
         )
     except InputError as error:
         raise meshing_refusal(scene, f"{error.value}") from None
     crack_centres = np.array(
-        [surface.triangles.mean(axis=(0, 1)) for surface in crack_surfaces]  # type: ignore[union-attr]
+        [crack_surface.triangles.mean(axis=(0, 1)) for crack_surface in crack_surfaces]  # type: ignore[union-attr]
     )
-    drawn_centres = unit * contents["middles"]
-    surface_indices = [
+    drawn_centres = metres_per_unit * mesh_array_by_name["middles"]
+    crack_surface_indices = [
         np.linalg.norm(crack_centres - drawn_centre, axis=1).argmin()
         for drawn_centre in drawn_centres
     ]
-    return named_parts, tuple(crack_surfaces[surface_index] for surface_index in surface_indices)  # type: ignore[return-value]
+    return named_parts, tuple(
+        crack_surfaces[crack_surface_index] for crack_surface_index in crack_surface_indices
+    )  # type: ignore[return-value]
 
 
-def read_part_triangles_and_owners(part_file: str, unit: str | None) -> dict[str, np.ndarray]:
+def read_part_triangles_and_owners(
+    part_file: str, length_unit_name: str | None
+) -> dict[str, np.ndarray]:
     """Return the triangulated faces of a part.
 
     Returns
@@ -106,8 +117,8 @@ def read_part_triangles_and_owners(part_file: str, unit: str | None) -> dict[str
     InputError
         The file does not hold one solid.
     """
-    contents = _run_mesher(part_file, {"unit": unit or "mm"})
-    return contents | {"triangles": MILLIMETRE * contents["triangles"]}
+    array_by_name = _run_mesher(part_file, {"unit": length_unit_name or "mm"})
+    return array_by_name | {"triangles": MILLIMETRE * array_by_name["triangles"]}
 
 
 def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
@@ -151,13 +162,13 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
         front_node_arc_lengths = np.append(
             0.0, np.linalg.norm(np.diff(front.node_positions, axis=0), axis=1).cumsum()
         )
-        is_inner = front.is_closed | (
+        is_inner_node = front.is_closed | (
             np.abs(front_node_arc_lengths / front_node_arc_lengths[-1] - 0.5)
             <= MEASURED_FRACTION_FROM_FRONT_MIDDLE
         )
-        inner_nodes = front.node_positions[is_inner]
-        inner_frames = front.frame_and_curvature(front.node_parameters[is_inner])[0]
-        ligament = min(
+        inner_nodes = front.node_positions[is_inner_node]
+        inner_frames = front.frame_and_curvature(front.node_parameters[is_inner_node])[0]
+        shortest_ligament = min(
             (
                 find_ray_hit_distance(node, frame[0], surface_triangles)
                 for node, frame in zip(inner_nodes, inner_frames, strict=True)
@@ -175,11 +186,13 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
             )
         ]
         mouth_distances = solid_mesher.pairwise_triangle_distances(inner_nodes, mouth_triangles)
-        depth = mouth_distances.min(axis=1, initial=np.inf).max(initial=0.0)
-        depth_text = f"{format_quantity(depth, 'm')} deep, " if 0.0 < depth < np.inf else ""
+        largest_depth = mouth_distances.min(axis=1, initial=np.inf).max(initial=0.0)
+        depth_text = (
+            f"{format_quantity(largest_depth, 'm')} deep, " if 0.0 < largest_depth < np.inf else ""
+        )
         text_by_name[front.name] = (
             f"{format_quantity(float(front_node_arc_lengths[-1]), 'm')} long, {depth_text}"
-            f"{format_quantity(ligament, 'm')} from the surface straight ahead at least"
+            f"{format_quantity(shortest_ligament, 'm')} from the surface straight ahead at least"
         )
     return text_by_name
 
@@ -194,14 +207,14 @@ def find_ray_hit_distance(point: np.ndarray, direction: np.ndarray, triangles: n
     direction_cross_side_2 = np.cross(direction, side_2)
     determinants = (side_1 * direction_cross_side_2).sum(axis=1)
     determinants = np.where(np.abs(determinants) < 1e-300, np.inf, determinants)
-    offsets = point - triangles[:, 0]
-    u = (offsets * direction_cross_side_2).sum(axis=1) / determinants
-    offset_cross_side_1 = np.cross(offsets, side_1)
+    offsets_from_triangles = point - triangles[:, 0]
+    u = (offsets_from_triangles * direction_cross_side_2).sum(axis=1) / determinants
+    offset_cross_side_1 = np.cross(offsets_from_triangles, side_1)
     v = offset_cross_side_1 @ direction / determinants
-    distances = (side_2 * offset_cross_side_1).sum(axis=1) / determinants
+    hit_distances = (side_2 * offset_cross_side_1).sum(axis=1) / determinants
     longest_box_side = float(np.ptp(triangles.reshape(-1, 3), axis=0).max())
-    is_hit = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (distances > 1e-6 * longest_box_side)
-    return float(distances[is_hit].min(initial=longest_box_side))
+    is_hit = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (hit_distances > 1e-6 * longest_box_side)
+    return float(hit_distances[is_hit].min(initial=longest_box_side))
 
 
 def find_reaches_from_crack_middle(scene: Scene) -> tuple[float, float]:
@@ -259,33 +272,33 @@ def _mesh_cad_part(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
 
 
 def _run_mesher(
-    path: str, request: dict[str, Any], scene: Scene | None = None
+    path: str, mesher_request: dict[str, Any], scene: Scene | None = None
 ) -> dict[str, np.ndarray]:
     """Run ``solid_mesher.py`` on a CAD file in a separate process.
 
-    ``request`` and the result are those of :func:`fenics_crack.fem.solid_mesher.read`.
+    ``mesher_request`` and the result are those of :func:`fenics_crack.fem.solid_mesher.read`.
     """
     with report_read_errors("geometry.file", path, "a part that gmsh reads and meshes"):
         file_mark = FILE_MARK_BY_ENDING.get(Path(path).suffix.lower(), b"ISO-10303-21")
         if file_mark not in read_first_bytes(path, 4096):
             raise ValueError("it does not begin as such a file")
-        contents = run_reader_for_arrays(
+        array_by_name = run_reader_for_arrays(
             Path(solid_mesher.__file__),
             Path(path),
             ALLOWED_MESHING_SECONDS,
             ALLOWED_MESHING_BYTES,
-            request=request,
+            request=mesher_request,
         )
-        if isinstance(contents, str):
-            raise ValueError(contents)
-    if "refused" in contents:
-        refused_key, requirement = map(str, contents["refused"])
+        if isinstance(array_by_name, str):
+            raise ValueError(array_by_name)
+    if "refused" in array_by_name:
+        refused_key, requirement = map(str, array_by_name["refused"])
         raise InputError(
             refused_key,
             path if scene is None else _value_for_message(scene, refused_key),
             requirement,
         )
-    return contents
+    return array_by_name
 
 
 def _value_for_message(scene: Scene, key: str) -> object:
@@ -295,10 +308,11 @@ def _value_for_message(scene: Scene, key: str) -> object:
     return [face_table.key for face_table in value] if field_name == "faces" else value
 
 
-def _make_mesher_cracks(scene: Scene, unit: float) -> list[dict[str, Any]]:
+def _make_mesher_cracks(scene: Scene, metres_per_unit: float) -> list[dict[str, Any]]:
     """Return cracks as :func:`fenics_crack.fem.solid_mesher.insert_cracks` takes them.
 
-    ``unit`` is the length [m] of the mesh's unit; lengths of the scene [m] are divided by it.
+    ``metres_per_unit`` is the length of the mesh's unit; lengths of the scene [m] are divided by
+    it.
     """
     mesher_cracks = []
     for crack_key, crack in scene.crack_by_name.items():
@@ -306,9 +320,9 @@ def _make_mesher_cracks(scene: Scene, unit: float) -> list[dict[str, Any]]:
             geometry_fields = _make_box_crack_geometry(crack, scene.geometry.sides)
         else:
             ellipse_half_axes = crack.half_axes if crack.front != "through" else None
-            offset = (crack.length or 0.0) * crack.frame[0] * (ellipse_half_axes is None)
+            offset_of_middle = (crack.length or 0.0) * crack.frame[0] * (ellipse_half_axes is None)
             geometry_fields = {
-                "middle": (crack.point + offset).tolist(), "frame": crack.frame.tolist(),
+                "middle": (crack.point + offset_of_middle).tolist(), "frame": crack.frame.tolist(),
                 "half": ellipse_half_axes, "is_round": ellipse_half_axes is not None,
                 "reach": ellipse_half_axes and min(ellipse_half_axes),
             }  # fmt: skip
@@ -318,14 +332,14 @@ def _make_mesher_cracks(scene: Scene, unit: float) -> list[dict[str, Any]]:
             if getattr(crack, size_key) is not None
         )
         mesher_cracks.append({
-            "key": crack_key, "shape": next(given_size_keys, "point"), "unit": unit,
+            "key": crack_key, "shape": next(given_size_keys, "point"), "unit": metres_per_unit,
             **geometry_fields,
             "elements": scene.mesh.given("lip_elements"), "grading": scene.mesh.grading,
         })  # fmt: skip
     return mesher_cracks
 
 
-def _make_box_crack_geometry(crack: Crack, sides: Sequence[float]) -> dict[str, Any]:
+def _make_box_crack_geometry(crack: Crack, box_sides: Sequence[float]) -> dict[str, Any]:
     """Return the geometry of a box's crack in a plane y = height.
 
     The crack is an ellipse or rectangle centred on the face z = thickness.
@@ -336,7 +350,7 @@ def _make_box_crack_geometry(crack: Crack, sides: Sequence[float]) -> dict[str, 
         "middle", "half", "frame", "is_round" and "reach" of
         :func:`fenics_crack.fem.solid_mesher.insert_cracks`.
     """
-    width, _, thickness = sides
+    width, _, thickness = box_sides
     left_end, right_end = crack.span(width)
     center_x, x_half_axis = 0.5 * (left_end + right_end), 0.5 * (right_end - left_end)
     if crack.edge is not None:
@@ -352,28 +366,28 @@ def _make_box_crack_geometry(crack: Crack, sides: Sequence[float]) -> dict[str, 
 
 def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
     """Mesh a box or a disk's sector; the results are those of :func:`_mesh_cad_part`."""
-    unit_scene, unit = scale_scene_to_mesh_unit(scene)
+    unit_scene, metres_per_unit = scale_scene_to_mesh_unit(scene)
     width, height, thickness = box_size = unit_scene.geometry.sides
-    occ, rim = gmsh.model.occ, None if scene.disk is None else DiskRim(unit_scene)
+    occ, disk_rim_or_none = gmsh.model.occ, None if scene.disk is None else DiskRim(unit_scene)
     solid_dim_tags = (
         [(3, occ.addBox(0.0, 0.0, 0.0, *box_size))]
-        if rim is None
-        else rim.draw_with_blade(*box_size)
+        if disk_rim_or_none is None
+        else disk_rim_or_none.draw_with_blade(*box_size)
     )
     occ.synchronize()
-    triangles = np.zeros((0, 3, 3))
+    coarse_face_triangles = np.zeros((0, 3, 3))
     if any(crack.point is not None for crack in scene.crack_by_name.values()):
-        triangles, _ = solid_mesher.mesh_faces_coarsely()
+        coarse_face_triangles, _ = solid_mesher.mesh_faces_coarsely()
     try:
         crack_surface_tags, fronts = solid_mesher.insert_cracks(
-            solid_dim_tags, _make_mesher_cracks(unit_scene, unit), triangles
+            solid_dim_tags, _make_mesher_cracks(unit_scene, metres_per_unit), coarse_face_triangles
         )
     except solid_mesher.Refusal as refusal:
         refused_key, requirement = refusal.args
         if (value_in_message := _value_for_message(scene, refused_key)) is None:
             raise meshing_refusal(scene, requirement) from None
         raise InputError(refused_key, value_in_message, requirement) from None
-    _check_cell_number(scene, unit, fronts)
+    _check_cell_number(scene, metres_per_unit, fronts)
     box_side_planes = [
         ("left", 0, 0.0), ("right", 0, width), ("clamp", 1, 0.0), ("top", 1, height),
         ("back", 2, 0.0), ("front", 2, thickness),
@@ -381,32 +395,38 @@ def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
     surface_tags_by_name: dict[str, list[int]] = {"clamp": []}
     for _, surface_tag in gmsh.model.getEntities(2):
         face_center = occ.getCenterOfMass(2, surface_tag)
-        if rim is not None and face_center[1] < 0.0:
-            name = rim.name_of(face_center)
+        if disk_rim_or_none is not None and face_center[1] < 0.0:
+            surface_name = disk_rim_or_none.name_of(face_center)
         else:
-            name = min(box_side_planes, key=lambda plane: abs(face_center[plane[1]] - plane[2]))[0]
+            surface_name = min(
+                box_side_planes, key=lambda plane: abs(face_center[plane[1]] - plane[2])
+            )[0]
         if surface_tag not in crack_surface_tags:
-            surface_tags_by_name.setdefault(name, []).append(surface_tag)
-    if rim is not None:
-        rim.set_periodic(2, *(surface_tags_by_name[name] for name in RIM_SIDE_NAMES))
+            surface_tags_by_name.setdefault(surface_name, []).append(surface_tag)
+    if disk_rim_or_none is not None:
+        disk_rim_or_none.set_periodic(
+            2, *(surface_tags_by_name[surface_name] for surface_name in RIM_SIDE_NAMES)
+        )
     try:
         solid_mesher.generate_mesh(unit_scene.mesh.given("size"), fronts)
     except Exception as error:  # gmsh raises nothing else
         raise meshing_refusal(scene, str(error)) from None
-    return solid_mesher.collect_mesh(crack_surface_tags, surface_tags_by_name), unit
+    return solid_mesher.collect_mesh(crack_surface_tags, surface_tags_by_name), metres_per_unit
 
 
-def _check_cell_number(scene: Scene, unit: float, fronts: list[dict[str, Any]]) -> None:
+def _check_cell_number(scene: Scene, metres_per_unit: float, fronts: list[dict[str, Any]]) -> None:
     """Raise InputError before gmsh makes too many cells.
 
-    ``unit`` [m] is the mesh's unit of length. ``fronts`` are crack fronts of
+    ``metres_per_unit`` [m] is the mesh's unit of length. ``fronts`` are crack fronts of
     :func:`fenics_crack.fem.solid_mesher.insert_cracks`, in this unit.
     """
-    n_bulk, n_front = solid_mesher.estimate_bulk_and_front_cells(
-        scene.mesh.given("size") / unit, fronts
+    n_bulk_cells, n_front_cells = solid_mesher.estimate_bulk_and_front_cells(
+        scene.mesh.given("size") / metres_per_unit, fronts
     )
-    key, size_note = "size", ""
-    if n_front > n_bulk:
-        shortest_length = unit * min(front["shortest"] for front in fronts)
-        key, size_note = "lip_elements", f", at a crack's front {shortest_length:.2g} m long"
-    check_cell_count(scene, key, n_bulk + n_front, scene.mesh.order**3 // 2, size_note)
+    size_key, size_note = "size", ""
+    if n_front_cells > n_bulk_cells:
+        shortest_length = metres_per_unit * min(front["shortest"] for front in fronts)
+        size_key, size_note = "lip_elements", f", at a crack's front {shortest_length:.2g} m long"
+    check_cell_count(
+        scene, size_key, n_bulk_cells + n_front_cells, scene.mesh.order**3 // 2, size_note
+    )

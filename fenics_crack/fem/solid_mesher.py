@@ -372,25 +372,25 @@ def insert_cracks(
             requirement = "such that the crack crosses and touches no other one"
             raise Refusal(f"{crack['key']}.point", requirement)
         if len(part_triangles):
-            _check_crack_is_inside(crack, surface_dim_tags[0][1], front, part_triangles)
+            _check_front_and_ligament_exist(crack, surface_dim_tags[0][1], front, part_triangles)
     return [surface_dim_tags[0][1] for surface_dim_tags in children[1:]], fronts
 
 
 def _describe_part_extent(crack: CrackData, part_triangles: np.ndarray) -> str:
     """Describe the extent of a part, and whether a crack's position seems to be in mm."""
-    start, end = part_triangles.min(axis=(0, 1)), part_triangles.max(axis=(0, 1))
-    start_text, end_text = (
+    lower_corner, upper_corner = part_triangles.min(axis=(0, 1)), part_triangles.max(axis=(0, 1))
+    lower_corner_text, upper_corner_text = (
         ", ".join(f"{crack['unit'] * coordinate:.4g}" for coordinate in box_corner)
-        for box_corner in (start, end)
+        for box_corner in (lower_corner, upper_corner)
     )
     middle_read_as_mm = 1e-3 * np.array(crack["middle"])
     unit_hint = (
         "; in mm?"
         if np.any(middle_read_as_mm)
-        and np.all((start <= middle_read_as_mm) & (middle_read_as_mm <= end))
+        and np.all((lower_corner <= middle_read_as_mm) & (middle_read_as_mm <= upper_corner))
         else ""
     )
-    return f", which is from ({start_text}) to ({end_text}) m{unit_hint}"
+    return f", which is from ({lower_corner_text}) to ({upper_corner_text}) m{unit_hint}"
 
 
 def _draw_crack_face(crack: CrackData) -> Tags:
@@ -473,31 +473,33 @@ def _make_front_data(crack: CrackData, rim: set[int]) -> FrontData:
     }  # fmt: skip
 
 
-def _check_crack_is_inside(
-    crack: CrackData, surface: int, front: FrontData, part_triangles: np.ndarray
+def _check_front_and_ligament_exist(
+    crack: CrackData, surface_tag: int, front: FrontData, part_triangles: np.ndarray
 ) -> None:
     """Raise Refusal if a crack is in a face, or almost without ligament.
 
     A crack without a front inside the part is refused, too.
     """
-    key, shortest_length = f"{crack['key']}.point", front["shortest"]
-    centre = np.array([gmsh.model.occ.getCenterOfMass(2, surface)])
+    point_key, shortest_length = f"{crack['key']}.point", front["shortest"]
+    centre = np.array([gmsh.model.occ.getCenterOfMass(2, surface_tag)])
     if (
         not front["curves"]
         or pairwise_triangle_distances(centre, part_triangles).min()
         < MIN_LIGAMENT_IN_ELEMENTS * shortest_length
     ):
-        problem = "lies in a face of it" if front["curves"] else "has no front in it"
-        raise Refusal(key, f"such that the crack is inside the part: it {problem}")
+        problem_text = "lies in a face of it" if front["curves"] else "has no front in it"
+        raise Refusal(point_key, f"such that the crack is inside the part: it {problem_text}")
     points, end_points = front["points"], front["ends"]
     distances_to_nearest_end = np.linalg.norm(points[:, None] - end_points, axis=2).min(
         axis=1, initial=np.inf
     )
     points_off_ends = points[distances_to_nearest_end > 2.0 * shortest_length]
-    ligament = pairwise_triangle_distances(points_off_ends, part_triangles).min(initial=np.inf)
-    if ligament < MIN_LIGAMENT_IN_ELEMENTS * shortest_length:
-        raise Refusal(key, "farther from the surface: of its front some is"
-                      f" {ligament / shortest_length:.2g} of an element away")  # fmt: skip
+    shortest_ligament = pairwise_triangle_distances(points_off_ends, part_triangles).min(
+        initial=np.inf
+    )
+    if shortest_ligament < MIN_LIGAMENT_IN_ELEMENTS * shortest_length:
+        raise Refusal(point_key, "farther from the surface: of its front some is"
+                      f" {shortest_ligament / shortest_length:.2g} of an element away")  # fmt: skip
 
 
 def estimate_bulk_and_front_cells(size: float, fronts: list[FrontData]) -> tuple[float, float]:
@@ -538,12 +540,12 @@ def generate_mesh(size: float, fronts: list[FrontData], per_turn: int = 0) -> No
             distance_field = field_module.add("Distance")
             threshold_field = field_module.add("Threshold")
             field_module.setNumbers(distance_field, "CurvesList", front["curves"])
-            n_samples = min(
+            n_curve_samples = min(
                 2000, max(N_CURVE_INTERVALS, math.ceil(2.0 * front["length"] / front["shortest"]))
             )
-            for name in ("NumPointsPerCurve", "Sampling"):  # gmsh until 4.8, and later
+            for option_name in ("NumPointsPerCurve", "Sampling"):  # gmsh until 4.8, and later
                 with suppress(Exception):
-                    field_module.setNumber(distance_field, name, n_samples)
+                    field_module.setNumber(distance_field, option_name, n_curve_samples)
             shortest_length = min(front["shortest"], size)
             graded_distance = max((size - shortest_length) / front["growth"], 1e-9 * size)
             threshold_options = {
@@ -552,8 +554,8 @@ def generate_mesh(size: float, fronts: list[FrontData], per_turn: int = 0) -> No
                 "SizeMax": size,
                 "DistMax": graded_distance,
             }
-            for name, value in threshold_options.items():
-                field_module.setNumber(threshold_field, name, value)
+            for option_name, option_value in threshold_options.items():
+                field_module.setNumber(threshold_field, option_name, option_value)
             field_module.setNumber(threshold_field, "DistMin", 0.0)
             graded_fields.append(threshold_field)
     if graded_fields:
@@ -573,8 +575,8 @@ def generate_mesh(size: float, fronts: list[FrontData], per_turn: int = 0) -> No
 
 def _set_size_options(**options: float) -> None:
     """Set gmsh's options for element lengths."""
-    for name, value in options.items():
-        gmsh.option.setNumber(f"Mesh.MeshSize{name}", value)
+    for option_suffix, option_value in options.items():
+        gmsh.option.setNumber(f"Mesh.MeshSize{option_suffix}", option_value)
 
 
 def collect_mesh(
@@ -602,13 +604,13 @@ def collect_mesh(
         for crack_number, tag in enumerate(crack_surface_tags, 1)
     ]
     crack_centres = [gmsh.model.occ.getCenterOfMass(2, tag) for tag in crack_surface_tags]
-    contents = collect_groups(
+    array_by_name = collect_groups(
         [
             (dimension, tag, *name_and_entities)
             for tag, (dimension, *name_and_entities) in enumerate(group_rows, 1)
         ]
     )
-    return contents | {"middles": np.reshape(crack_centres, (-1, 3))}
+    return array_by_name | {"middles": np.reshape(crack_centres, (-1, 3))}
 
 
 def collect_groups(groups: list[tuple[Any, ...]]) -> dict[str, Any]:
@@ -646,7 +648,9 @@ TETRAHEDRON_EDGES = np.array([(0, 1), (1, 2), (0, 2), (0, 3), (2, 3), (1, 3)])
 """Ends of the edges with a tetrahedron's nodes 4 to 9, in gmsh's order."""
 
 
-def straighten_edges(contents: dict[str, Any], fronts: list[FrontData]) -> tuple[np.ndarray, int]:
+def straighten_edges(
+    array_by_name: dict[str, Any], fronts: list[FrontData]
+) -> tuple[np.ndarray, int]:
     """Straighten edges of cells at fronts, and of cells that would fold.
 
     Returns
@@ -656,22 +660,24 @@ def straighten_edges(contents: dict[str, Any], fronts: list[FrontData]) -> tuple
     int
         Number of cells that change.
     """
-    positions, node_numbers = contents["positions"].copy(), contents["numbers"]
+    positions, node_numbers = array_by_name["positions"].copy(), array_by_name["numbers"]
     number_order = np.argsort(node_numbers)
-    cell_node_numbers = contents["nodes"][
-        : contents["heads"][contents["heads"][:, 0] == 3, 3].sum()
+    cell_node_numbers = array_by_name["nodes"][
+        : array_by_name["heads"][array_by_name["heads"][:, 0] == 3, 3].sum()
     ]
     cells = number_order[
         np.searchsorted(node_numbers, cell_node_numbers, sorter=number_order)
     ].reshape(-1, 10)
-    kind = gmsh.model.mesh.getElementType("tetrahedron", 2)
-    reference_points = gmsh.model.mesh.getElementProperties(kind)[4]
-    _, gradients, _ = gmsh.model.mesh.getBasisFunctions(kind, reference_points, "GradLagrange")
-    gradients = np.reshape(gradients, (10, 10, 3))
+    element_kind = gmsh.model.mesh.getElementType("tetrahedron", 2)
+    reference_points = gmsh.model.mesh.getElementProperties(element_kind)[4]
+    _, basis_gradients, _ = gmsh.model.mesh.getBasisFunctions(
+        element_kind, reference_points, "GradLagrange"
+    )
+    basis_gradients = np.reshape(basis_gradients, (10, 10, 3))
 
     def is_folded() -> np.ndarray:
         """Return True for cells whose Jacobian determinants differ too much: (n_cells,)."""
-        determinants = np.linalg.det(np.einsum("cnx,pnr->cpxr", positions[cells], gradients))
+        determinants = np.linalg.det(np.einsum("cnx,pnr->cpxr", positions[cells], basis_gradients))
         return np.asarray(
             determinants.min(axis=1) < MIN_JACOBIAN_RATIO_IN_CELL * determinants.max(axis=1)
         )

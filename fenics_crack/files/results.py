@@ -171,7 +171,7 @@ def result_class(stored_file: StoredFile) -> type[Result]:
 def _pack_modes(modes: Modes) -> Datasets:
     """Return the datasets of modes, by node or, without a mesh, by dof (collective)."""
     whole_structure = modes.structure.whole
-    if whole_structure.drawable_nodes is None:
+    if whole_structure.local_nodes_with_cells_or_none is None:
         shapes_by_dof = gather_rows(whole_structure.comm, modes.structure.expand(modes.shapes.T).T)
         return {"omega": modes.omega, "shapes": shapes_by_dof.T}
     nodal_mesh = NodalMesh(modes.structure)
@@ -193,7 +193,7 @@ def _unpack_modes(datasets: Datasets, structure: Structure, contact: OptionalLaw
     """
     omegas, stored_shapes, whole_structure = datasets["omega"], datasets["shapes"], structure.whole
     check_shapes(datasets, {"omega": (len(stored_shapes),)})
-    if whole_structure.drawable_nodes is None:
+    if whole_structure.local_nodes_with_cells_or_none is None:
         if (
             "nodes" in datasets
             or stored_shapes.ndim != 2

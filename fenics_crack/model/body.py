@@ -50,13 +50,13 @@ class Body(ReadOnlyArrays):
     def __post_init__(self) -> None:
         if self.comm is None:
             object.__setattr__(self, "comm", self.mass.comm.tompi4py())
-        for name in ("gap", "tangential"):
-            if (sparse_rows := getattr(self, name)) is not None:
-                object.__setattr__(self, name, read_only_csr_matrix(sparse_rows))
+        for field_name in ("gap", "tangential"):
+            if (sparse_rows_or_none := getattr(self, field_name)) is not None:
+                object.__setattr__(self, field_name, read_only_csr_matrix(sparse_rows_or_none))
         super().__post_init__()
 
 
-MATRIX_INDEPENDENT_FIELD_NAMES = {
+FIELD_NAMES_THAT_KEEP_MATRIX_CACHE = {
     "force",
     "clearance",
     "damping",
@@ -78,7 +78,7 @@ class Setting:
         Factor of the load, or matrix that maps the load's rows (mean, cosine and sine parts).
     damping_factor : float
         Factor of the damping.
-    clearance : float or (n_pairs,) [m]
+    added_clearance : float or (n_pairs,) [m]
         Clearance added to each pair.
     watched_dof : int or None
         Dof of the whole structure for requested results. None: the body's.
@@ -86,7 +86,7 @@ class Setting:
 
     load_weights: float | np.ndarray = 1.0
     damping_factor: float = 1.0
-    clearance: float | np.ndarray = 0.0
+    added_clearance: float | np.ndarray = 0.0
     watched_dof: int | None = None
 
     def combine_with(self, later_setting: Setting) -> Setting:
@@ -96,8 +96,8 @@ class Setting:
         )
         load_weights = np.dot(later_setting.load_weights, self.load_weights)
         damping_factor = later_setting.damping_factor * self.damping_factor
-        clearance = later_setting.clearance + self.clearance
-        return Setting(load_weights, damping_factor, clearance, watched_dof)
+        added_clearance = later_setting.added_clearance + self.added_clearance
+        return Setting(load_weights, damping_factor, added_clearance, watched_dof)
 
 
 DEFAULT_SETTING = Setting()

@@ -333,9 +333,9 @@ def gauss_rule(n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
 
 def contact_energy(contact: ContactLaw, gap: np.ndarray) -> np.ndarray:
     """Return the contact energy V(g), the integral of lambda from 0: (..., n_pairs) [J]."""
-    nodes, weights = gauss_rule(32)
-    forces = contact.force(np.multiply.outer(nodes, gap))
-    return np.asarray(gap * np.tensordot(weights, forces, 1))
+    gauss_nodes, gauss_weights = gauss_rule(32)
+    forces_at_nodes = contact.force(np.multiply.outer(gauss_nodes, gap))
+    return np.asarray(gap * np.tensordot(gauss_weights, forces_at_nodes, 1))
 
 
 def is_rigid(contact: object) -> TypeGuard[UnilateralConstraint]:
@@ -361,9 +361,11 @@ def check_law(structure: Structure, contact: Any, *, allows_rigid: bool = False)
 
     :class:`UnilateralConstraint` passes only with ``allows_rigid``.
     """
-    members = ("stiffness", "force", "tangent", "scaled")
+    member_names = ("stiffness", "force", "tangent", "scaled")
     is_class = isinstance(contact, type)
-    absent_members = [name for name in members if is_class or not hasattr(contact, name)]
+    absent_members = [
+        member_name for member_name in member_names if is_class or not hasattr(contact, member_name)
+    ]
     if absent_members or (is_rigid(contact) and not allows_rigid):
         absent_text = f"; missing attributes: {', '.join(absent_members)}" if absent_members else ""
         raise InputError(
@@ -419,16 +421,23 @@ def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
         np.asarray(law.force(gap + step_multiple * gap_step))
         for step_multiple in (-2.0, -1.0, 0.0, 1.0, 2.0)
     ]
-    increments, expected_increment = np.diff(forces, axis=0), gap_step * law.tangent(gap)
-    increment_size = np.maximum(np.abs(increments).max(axis=0), np.abs(expected_increment))
+    force_increments, expected_force_increment = (
+        np.diff(forces, axis=0),
+        gap_step * law.tangent(gap),
+    )
+    increment_size = np.maximum(
+        np.abs(force_increments).max(axis=0), np.abs(expected_force_increment)
+    )
     slope_excess = np.maximum(
-        increments[1:3].min(axis=0) - expected_increment,
-        expected_increment - increments[1:3].max(axis=0),
+        force_increments[1:3].min(axis=0) - expected_force_increment,
+        expected_force_increment - force_increments[1:3].max(axis=0),
     )
     # The outer increments differ from the inner ones by rounding, or if the slope bends within a
     # step. Differences leave some digits; half of these may be wrong.
-    uncertainty = float(np.abs(increments[[0, 3]] - increments[[1, 2]]).max(initial=0.0))
-    if np.any(slope_excess > np.sqrt(CENTRAL_DIFFERENCE_STEP) * increment_size + uncertainty):
+    slope_uncertainty = float(
+        np.abs(force_increments[[0, 3]] - force_increments[[1, 2]]).max(initial=0.0)
+    )
+    if np.any(slope_excess > np.sqrt(CENTRAL_DIFFERENCE_STEP) * increment_size + slope_uncertainty):
         requirement = "a law whose tangent(gap) is the derivative of force(gap)"
         raise InputError("contact", type(law).__name__, requirement)
 
@@ -461,12 +470,16 @@ class FrictionContactSolver:
         D = R_inf + diag(1/k, 1/k_t): residual flexibility and contact springs, normal gaps first.
     """
 
-    def __init__(self, compliance: np.ndarray, coefficient: float | np.ndarray) -> None:
-        n_gaps = len(compliance)
-        self.compliance_matrix = compliance = require_shape(compliance, n_gaps, n_gaps)
-        mu = np.ascontiguousarray(np.broadcast_to(coefficient, n_gaps // 2), dtype=float)
+    def __init__(self, compliance_matrix: np.ndarray, coefficient: float | np.ndarray) -> None:
+        n_gaps = len(compliance_matrix)
+        self.compliance_matrix = compliance_matrix = require_shape(
+            compliance_matrix, n_gaps, n_gaps
+        )
+        friction_coefficients = np.ascontiguousarray(
+            np.broadcast_to(coefficient, n_gaps // 2), dtype=float
+        )
         # The kernel does not copy all of these.
-        self._kernel_arrays = np.zeros((n_gaps, 1)), compliance, mu
+        self._kernel_arrays = np.zeros((n_gaps, 1)), compliance_matrix, friction_coefficients
         max_doubles = int(SETS_MEMORY_FRACTION * machine_memory()) // 8
         raw_handle = kernel.new_closed_sets(
             1, n_gaps // 2, *map(pointer, self._kernel_arrays), max_doubles
@@ -494,7 +507,7 @@ class FrictionContactSolver:
         -------
         forces : (n, 2 n_pairs) [N]
             Forces in the last period, normal ones first.
-        states : (n, n_pairs) int
+        pair_states : (n, n_pairs) int
             0: open, 1: sticks, 2 and 3: slips with growing and with falling tangential gap.
         positions : (n, n_pairs) [m]
             Slider positions.
@@ -510,7 +523,7 @@ class FrictionContactSolver:
         gap = require_shape(gap, n_instants, n_gaps)
         start_slider_positions = np.array(slider_positions, dtype=float)
         forces, sampled_slider_positions = np.empty_like(gap), np.empty((n_instants, n_gaps // 2))
-        states = np.empty(sampled_slider_positions.shape, dtype=np.int8)
+        pair_states = np.empty(sampled_slider_positions.shape, dtype=np.int8)
         last_unstuck_instants = np.empty(n_gaps // 2, dtype=np.intc)
         array_pointers = map(
             pointer,
@@ -518,7 +531,7 @@ class FrictionContactSolver:
                 gap,
                 start_slider_positions,
                 forces,
-                states,
+                pair_states,
                 sampled_slider_positions,
                 last_unstuck_instants,
             ),
@@ -527,7 +540,7 @@ class FrictionContactSolver:
             raise ConvergenceError(
                 "contact: the forces at an instant have no unique solution; try less friction"
             )
-        return forces, states, sampled_slider_positions, last_unstuck_instants
+        return forces, pair_states, sampled_slider_positions, last_unstuck_instants
 
 
 SETS_MEMORY_FRACTION = 1 / 32
@@ -564,14 +577,16 @@ class ActiveSetSolver:
         D = R_inf + I/k: residual flexibility and contact springs.
     """
 
-    def __init__(self, compliance: np.ndarray) -> None:
-        self.compliance_matrix = compliance = require_shape(
-            compliance, len(compliance), len(compliance)
+    def __init__(self, compliance_matrix: np.ndarray) -> None:
+        self.compliance_matrix = compliance_matrix = require_shape(
+            compliance_matrix, len(compliance_matrix), len(compliance_matrix)
         )
-        max_inverses = int(SETS_MEMORY_FRACTION * machine_memory()) // max(compliance.nbytes, 8)
-        n_pairs = len(compliance)
+        max_inverses = int(SETS_MEMORY_FRACTION * machine_memory()) // max(
+            compliance_matrix.nbytes, 8
+        )
+        n_pairs = len(compliance_matrix)
         self.handle = attach_destructor(
-            kernel.new_sets(n_pairs, pointer(compliance), max_inverses), kernel.free_sets
+            kernel.new_sets(n_pairs, pointer(compliance_matrix), max_inverses), kernel.free_sets
         )
         """The kernel's own object."""
 
@@ -588,12 +603,14 @@ class ActiveSetSolver:
         (m, n_pairs, n_pairs) [N/m]
         """
         is_closed = require_shape(sets, len(sets), len(self.compliance_matrix), kind=bool)
-        inverses = np.empty((*is_closed.shape, is_closed.shape[1]))
-        if kernel.invert_sets(self.handle, len(is_closed), pointer(is_closed), pointer(inverses)):
+        inverse_matrices = np.empty((*is_closed.shape, is_closed.shape[1]))
+        if kernel.invert_sets(
+            self.handle, len(is_closed), pointer(is_closed), pointer(inverse_matrices)
+        ):
             raise ConvergenceError(
                 "contact: the compliance of the closed pairs is singular; try a penalty law"
             )
-        return inverses
+        return inverse_matrices
 
     def solve(
         self, gap: np.ndarray, is_closed: np.ndarray | None = None
@@ -617,21 +634,21 @@ class ActiveSetSolver:
         gap = require_shape(gap, len(gap), len(self.compliance_matrix))
         closed_guess = gap > 0.0 if is_closed is None else np.array(is_closed)
         is_closed = require_shape(closed_guess, *gap.shape, kind=bool)
-        force, is_failed_instant = np.zeros_like(gap), np.empty(len(gap), dtype=bool)
+        forces, is_failed_instant = np.zeros_like(gap), np.empty(len(gap), dtype=bool)
         kernel.solve_instants(
             self.handle,
             len(gap),
             pointer(gap),
             pointer(is_closed),
-            pointer(force),
+            pointer(forces),
             pointer(is_failed_instant),
         )
-        for instant in np.flatnonzero(is_failed_instant):
-            force[instant] = solve_complementarity_by_least_squares(
-                self.compliance_matrix, gap[instant]
+        for failed_instant in np.flatnonzero(is_failed_instant):
+            forces[failed_instant] = solve_complementarity_by_least_squares(
+                self.compliance_matrix, gap[failed_instant]
             )
-            is_closed[instant] = force[instant] > 0.0
-        return force, is_closed
+            is_closed[failed_instant] = forces[failed_instant] > 0.0
+        return forces, is_closed
 
 
 def solve_complementarity(
@@ -664,38 +681,41 @@ def solve_complementarity(
     )
 
 
-def solve_complementarity_by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
+def solve_complementarity_by_least_squares(
+    compliance_matrix: np.ndarray, gap: np.ndarray
+) -> np.ndarray:
     """Solve the problem of :func:`solve_complementarity` by non-negative least squares.
 
     The symmetric part of D is solved directly, and an iteration adds the unsymmetric part.
     """
     import scipy.optimize  # takes a while, and is rarely needed
 
-    symmetric_part = 0.5 * (matrix + matrix.T)
+    symmetric_part = 0.5 * (compliance_matrix + compliance_matrix.T)
     unit_diagonal_scale = 1.0 / np.sqrt(np.maximum(np.diag(symmetric_part), np.finfo(float).tiny))
     eigenvalues, eigenvectors = np.linalg.eigh(
         unit_diagonal_scale[:, None] * symmetric_part * unit_diagonal_scale
     )
     sqrt_eigenvalues = np.sqrt(np.maximum(eigenvalues, 1e-15 * eigenvalues.max(initial=0.0)))
     tolerance = 1e-10 * float(np.abs(gap).max(initial=0.0))
-    force = np.zeros(len(gap))
+    forces = np.zeros(len(gap))
     for _ in range(MAX_SMOOTH_LAW_ITERATIONS):
         least_squares_target = (
-            eigenvectors.T @ (unit_diagonal_scale * (gap - (matrix - symmetric_part) @ force))
+            eigenvectors.T
+            @ (unit_diagonal_scale * (gap - (compliance_matrix - symmetric_part) @ forces))
         ) / sqrt_eigenvalues
         try:
-            force = (
+            forces = (
                 unit_diagonal_scale
                 * scipy.optimize.nnls((eigenvectors * sqrt_eigenvalues).T, least_squares_target)[0]
             )
         except RuntimeError:
             break
-        opening = matrix @ force - gap
+        openings = compliance_matrix @ forces - gap
         if (
-            opening.min() >= -tolerance
-            and np.abs(opening[force > 0.0]).max(initial=0.0) <= tolerance
+            openings.min() >= -tolerance
+            and np.abs(openings[forces > 0.0]).max(initial=0.0) <= tolerance
         ):
-            return force
+            return forces
     raise ConvergenceError("contact: no contact forces were found for a step; try a penalty law")
 
 
@@ -726,17 +746,19 @@ def forces_and_slopes_of_smooth_law(
     Raises
     ------
     ConvergenceError
-        As :func:`solve_forces`.
+        As :func:`solve_contact_forces_by_newton`.
     """
     spring_compliance = np.broadcast_to(1.0 / np.asarray(law.stiffness, dtype=float), gap.shape[1:])
-    guess = ActiveSetSolver(compliance + np.diag(spring_compliance)).solve(gap)[0]
-    force = solve_forces(lambda g: (law.force(g), law.tangent(g)), compliance, gap, guess)
-    law_slope = law.tangent(gap - force @ compliance)
-    jacobian = np.eye(gap.shape[1]) + compliance * law_slope[:, None, :]
-    return force, law_slope[:, :, None] * np.linalg.inv(jacobian)
+    force_guess = ActiveSetSolver(compliance + np.diag(spring_compliance)).solve(gap)[0]
+    forces = solve_contact_forces_by_newton(
+        lambda g: (law.force(g), law.tangent(g)), compliance, gap, force_guess
+    )
+    law_slope = law.tangent(gap - forces @ compliance)
+    identity_plus_compliance_slope = np.eye(gap.shape[1]) + compliance * law_slope[:, None, :]
+    return forces, law_slope[:, :, None] * np.linalg.inv(identity_plus_compliance_slope)
 
 
-def solve_forces(
+def solve_contact_forces_by_newton(
     law_force_and_slope_function: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
     compliance: np.ndarray,
     gap: np.ndarray,
@@ -770,12 +792,15 @@ def solve_forces(
         Newton's method fails.
     """
 
-    def evaluate(force: np.ndarray, slow_gap: np.ndarray) -> tuple[np.ndarray, ...]:
+    def gap_law_force_and_slope(force: np.ndarray, slow_gap: np.ndarray) -> tuple[np.ndarray, ...]:
         total_gap = slow_gap - force @ compliance
         return (total_gap, *law_force_and_slope_function(total_gap))
 
     all_forces, unfinished_instants = np.array(guess), np.arange(len(gap))
-    identity, (reached_gap, law_force, tangent) = np.eye(gap.shape[1]), evaluate(all_forces, gap)
+    identity, (reached_gap, law_force, law_slope) = (
+        np.eye(gap.shape[1]),
+        gap_law_force_and_slope(all_forces, gap),
+    )
     for _ in range(MAX_SMOOTH_LAW_ITERATIONS):
         force, unfinished_gap = all_forces[unfinished_instants], gap[unfinished_instants]
         force_excess = force - law_force
@@ -783,7 +808,7 @@ def solve_forces(
             return all_forces
         try:
             newton_change = -np.linalg.solve(
-                identity + tangent[:, :, None] * compliance, force_excess[:, :, None]
+                identity + law_slope[:, :, None] * compliance, force_excess[:, :, None]
             )
         except np.linalg.LinAlgError:
             break
@@ -800,17 +825,23 @@ def solve_forces(
         force, unfinished_gap = force[is_still_unfinished], unfinished_gap[is_still_unfinished]
         gap_change = gap_change[is_still_unfinished]
         slope_tolerance = -0.1 * np.sum(gap_change * force_excess[is_still_unfinished], axis=1)
-        reached_gap, law_force, tangent = evaluate(all_forces[unfinished_instants], unfinished_gap)
+        reached_gap, law_force, law_slope = gap_law_force_and_slope(
+            all_forces[unfinished_instants], unfinished_gap
+        )
         step_slopes = np.sum(gap_change * (all_forces[unfinished_instants] - law_force), axis=1)
         is_too_far = (slope_tolerance > 0.0) & (step_slopes > slope_tolerance)
         if np.any(is_too_far):
             long_step_instants, start_force = unfinished_instants[is_too_far], force[is_too_far]
-            step = all_forces[long_step_instants] - start_force
+            force_step = all_forces[long_step_instants] - start_force
             step_fractions = _minimising_step_fraction_by_instant(
-                evaluate, start_force, step, unfinished_gap[is_too_far], slope_tolerance[is_too_far]
+                gap_law_force_and_slope,
+                start_force,
+                force_step,
+                unfinished_gap[is_too_far],
+                slope_tolerance[is_too_far],
             )
-            all_forces[long_step_instants] = start_force + step_fractions[:, None] * step
-            reached_gap, law_force, tangent = evaluate(
+            all_forces[long_step_instants] = start_force + step_fractions[:, None] * force_step
+            reached_gap, law_force, law_slope = gap_law_force_and_slope(
                 all_forces[unfinished_instants], unfinished_gap
             )
     raise ConvergenceError(
@@ -819,7 +850,7 @@ def solve_forces(
 
 
 def _minimising_step_fraction_by_instant(
-    evaluate: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, ...]],
+    gap_and_law_force_function: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, ...]],
     start_force: np.ndarray,
     force_step: np.ndarray,
     gap: np.ndarray,
@@ -831,7 +862,7 @@ def _minimising_step_fraction_by_instant(
 
     Parameters
     ----------
-    evaluate : callable
+    gap_and_law_force_function : callable
         Gives gap and law's force, (n, n_pairs) each, for contact forces and slow gaps.
     start_force, force_step : (n, n_pairs) [N]
         Contact forces at the start of each step, and their change by a full step.
@@ -846,15 +877,18 @@ def _minimising_step_fraction_by_instant(
         Fractions from 0 to 1.
     """
     gap_change = (
-        evaluate(start_force, gap)[0] - evaluate(start_force + force_step, gap)[0]
+        gap_and_law_force_function(start_force, gap)[0]
+        - gap_and_law_force_function(start_force + force_step, gap)[0]
     )  # D times the step
-    fractions, half_width = np.full(len(start_force), 0.5), 0.5
+    step_fractions, half_width = np.full(len(start_force), 0.5), 0.5
     while half_width > MACHINE_EPSILON:
-        trial_forces = start_force + fractions[:, None] * force_step
-        slopes = np.sum(gap_change * (trial_forces - evaluate(trial_forces, gap)[1]), axis=1)
+        trial_forces = start_force + step_fractions[:, None] * force_step
+        slopes = np.sum(
+            gap_change * (trial_forces - gap_and_law_force_function(trial_forces, gap)[1]), axis=1
+        )
         is_steep = np.abs(slopes) > slope_tolerance
         if not np.any(is_steep):
             break
         half_width *= 0.5
-        fractions -= np.where(is_steep, np.copysign(half_width, slopes), 0.0)
-    return fractions
+        step_fractions -= np.where(is_steep, np.copysign(half_width, slopes), 0.0)
+    return step_fractions

@@ -181,7 +181,7 @@ def read_labels(path: Path) -> np.ndarray:
     """
     labels: list[tuple[int, int]] = []
     row_numbers: list[int] = []
-    for number, line in numbered_lines(path, "#"):
+    for number, line in yield_numbered_lines(path, "#"):
         match = _LABEL_PATTERN.fullmatch(line.rstrip())
         if match is not None and match[3] in DIRECTION_NUMBER_BY_DOF_LABEL:
             labels.append((int(match[2]), DIRECTION_NUMBER_BY_DOF_LABEL[match[3]]))
@@ -308,7 +308,7 @@ def _read_calculix(path: Path, labels_path: Path) -> LabelledMatrix:
 
 def _is_abaqus_file(path: Path) -> bool:
     """Return True if the first data line has five numbers between commas."""
-    return next((line for _, line in numbered_lines(path, "*")), "").count(",") == 4
+    return next((line for _, line in yield_numbered_lines(path, "*")), "").count(",") == 4
 
 
 def _read_abaqus(path: Path) -> LabelledMatrix:
@@ -335,7 +335,7 @@ def _read_nastran(path: Path, matrix_letter: str) -> LabelledMatrix:
     entry_labels: list[tuple[int, int, int, int]] = []
     entries: list[float] = []
     is_wanted, column_label, form = False, (0, 0), 6
-    for number, line in numbered_lines(path, "$"):
+    for number, line in yield_numbered_lines(path, "$"):
         try:
             if line.startswith("DMIG "):
                 is_wanted = re.match(f"{matrix_letter}[A-Z]", line[8:16].upper()) is not None
@@ -380,7 +380,7 @@ def _read_op4(path: Path, matrix_letter: str) -> sparse.csr_matrix:
     ----------
     Nastran, DMAP Programmer's Guide, OUTPUT4.
     """
-    lines = numbered_lines(path, "$")
+    lines = yield_numbered_lines(path, "$")
     line_number, line, number_width = 0, "", 16
 
     def read_integers(count: int) -> list[int]:
@@ -623,7 +623,7 @@ def _split_entries_and_positions(
 # --- lines ----------------------------------------------------------------------------------------
 
 
-def numbered_lines(path: Path, comment: str) -> Iterator[tuple[int, str]]:
+def yield_numbered_lines(path: Path, comment: str) -> Iterator[tuple[int, str]]:
     """Yield number, from 1, and text of each line without comments.
 
     Empty lines are left out.
@@ -655,7 +655,7 @@ def read_number_rows(
             return rows_of_numbers
     except ValueError:  # NumPy's message counts lines in another way than an editor
         pass
-    for number, line in numbered_lines(path, comment):
+    for number, line in yield_numbered_lines(path, comment):
         try:
             row = [float(word) for word in line.split(delimiter)]
         except ValueError:
@@ -847,7 +847,7 @@ def check_and_distribute_parts(
         "mass": mass,
         "stiffness": stiffness,
         "gap": gap[own_rows],
-        "force": _assemble_load(load_parts, n)[:, own_rows],
+        "force": _load_rows_from_parts(load_parts, n)[:, own_rows],
         "clearance": expand_to_pairs("clearance", clearance, gap.shape[1]),
     }
     if tangential is not None:
@@ -859,7 +859,7 @@ def check_and_distribute_parts(
     return part_by_name
 
 
-def _assemble_load(load_parts: Mapping[str, Any], n: int) -> np.ndarray:
+def _load_rows_from_parts(load_parts: Mapping[str, Any], n: int) -> np.ndarray:
     """Return a load (2K+1, n) from mean, cosine and sine parts.
 
     Column k of a part is its k-th harmonic.
@@ -893,7 +893,7 @@ def _read_load_columns_as_rows(
     return np.asarray(columns.toarray().T, dtype=float)
 
 
-def add_harmonics(
+def add_harmonics_to_load(
     load_coefficients: np.ndarray, harmonics: Mapping[int, tuple[Any, Any]], mass: Any
 ) -> np.ndarray:
     """Add harmonics to a load, on the rows of this rank.

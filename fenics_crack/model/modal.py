@@ -27,7 +27,7 @@ from fenics_crack.model.modes import (
     NEGLIGIBLE,
     ZERO_TOLERANCE,
     damped_modes,
-    damping_on_modes,
+    project_damping_on_modes,
     solve_modes,
 )
 from fenics_crack.model.reduced import QuasiStaticReduction
@@ -170,10 +170,10 @@ class AllModes:
         (n_pairs, n_pairs) [m/N]
             Gap change by unit forces on the pairs.
         """
-        is_fast = self._is_fast_mode(min_frequency)
+        is_fast_mode = self._is_fast_mode(min_frequency)
         fast_pair_compliance = (
-            self.gaps_by_mode[is_fast].T / self.squares[is_fast]
-        ) @ self.gaps_by_mode[is_fast]
+            self.gaps_by_mode[is_fast_mode].T / self.squares[is_fast_mode]
+        ) @ self.gaps_by_mode[is_fast_mode]
         return (
             fast_pair_compliance
             if self.residual_compliance is None
@@ -199,10 +199,10 @@ class AllModes:
         -------
         (n_dofs, n_pairs)
         """
-        is_fast = self._is_fast_mode(min_frequency)
+        is_fast_mode = self._is_fast_mode(min_frequency)
         pair_responses: np.ndarray = (
-            self.shapes[:, is_fast] / self.squares[is_fast]
-        ) @ self.gaps_by_mode[is_fast]
+            self.shapes[:, is_fast_mode] / self.squares[is_fast_mode]
+        ) @ self.gaps_by_mode[is_fast_mode]
         return (
             pair_responses
             if self.massless_pair_responses is None
@@ -216,28 +216,28 @@ class AllModes:
         """
         if min_frequency is None:
             return self
-        is_slow = ~self._is_fast_mode(min_frequency)
-        if np.all(is_slow):
+        is_slow_mode = ~self._is_fast_mode(min_frequency)
+        if np.all(is_slow_mode):
             return self
-        fast_squares, fast_shapes = self.squares[~is_slow], self.shapes[:, ~is_slow]
+        fast_squares, fast_shapes = self.squares[~is_slow_mode], self.shapes[:, ~is_slow_mode]
         massless_flexibility = (fast_shapes / fast_squares) @ fast_shapes.T
         if self.massless_flexibility is not None:
             massless_flexibility = massless_flexibility + self.massless_flexibility
         slow_damping = (
-            self.damping[is_slow]
+            self.damping[is_slow_mode]
             if self.damping.ndim == 1
-            else self.damping[np.ix_(is_slow, is_slow)]
+            else self.damping[np.ix_(is_slow_mode, is_slow_mode)]
         )
         return AllModes(
-            self.squares[is_slow],
-            self.shapes[:, is_slow],
+            self.squares[is_slow_mode],
+            self.shapes[:, is_slow_mode],
             slow_damping,
-            self.gaps_by_mode[is_slow],
+            self.gaps_by_mode[is_slow_mode],
             self.is_unconstrained,
             self.static_pair_compliance(min_frequency),
             self.static_pair_responses(min_frequency),
             massless_flexibility,
-            self.shapes_inverse[is_slow],
+            self.shapes_inverse[is_slow_mode],
         )
 
     @cached_property
@@ -302,15 +302,17 @@ class AllModes:
                 -self.damping,
             )
             state_matrix[:, 1, 2] = 1.0
-            e = scipy.linalg.expm(h * state_matrix)
+            matrix_exponential = scipy.linalg.expm(h * state_matrix)
             transition_blocks = (
-                e[:, 0, 0],
-                e[:, 0, 1] / velocity_scale,
-                e[:, 1, 0] * velocity_scale,
-                e[:, 1, 1],
+                matrix_exponential[:, 0, 0],
+                matrix_exponential[:, 0, 1] / velocity_scale,
+                matrix_exponential[:, 1, 0] * velocity_scale,
+                matrix_exponential[:, 1, 1],
             )
-            displacement_by_forces = (e[:, 0, 2] / velocity_scale)[:, None] * self.gaps_by_mode
-            velocity_by_forces = e[:, 1, 2][:, None] * self.gaps_by_mode
+            displacement_by_forces = (matrix_exponential[:, 0, 2] / velocity_scale)[
+                :, None
+            ] * self.gaps_by_mode
+            velocity_by_forces = matrix_exponential[:, 1, 2][:, None] * self.gaps_by_mode
             return np.array(transition_blocks), np.vstack(
                 [displacement_by_forces, velocity_by_forces]
             )
@@ -319,8 +321,10 @@ class AllModes:
         state_matrix[n_modes : 2 * n_modes, :n_modes] = -np.diag(self.squares)
         state_matrix[n_modes : 2 * n_modes, n_modes : 2 * n_modes] = -self.damping
         state_matrix[n_modes : 2 * n_modes, 2 * n_modes :] = self.gaps_by_mode
-        e = scipy.linalg.expm(h * state_matrix)[: 2 * n_modes]
-        return np.ascontiguousarray(e[:, : 2 * n_modes]), e[:, 2 * n_modes :]
+        matrix_exponential = scipy.linalg.expm(h * state_matrix)[: 2 * n_modes]
+        return np.ascontiguousarray(matrix_exponential[:, : 2 * n_modes]), matrix_exponential[
+            :, 2 * n_modes :
+        ]
 
     def steady_modal_amplitudes(self, omega: float, force: np.ndarray) -> np.ndarray:
         """Return the complex amplitudes of the modes under a harmonic load: (n,).
@@ -379,7 +383,7 @@ def _compute_all_modes(structure: Structure) -> AllModes:
             for petsc_matrix in (structure.stiffness, structure.mass)
         )
         squares, mode_shapes = scipy.linalg.eigh(*stiffness_and_mass)
-        damping = damping_on_modes(structure, mode_shapes, squares)
+        damping = project_damping_on_modes(structure, mode_shapes, squares)
     # A small square may be LAPACK's rounding of the largest; one mode of K itself decides.
     is_lowest_doubtful = squares[0] <= ZERO_TOLERANCE * squares[-1]
     is_unconstrained = bool(is_lowest_doubtful and solve_modes(structure, 1).omega[0] == 0.0)

@@ -146,19 +146,21 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     is_bonded = lips == "tied" and structure.n_pairs > 0
     omega_and_shapes = structure.known_omega_and_shapes(is_bonded=is_bonded)
     ties = find_independent_ties(structure) if is_bonded and omega_and_shapes is None else None
-    limit_name = "n_dofs" if omega_and_shapes is None else "n_modes"
+    limit_text = "n_dofs" if omega_and_shapes is None else "n_modes"
     if is_bonded:
-        limit_name = "the number of bonded modes"
+        limit_text = "the number of bonded modes"
     allowed_count = (
-        len(omega_and_shapes[0]) if omega_and_shapes is not None else _count_modes(structure, ties)
+        len(omega_and_shapes[0])
+        if omega_and_shapes is not None
+        else _count_modes_without_ties(structure, ties)
     )
     is_integer = isinstance(count, Integral) and not isinstance(count, bool)
     if not (is_integer and 1 <= count <= allowed_count):
-        raise InputError("count", count, f"a whole number from 1 to {limit_name} = {allowed_count}")
+        raise InputError("count", count, f"a whole number from 1 to {limit_text} = {allowed_count}")
     if omega_and_shapes is not None:
         omega, shapes = omega_and_shapes
         return Modes(omega[:count], shapes[:, :count], structure)
-    if ties is None and (cached_modes := find_known_modes(structure, count)) is not None:
+    if ties is None and (cached_modes := find_known_modes_or_none(structure, count)) is not None:
         return cached_modes
     with Factor(structure.stiffness, definite=True) as factored_stiffness:
         return solve_modes_with_factor(factored_stiffness, structure, int(count), ties)
@@ -172,7 +174,7 @@ def count_bonded_modes(structure: Structure) -> int:
     return (
         len(omega_and_shapes[0])
         if omega_and_shapes is not None
-        else _count_modes(structure, find_independent_ties(structure))
+        else _count_modes_without_ties(structure, find_independent_ties(structure))
     )
 
 
@@ -197,7 +199,7 @@ def find_independent_ties(structure: Structure) -> sparse.csc_matrix:
     return gap_matrix[:, np.sort(pivot_order[pivot_sizes > allowed_rounding])]
 
 
-def _count_modes(structure: Structure, ties: Any) -> int:
+def _count_modes_without_ties(structure: Structure, ties: Any) -> int:
     """Return the number of modes, dofs less ties, if every dof has mass.
 
     ``ties`` (n_local, n_ties) are the bonds of a bonded crack, or None.
@@ -223,14 +225,14 @@ class BondedStiffnessInverse:
         x = K^-1 r - K^-1 B S^-1 B^T K^-1 r,        S = B^T K^-1 B
     """
 
-    def __init__(self, factor: Any, structure: Structure, ties: Any) -> None:
-        self.n_null_pivots = factor.n_null_pivots
-        self._factor, self._ties = factor, ties.T
+    def __init__(self, stiffness_factor: Any, structure: Structure, ties: Any) -> None:
+        self.n_null_pivots = stiffness_factor.n_null_pivots
+        self._factor, self._ties = stiffness_factor, ties.T
         self._sum_over_ranks = structure.sum_over_ranks
         if not self.n_null_pivots:
-            self._tie_responses = factor.solve(self._ties)
-            flexibility = self._sum_over_ranks(self._ties @ self._tie_responses.T)
-            self._compliance_factor = scipy.linalg.cho_factor(flexibility)
+            self._tie_responses = stiffness_factor.solve(self._ties)
+            tie_flexibility = self._sum_over_ranks(self._ties @ self._tie_responses.T)
+            self._compliance_factor = scipy.linalg.cho_factor(tie_flexibility)
 
     def apply(self, rhs: Any, solution: Any) -> None:
         """Solve K x = ``rhs`` for a PETSc vector, into ``solution`` (collective)."""
@@ -253,7 +255,7 @@ def solve_modes_with_factor(
     ties : (n_local, n_ties), optional
         From :func:`find_independent_ties`: bond the crack.
     """
-    if ties is None and (cached_modes := find_known_modes(structure, n_modes)) is not None:
+    if ties is None and (cached_modes := find_known_modes_or_none(structure, n_modes)) is not None:
         return cached_modes
     diagonal_quotients = (
         structure.stiffness.getDiagonal().array_r / structure.mass.getDiagonal().array_r
@@ -267,13 +269,13 @@ def solve_modes_with_factor(
         if ties is None
         else BondedStiffnessInverse(stiffness_inverse, structure, ties)
     )
-    n_requested_modes, available_count = n_modes, _count_modes(structure, ties)
+    n_requested_modes, available_count = n_modes, _count_modes_without_ties(structure, ties)
     while True:
-        squares, shapes = _solve_near_zero(
+        squared_omegas, shapes = _find_modes_near_zero_omega(
             used_inverse, structure, n_requested_modes, square_scale, ties
         )
-        if squares[0] < -1e-8 * square_scale:
-            negative_square_text = f"{squares[0]:.3g} = omega^2 of a mode"
+        if squared_omegas[0] < -1e-8 * square_scale:
+            negative_square_text = f"{squared_omegas[0]:.3g} = omega^2 of a mode"
             raise InputError(
                 "stiffness",
                 negative_square_text,
@@ -281,34 +283,38 @@ def solve_modes_with_factor(
             )
         # A Krylov space holds one mode of a multiple frequency until rounding brings in the
         # others. So count the frequencies below the highest one; if any is missing, ask for more.
-        square_bound = squares[n_modes - 1] - 1e-6 * max(squares[n_modes - 1], 0.01 * square_scale)
-        n_modes_below_bound = np.sum(squares < square_bound)
+        squared_omega_bound = squared_omegas[n_modes - 1] - 1e-6 * max(
+            squared_omegas[n_modes - 1], 0.01 * square_scale
+        )
+        n_modes_below_bound = np.sum(squared_omegas < squared_omega_bound)
         if (
             n_requested_modes == available_count
-            or count_modes_below(structure, square_bound, ties) <= n_modes_below_bound
+            or count_modes_below(structure, squared_omega_bound, ties) <= n_modes_below_bound
         ):
             break
         n_requested_modes = min(2 * n_requested_modes + 2, available_count)
-    squares, shapes = squares[:n_modes], shapes[:, :n_modes]
+    squared_omegas, shapes = squared_omegas[:n_modes], shapes[:, :n_modes]
     # Rounding of K is relative to the sum of K_ii phi_i^2, omega^2 if each dof moved alone. The
     # largest K_ii / M_ii is no measure: elements that shrink towards a tip make it arbitrarily
     # large, while a low mode moves them hardly more than others.
     single_dof_squares = structure.sum_over_ranks(
         structure.stiffness.getDiagonal().array_r @ shapes**2
     )
-    squares[squares <= ZERO_TOLERANCE * np.maximum(single_dof_squares, square_scale)] = 0.0
-    if squares[0] == 0.0 and structure.clamp is not None:  # no part of a mesh is without one
+    squared_omegas[
+        squared_omegas <= ZERO_TOLERANCE * np.maximum(single_dof_squares, square_scale)
+    ] = 0.0
+    if squared_omegas[0] == 0.0 and structure.clamp is not None:  # no part of a mesh is without one
         raise ConvergenceError(
             f"modes: the lowest frequency is lost in rounding: {ROUNDING_ADVICE}"
         )
-    omega = np.sqrt(squares)
-    shapes *= _mode_signs(structure, shapes)
+    omega = np.sqrt(squared_omegas)
+    shapes *= _signs_for_positive_largest_component(structure, shapes)
     if ties is None:
         structure.compute_once(_make_empty_modes_list, from_matrices=True)[:] = omega, shapes
     return Modes(omega, shapes, structure)
 
 
-def find_known_modes(structure: Structure, n_modes: int) -> Modes | None:
+def find_known_modes_or_none(structure: Structure, n_modes: int) -> Modes | None:
     """Return the lowest open modes if no solver is needed, else None.
 
     They were computed before, or the structure's coordinates are modes.
@@ -333,34 +339,36 @@ def _make_empty_modes_list(structure: Structure) -> list[np.ndarray]:
     return []
 
 
-def _make_solver(structure: Structure, prefix: str, n_modes: int, n_krylov_vectors: int) -> Any:
+def _make_eigenvalue_solver(
+    structure: Structure, option_prefix: str, n_modes: int, n_krylov_vectors: int
+) -> Any:
     """Make SLEPc's solver for the modes K phi = omega^2 M phi."""
-    solver = import_slepc().EPS().create(structure.comm)
-    solver.setOptionsPrefix(prefix)
-    solver.setOperators(structure.stiffness, structure.mass)
-    solver.setProblemType(solver.ProblemType.GHEP)
-    solver.setDimensions(n_modes, min(structure.n_dofs, n_krylov_vectors))
-    solver.getST().getKSP().setType("preonly")
-    return solver
+    eigenvalue_solver = import_slepc().EPS().create(structure.comm)
+    eigenvalue_solver.setOptionsPrefix(option_prefix)
+    eigenvalue_solver.setOperators(structure.stiffness, structure.mass)
+    eigenvalue_solver.setProblemType(eigenvalue_solver.ProblemType.GHEP)
+    eigenvalue_solver.setDimensions(n_modes, min(structure.n_dofs, n_krylov_vectors))
+    eigenvalue_solver.getST().getKSP().setType("preonly")
+    return eigenvalue_solver
 
 
-def _run_solver_to_convergence(solver: Any, n_modes: int) -> None:
+def _run_solver_or_raise(eigenvalue_solver: Any, n_modes: int) -> None:
     """Run SLEPc's solver; raise ConvergenceError if modes are missing."""
-    solver.setFromOptions()
+    eigenvalue_solver.setFromOptions()
     try:
-        solver.solve()
+        eigenvalue_solver.solve()
     except PETSc.Error as error:  # rounding leaves the mass indefinite in what SLEPc spans
-        solver.destroy()
+        eigenvalue_solver.destroy()
         raise ConvergenceError(f"modes: SLEPc cannot find {n_modes}: {ROUNDING_ADVICE}") from error
-    n_converged = solver.getConverged()
+    n_converged = eigenvalue_solver.getConverged()
     if n_converged < n_modes:
-        solver.destroy()
+        eigenvalue_solver.destroy()
         raise ConvergenceError(
             f"modes: only {n_converged} of {n_modes} converged: {ROUNDING_ADVICE}"
         )
 
 
-def _solve_near_zero(
+def _find_modes_near_zero_omega(
     stiffness_inverse: StiffnessInverse,
     structure: Structure,
     n_modes: int,
@@ -380,15 +388,17 @@ def _solve_near_zero(
         Shapes.
     """
     if not stiffness_inverse.n_null_pivots:
-        squares, shapes = _solve_near_shift(stiffness_inverse, structure, n_modes, 0.0)
-        if squares[0] > MATRIX_TOLERANCE * square_scale:  # a singular K may give values below 0
-            return squares, shapes
-    shift = -1e-6 * square_scale
+        squared_omegas, shapes = _find_modes_near_shift(stiffness_inverse, structure, n_modes, 0.0)
+        if (
+            squared_omegas[0] > MATRIX_TOLERANCE * square_scale
+        ):  # a singular K may give values below 0
+            return squared_omegas, shapes
+    squared_omega_shift = -1e-6 * square_scale
     shifted_factor = factored_sum(
-        structure.stiffness, -shift, structure.mass, definite=True, border=ties
+        structure.stiffness, -squared_omega_shift, structure.mass, definite=True, border=ties
     )
-    with shifted_factor as inverse:
-        return _solve_near_shift(inverse, structure, n_modes, shift)
+    with shifted_factor as shifted_inverse:
+        return _find_modes_near_shift(shifted_inverse, structure, n_modes, squared_omega_shift)
 
 
 def n_krylov_vectors(n_modes: int) -> int:
@@ -400,8 +410,11 @@ def n_krylov_vectors(n_modes: int) -> int:
     return max(min(2 * n_modes, n_modes + 150), n_modes + 15)
 
 
-def _solve_near_shift(
-    shifted_inverse: StiffnessInverse, structure: Structure, n_modes: int, shift: float
+def _find_modes_near_shift(
+    shifted_inverse: StiffnessInverse,
+    structure: Structure,
+    n_modes: int,
+    squared_omega_shift: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the modes whose omega^2 is closest to a shift [rad^2/s^2] (collective).
 
@@ -414,33 +427,43 @@ def _solve_near_shift(
     (n_local, n_modes)
         Mass-normalised shapes.
     """
-    solver = _make_solver(structure, "crack_modes_", n_modes, n_krylov_vectors(n_modes))
-    solver.setWhichEigenpairs(solver.Which.TARGET_MAGNITUDE)
-    solver.setTolerances(1e-12, 500)
-    solver.setTarget(shift)
-    spectral_transform = solver.getST()
+    eigenvalue_solver = _make_eigenvalue_solver(
+        structure, "crack_modes_", n_modes, n_krylov_vectors(n_modes)
+    )
+    eigenvalue_solver.setWhichEigenpairs(eigenvalue_solver.Which.TARGET_MAGNITUDE)
+    eigenvalue_solver.setTolerances(1e-12, 500)
+    eigenvalue_solver.setTarget(squared_omega_shift)
+    spectral_transform = eigenvalue_solver.getST()
     spectral_transform.setType(spectral_transform.Type.SINVERT)
     # K - shift M is not formed again.
     spectral_transform.setMatMode(spectral_transform.MatMode.SHELL)
-    solver.setPurify(False)  # only a singular mass needs it, and it costs orthogonality
+    eigenvalue_solver.setPurify(False)  # only a singular mass needs it, and it costs orthogonality
     preconditioner = spectral_transform.getKSP().getPC()
     preconditioner.setType("python")
     preconditioner.setPythonContext(
         SimpleNamespace(apply=lambda _, rhs, solution: shifted_inverse.apply(rhs, solution))
     )
-    _run_solver_to_convergence(solver, n_modes)
+    _run_solver_or_raise(eigenvalue_solver, n_modes)
     vector, mass_vector = structure.mass.createVecs()
-    squares = np.array([solver.getEigenvalue(index).real for index in range(n_modes)])
-    ascending_order = np.argsort(squares)
+    squared_omegas = np.array(
+        [eigenvalue_solver.getEigenvalue(index).real for index in range(n_modes)]
+    )
+    ascending_order = np.argsort(squared_omegas)
     shapes = np.empty((n_modes, structure.n_local))
     for row, index in zip(shapes, ascending_order, strict=True):
-        solver.getEigenvector(int(index), vector)
+        eigenvalue_solver.getEigenvector(int(index), vector)
         structure.mass.mult(vector, mass_vector)
         row[:] = vector.array_r / np.sqrt(max(vector.dot(mass_vector), 1e-300))
     # Python would keep the context, and with it K, until PETSc frees its garbage.
-    for petsc_object in (vector, mass_vector, solver, spectral_transform, preconditioner):
+    for petsc_object in (
+        vector,
+        mass_vector,
+        eigenvalue_solver,
+        spectral_transform,
+        preconditioner,
+    ):
         petsc_object.destroy()
-    return squares[ascending_order], shapes.T
+    return squared_omegas[ascending_order], shapes.T
 
 
 def count_modes_below(structure: Structure, squared_omega: float, ties: Any = None) -> int:
@@ -455,23 +478,23 @@ def count_modes_below(structure: Structure, squared_omega: float, ties: Any = No
         return int(factored_matrix.n_negative_pivots)
 
 
-def largest_frequency(structure: Structure) -> float:
+def find_largest_natural_omega(structure: Structure) -> float:
     """Return the largest natural angular frequency [rad/s] (collective)."""
-    solver = _make_solver(structure, "crack_largest_", 1, 30)
-    solver.setWhichEigenpairs(solver.Which.LARGEST_REAL)
-    solver.setTolerances(1e-6, 1000)
-    preconditioner = solver.getST().getKSP().getPC()
+    eigenvalue_solver = _make_eigenvalue_solver(structure, "crack_largest_", 1, 30)
+    eigenvalue_solver.setWhichEigenpairs(eigenvalue_solver.Which.LARGEST_REAL)
+    eigenvalue_solver.setTolerances(1e-6, 1000)
+    preconditioner = eigenvalue_solver.getST().getKSP().getPC()
     preconditioner.setType("cholesky")
     preconditioner.setFactorSolverType("mumps")
-    _run_solver_to_convergence(solver, 1)
-    square = solver.getEigenvalue(0).real
-    solver.destroy()
-    return float(np.sqrt(square))
+    _run_solver_or_raise(eigenvalue_solver, 1)
+    squared_omega = eigenvalue_solver.getEigenvalue(0).real
+    eigenvalue_solver.destroy()
+    return float(np.sqrt(squared_omega))
 
 
 def multiply_columns(matrix: Any, columns: np.ndarray) -> np.ndarray:
     """Multiply a PETSc matrix with columns (n_local, m): the same shape (collective)."""
-    products = np.empty(columns.shape)
+    product_columns = np.empty(columns.shape)
     for start_column in range(0, columns.shape[1], MAX_BLOCK_COLUMNS):
         column_block = np.array(
             columns[:, start_column : start_column + MAX_BLOCK_COLUMNS], order="F"
@@ -480,12 +503,12 @@ def multiply_columns(matrix: Any, columns: np.ndarray) -> np.ndarray:
         block_matrix = PETSc.Mat().createDense(block_sizes, array=column_block, comm=matrix.comm)
         block_matrix.assemble()
         product_matrix = matrix.matMult(block_matrix)
-        products[:, start_column : start_column + MAX_BLOCK_COLUMNS] = (
+        product_columns[:, start_column : start_column + MAX_BLOCK_COLUMNS] = (
             product_matrix.getDenseArray()
         )
         block_matrix.destroy()
         product_matrix.destroy()
-    return products
+    return product_columns
 
 
 def orthonormalise_against_basis(
@@ -526,7 +549,7 @@ def orthonormalise_against_basis(
     return columns
 
 
-def _mode_signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
+def _signs_for_positive_largest_component(structure: Structure, shapes: np.ndarray) -> np.ndarray:
     """Return signs that make the largest component of each shape positive.
 
     A symmetric structure has several equally large components. Then the first by position and
@@ -597,11 +620,17 @@ def damped_modes(structure: Structure) -> DampedModes | None:
     """
     if not isinstance(structure.original.damping, ModalDamping):
         return None
-    modes, damping_factor = structure.compute_once(_compute_damped_modes), structure.damping_factor
+    damped_modes_at_unit_factor, damping_factor = (
+        structure.compute_once(_compute_damped_modes),
+        structure.damping_factor,
+    )
     return (
-        modes
+        damped_modes_at_unit_factor
         if damping_factor == 1.0
-        else replace(modes, damping_rates=damping_factor * modes.damping_rates)
+        else replace(
+            damped_modes_at_unit_factor,
+            damping_rates=damping_factor * damped_modes_at_unit_factor.damping_rates,
+        )
     )
 
 
@@ -629,7 +658,7 @@ def count_damped_modes(structure: Structure) -> int:
     return count
 
 
-def damped_count_and_max_omega(structure: Structure) -> tuple[int, float] | None:
+def damped_count_and_max_omega_or_none(structure: Structure) -> tuple[int, float] | None:
     """Return how many modes are damped, and up to which frequency (collective).
 
     If a reduced structure has modal damping as a projected matrix, the modes of the whole structure
@@ -650,13 +679,13 @@ def damped_count_and_max_omega(structure: Structure) -> tuple[int, float] | None
     """
     if not isinstance(structure.damping, DampingRule | None):
         structure = structure.whole
-    rule = structure.damping
-    if not isinstance(rule, DampingRule):
-        return (0, 0.0) if rule is None else None
-    if isinstance(rule, RayleighDamping):
-        return None if rule.mass or rule.stiffness else (0, 0.0)
-    if isinstance(rule.ratio, float) and rule.modes in (None, structure.n_modes):
-        return None if rule.ratio else (0, 0.0)
+    damping_rule = structure.damping
+    if not isinstance(damping_rule, DampingRule):
+        return (0, 0.0) if damping_rule is None else None
+    if isinstance(damping_rule, RayleighDamping):
+        return None if damping_rule.mass or damping_rule.stiffness else (0, 0.0)
+    if isinstance(damping_rule.ratio, float) and damping_rule.modes in (None, structure.n_modes):
+        return None if damping_rule.ratio else (0, 0.0)
     damping_modes = damped_modes(structure)
     assert damping_modes is not None
     # A smaller rate is rounding of a projection.
@@ -673,14 +702,16 @@ def damped_count_and_max_omega(structure: Structure) -> tuple[int, float] | None
     )
 
 
-def damping_on_modes(structure: Structure, columns: np.ndarray, squares: np.ndarray) -> np.ndarray:
+def project_damping_on_modes(
+    structure: Structure, mode_columns: np.ndarray, squared_omegas: np.ndarray
+) -> np.ndarray:
     """Project the damping C on modes X: X^T C X (collective).
 
     Parameters
     ----------
-    columns : (n_local, m)
+    mode_columns : (n_local, m)
         X, with X^T M X = I and X^T K X = diag(squares).
-    squares : (m,) [rad^2/s^2]
+    squared_omegas : (m,) [rad^2/s^2]
 
     Returns
     -------
@@ -688,20 +719,20 @@ def damping_on_modes(structure: Structure, columns: np.ndarray, squares: np.ndar
         X^T C X, or the diagonal if coupling terms are only rounding.
     """
     if isinstance(structure.damping, RayleighDamping):
-        return structure.damping.rate(squares)
-    projected_matrix = projected_damping(structure, columns)
+        return structure.damping.rate(squared_omegas)
+    projected_matrix = project_damping_on_columns(structure, mode_columns)
     diagonal_damping = np.diag(projected_matrix).copy()
     max_coupling = np.abs(projected_matrix - np.diag(diagonal_damping)).max(initial=0.0)
     allowed_rounding = np.sqrt(MACHINE_EPSILON) * np.abs(diagonal_damping).max(initial=0.0)
     return diagonal_damping if max_coupling <= allowed_rounding else projected_matrix
 
 
-def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:
+def project_damping_on_columns(structure: Structure, columns: np.ndarray) -> np.ndarray:
     """Project the damping C on columns X (n_local, m): X^T C X, (m, m) [kg/s] (collective)."""
-    rule = structure.damping
-    if isinstance(rule, RayleighDamping):  # without C
-        damping_products = rule.mass * multiply_columns(structure.mass, columns)
-        damping_products += rule.stiffness * multiply_columns(structure.stiffness, columns)
+    damping_rule = structure.damping
+    if isinstance(damping_rule, RayleighDamping):  # without C
+        damping_products = damping_rule.mass * multiply_columns(structure.mass, columns)
+        damping_products += damping_rule.stiffness * multiply_columns(structure.stiffness, columns)
         return structure.sum_over_ranks(columns.T @ damping_products)
     if structure.damping_matrix is not None:
         damping_products = multiply_columns(structure.damping_matrix, columns)

@@ -226,7 +226,7 @@ class Coordinates:
         return f"{self.n_dofs} dofs"
 
     @property
-    def drawable_nodes(self) -> Nodes | None:
+    def local_nodes_with_cells_or_none(self) -> Nodes | None:
         """Nodes with cells, which carry every dof; None without cells."""
         return self.nodes if self.nodes is not None and self.nodes.vtk_type else None
 

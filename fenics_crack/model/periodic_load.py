@@ -55,7 +55,7 @@ def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.nda
     >>> square, error = fc.load_harmonics([0.0, 0.5, 0.5, 1.0], [1.0, 1.0, -1.0, -1.0], 9)
     >>> sine = square[2::2]
     """
-    instants, samples = floats_or_nan(time), floats_or_nan(values)
+    instants, load_samples = floats_or_nan(time), floats_or_nan(values)
     check_count("harmonics", harmonics, 1, MAX_HARMONIC_ORDER)
     is_time_valid = (
         instants.ndim == 1
@@ -68,45 +68,49 @@ def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.nda
             "time", time, "two or more ascending times [s], from the first to the last of a period"
         )
     if (
-        samples.ndim not in (1, 2)
-        or len(samples) != len(instants)
-        or not np.all(np.isfinite(samples))
+        load_samples.ndim not in (1, 2)
+        or len(load_samples) != len(instants)
+        or not np.all(np.isfinite(load_samples))
     ):
         raise InputError(
             "values",
             np.shape(values),
             f"finite numbers ({len(instants)},) or ({len(instants)}, m), one row per time",
         )
-    sample_columns = samples.reshape(len(instants), -1)
-    phase = 2.0 * np.pi * (instants - instants[0]) / (instants[-1] - instants[0])
-    phase_steps, value_steps = np.diff(phase)[:, None], np.diff(sample_columns, axis=0)
+    sample_columns = load_samples.reshape(len(instants), -1)
+    phases = 2.0 * np.pi * (instants - instants[0]) / (instants[-1] - instants[0])
+    phase_steps, value_steps = np.diff(phases)[:, None], np.diff(sample_columns, axis=0)
     start_values, end_values = sample_columns[:-1], sample_columns[1:]
     mean = np.sum(phase_steps * (start_values + end_values), axis=0) / (4.0 * np.pi)
     interval_square_sums = start_values**2 + start_values * end_values + end_values**2
-    mean_square = np.sum(phase_steps * interval_square_sums, axis=0) / (6.0 * np.pi)
-    slope = np.divide(
+    mean_squares = np.sum(phase_steps * interval_square_sums, axis=0) / (6.0 * np.pi)
+    interval_slopes = np.divide(
         value_steps, phase_steps, out=np.zeros_like(value_steps), where=phase_steps > 0.0
     )
     complex_coefficient_rows = [mean.astype(complex)]
     for harmonic_order in range(1, harmonics + 1):
-        exponentials_at_phases = np.exp(1j * harmonic_order * phase)[:, None]
+        positive_exponentials_at_phases = np.exp(1j * harmonic_order * phases)[:, None]
         # int f e = [f e / (i k)] + slope [e] / k^2 over each interval
         boundary_term = (
-            end_values * exponentials_at_phases[1:] - start_values * exponentials_at_phases[:-1]
+            end_values * positive_exponentials_at_phases[1:]
+            - start_values * positive_exponentials_at_phases[:-1]
         ) / (1j * harmonic_order)
         boundary_term = np.where(phase_steps > 0.0, boundary_term, 0.0)
         fourier_integral = np.sum(
-            boundary_term + slope * np.diff(exponentials_at_phases, axis=0) / harmonic_order**2,
+            boundary_term
+            + interval_slopes
+            * np.diff(positive_exponentials_at_phases, axis=0)
+            / harmonic_order**2,
             axis=0,
         )
         complex_coefficient_rows.append(np.conj(fourier_integral) / np.pi)
     coefficients = from_complex(np.array(complex_coefficient_rows))
-    variance = float(np.sum(mean_square - mean**2))
+    variance = float(np.sum(mean_squares - mean**2))
     kept_variance = 0.5 * float(np.sum(coefficients[1:] ** 2))
     truncation_error = (
         float(np.sqrt(max(0.0, 1.0 - kept_variance / variance))) if variance > 0.0 else 0.0
     )
-    return coefficients.reshape(2 * harmonics + 1, *samples.shape[1:]), truncation_error
+    return coefficients.reshape(2 * harmonics + 1, *load_samples.shape[1:]), truncation_error
 
 
 def read_load_harmonics_and_error(

@@ -179,15 +179,17 @@ def _convert_receptance_to_load(
         structure
     ).shape[1] - len(new_load_rows):
         return None  # only one of the two has tangents
-    gram = structure.sum_over_ranks(all_load_rows @ all_load_rows.T)
+    gram_matrix = structure.sum_over_ranks(all_load_rows @ all_load_rows.T)
     load_weights = (
-        np.linalg.pinv(gram[:n_known_load_rows, :n_known_load_rows], hermitian=True)
-        @ gram[:n_known_load_rows, n_known_load_rows:]
+        np.linalg.pinv(gram_matrix[:n_known_load_rows, :n_known_load_rows], hermitian=True)
+        @ gram_matrix[:n_known_load_rows, n_known_load_rows:]
     )
     residual_norms_squared = structure.sum_over_ranks(
         ((new_load_rows - load_weights.T @ all_load_rows[:n_known_load_rows]) ** 2).sum(axis=1)
     )
-    if np.any(residual_norms_squared > (ROUNDING * ROUNDING) * np.diag(gram)[n_known_load_rows:]):
+    if np.any(
+        residual_norms_squared > (ROUNDING * ROUNDING) * np.diag(gram_matrix)[n_known_load_rows:]
+    ):
         return None
     source_transformation = scipy.linalg.block_diag(
         np.eye(len(known_receptance.modal) - n_known_load_rows), load_weights
@@ -282,15 +284,19 @@ def _extend_receptance(
     inertia_diagonal = known_receptance.inertia - np.sum(
         modal_flexibility[: structure.n_pairs] ** 2, axis=1
     )
-    dofs = [*known_receptance.rows]
-    shape_rows = structure.values_at(modes.shapes.T, dofs).T
+    known_dofs = [*known_receptance.rows]
+    shape_rows = structure.values_at(modes.shapes.T, known_dofs).T
     residual_rows = (
         np.array([residual_row for _, residual_row in known_receptance.rows.values()])
         - shape_rows[:, new_mode_range] @ modal_flexibility.T
     )
     residual_multiplier = 0.0 if has_all_modes else 1.0
     rows_by_dof = dict(
-        zip(dofs, zip(shape_rows, residual_multiplier * residual_rows, strict=True), strict=True)
+        zip(
+            known_dofs,
+            zip(shape_rows, residual_multiplier * residual_rows, strict=True),
+            strict=True,
+        )
     )
     return Receptance(
         squares,
@@ -373,23 +379,29 @@ def _store_dof_rows(
     structure: Structure,
     dofs: np.ndarray,
     flexibility: ResidualFlexibility,
-    factor: Factor | None = None,
+    stiffness_factor_or_none: Factor | None = None,
 ) -> None:
     """Store displacements of some dofs under unit loads in ``rows`` (collective)."""
-    dof_offsets = dofs - structure.first_dof
-    owned_entry_indices = np.flatnonzero((dof_offsets >= 0) & (dof_offsets < structure.n_local))
-    forces_shape = structure.n_local, len(dofs)
+    dofs_from_first_owned = dofs - structure.first_dof
+    indices_of_owned_dofs = np.flatnonzero(
+        (dofs_from_first_owned >= 0) & (dofs_from_first_owned < structure.n_local)
+    )
+    unit_forces_shape = structure.n_local, len(dofs)
     unit_forces = sparse.csr_matrix(
         (
-            np.ones(len(owned_entry_indices)),
-            (dof_offsets[owned_entry_indices], owned_entry_indices),
+            np.ones(len(indices_of_owned_dofs)),
+            (dofs_from_first_owned[indices_of_owned_dofs], indices_of_owned_dofs),
         ),
-        forces_shape,
+        unit_forces_shape,
     )
     residual_rows = np.zeros((len(dofs), len(known_receptance.modal)))
     if known_receptance.n_modes < structure.n_dofs:
-        stiffness_factor = factor or Factor(structure.stiffness, definite=True)
-        with nullcontext(stiffness_factor) if factor else stiffness_factor as usable_factor:
+        stiffness_factor = stiffness_factor_or_none or Factor(structure.stiffness, definite=True)
+        with (
+            nullcontext(stiffness_factor)
+            if stiffness_factor_or_none
+            else stiffness_factor as usable_factor
+        ):
             residual_rows = flexibility.projected_compliance_and_inertia(
                 usable_factor, unit_forces
             )[0]
@@ -440,14 +452,14 @@ class ResidualFlexibility:
         # With a hinge that hardly resists, only rounding of the modal part would remain.
         self._is_well_supported = bool(np.all(squares > np.sqrt(MACHINE_EPSILON) * squares[-1:]))
 
-    def solve(self, factor: Factor, forces: np.ndarray) -> np.ndarray:
+    def solve(self, stiffness_factor: Factor, forces: np.ndarray) -> np.ndarray:
         """Return displacements G f by forces f, both (m, n_local) (collective).
 
-        ``factor`` solves with the stiffness K.
+        ``stiffness_factor`` solves with the stiffness K.
         """
         structure, mode_shapes = self.structure, self.shapes
         modal_forces = structure.sum_over_ranks(forces @ mode_shapes)
-        displacements = factor.solve(
+        displacements = stiffness_factor.solve(
             forces - multiply_columns(structure.mass, mode_shapes @ modal_forces.T).T
         )
         inertia_forces = multiply_columns(structure.mass, displacements.T).T
@@ -456,13 +468,13 @@ class ResidualFlexibility:
         )
 
     def projected_compliance_and_inertia(
-        self, factor: Factor, columns: sparse.spmatrix
+        self, stiffness_factor: Factor, force_columns: sparse.spmatrix
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return displacements along forces Y by the forces X (collective).
 
         Parameters
         ----------
-        columns : (n_local, m)
+        force_columns : (n_local, m)
             Y, sparse forces.
 
         Returns
@@ -472,30 +484,37 @@ class ResidualFlexibility:
         (m,)
             Diagonal of Y^T G M G Y.
         """
-        product_blocks, inertia_blocks = [np.zeros((0, self.sources.shape[1]))], [np.zeros(0)]
-        for start in range(0, columns.shape[1], MAX_BLOCK_COLUMNS):
-            force_rows = columns[:, start : start + MAX_BLOCK_COLUMNS].T.toarray()
+        projected_compliance_parts, inertia_diagonal_parts = (
+            [np.zeros((0, self.sources.shape[1]))],
+            [np.zeros(0)],
+        )
+        for start in range(0, force_columns.shape[1], MAX_BLOCK_COLUMNS):
+            force_rows = force_columns[:, start : start + MAX_BLOCK_COLUMNS].T.toarray()
             # If K^-1 is small enough, its modal part is subtracted once, below.
             responses = (
-                factor.solve(force_rows)
+                stiffness_factor.solve(force_rows)
                 if self._is_well_supported
-                else self.solve(factor, force_rows)
+                else self.solve(stiffness_factor, force_rows)
             )
-            product_blocks.append((self.sources.T @ responses.T).T)
-            inertia_blocks.append(
+            projected_compliance_parts.append((self.sources.T @ responses.T).T)
+            inertia_diagonal_parts.append(
                 np.sum(responses.T * multiply_columns(self.structure.mass, responses.T), axis=0)
             )
-        products: np.ndarray = self.structure.sum_over_ranks(np.concatenate(product_blocks))
-        inertia_diagonal: np.ndarray = self.structure.sum_over_ranks(np.concatenate(inertia_blocks))
+        projected_compliance: np.ndarray = self.structure.sum_over_ranks(
+            np.concatenate(projected_compliance_parts)
+        )
+        inertia_diagonal: np.ndarray = self.structure.sum_over_ranks(
+            np.concatenate(inertia_diagonal_parts)
+        )
         if self._is_well_supported:
             modal_flexibility = (
-                self.structure.sum_over_ranks(columns.T @ self.shapes) / self.squares
+                self.structure.sum_over_ranks(force_columns.T @ self.shapes) / self.squares
             )
-            products -= modal_flexibility @ self.modal_sources.T
+            projected_compliance -= modal_flexibility @ self.modal_sources.T
             inertia_diagonal -= np.sum(modal_flexibility**2, axis=1)
-        return products, inertia_diagonal
+        return projected_compliance, inertia_diagonal
 
-    def compliance_and_inertia(self, factor: Factor) -> tuple[np.ndarray, np.ndarray]:
+    def compliance_and_inertia(self, stiffness_factor: Factor) -> tuple[np.ndarray, np.ndarray]:
         """Return the compliance of pairs and load, and its inertia (collective).
 
         Returns
@@ -506,6 +525,6 @@ class ResidualFlexibility:
             Diagonal of X^T G M G X, the change of S's diagonal by w^2.
         """
         unsymmetric_compliance, inertia_diagonal = self.projected_compliance_and_inertia(
-            factor, self.sources
+            stiffness_factor, self.sources
         )
         return 0.5 * (unsymmetric_compliance + unsymmetric_compliance.T), inertia_diagonal

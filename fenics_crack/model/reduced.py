@@ -52,8 +52,8 @@ MASS_REMEDY = "reduce it with method = 'free_interface', or use integrate_expone
 class ReducedBody(Body):
     """Constant data of a reduced structure (:class:`Body`).
 
-    ``source`` is the structure that was reduced, and ``error_share_removed_by_reference`` its
-    attribute ``share``; :class:`ReducedStructure` explains all other fields.
+    ``source`` is the structure that was reduced. ``error_share_removed_by_larger_reduction`` is
+    its attribute ``share``; :class:`ReducedStructure` explains all other fields.
     """
 
     source: Structure
@@ -61,7 +61,7 @@ class ReducedBody(Body):
     omega: np.ndarray
     reference: ReducedStructure | None = None
     # The reference with the next static shapes lacks a quarter or less.
-    error_share_removed_by_reference: float = 0.75
+    error_share_removed_by_larger_reduction: float = 0.75
 
 
 def _make_body_fields(
@@ -114,7 +114,7 @@ class ReducedStructure(Structure):
     body: ReducedBody
     basis: np.ndarray = body_property("basis")
     omega: np.ndarray = body_property("omega")
-    share: float = body_property("error_share_removed_by_reference")
+    share: float = body_property("error_share_removed_by_larger_reduction")
     frequency = hertz_property()
 
     def __init__(
@@ -293,7 +293,7 @@ class MasslessStructure(QuasiStaticReduction):
             source, squares, damping, gap, tangential_gap, force, compliance
         )
         field_by_name["inverse_compliance_root"] = _root_of_pseudoinverse(compliance)
-        field_by_name["error_share_removed_by_reference"] = share
+        field_by_name["error_share_removed_by_larger_reduction"] = share
         Structure.__init__(self, MasslessBody(**field_by_name, reference=reference))
 
     @property

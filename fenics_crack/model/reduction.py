@@ -44,9 +44,9 @@ from fenics_crack.model.modes import (
     ZERO_TOLERANCE,
     count_damped_modes,
     damped_modes,
-    damping_on_modes,
     multiply_columns,
     orthonormalise_against_basis,
+    project_damping_on_modes,
     solve_modes,
     solve_modes_with_factor,
 )
@@ -179,11 +179,11 @@ def _reduce_massless(
     inertia of the truncated modes.
     """
     original = structure.original
-    n_doubled, max_reference = (n_kept + max(n_kept, 10), original.n_dofs - original.n_pairs)
-    n_reference = min(n_doubled, max_reference) if max_reference > n_kept else original.n_dofs
+    n_doubled, max_reference = n_kept + max(n_kept, 10), original.n_dofs - original.n_pairs
+    n_reference_modes = min(n_doubled, max_reference) if max_reference > n_kept else original.n_dofs
     if has_given_reference := reference_choice is not True and reference_choice > n_kept:
-        n_reference = int(reference_choice)
-    mode_counts = (n_reference, n_kept) if reference_choice else (n_kept,)
+        n_reference_modes = int(reference_choice)
+    mode_counts = (n_reference_modes, n_kept) if reference_choice else (n_kept,)
     largest_receptance = receptance(original, max(mode_counts))
     if n_missing_rigid_modes := np.count_nonzero(largest_receptance.squares[n_kept:] == 0.0):
         requirement = f"at least {n_kept + n_missing_rigid_modes}, to keep all rigid-body motions"
@@ -191,8 +191,8 @@ def _reduce_massless(
     if (
         reference_choice
         and not has_given_reference
-        and n_reference < n_doubled
-        and n_reference == max_reference
+        and n_reference_modes < n_doubled
+        and n_reference_modes == max_reference
     ):
         pair_range = slice(original.n_pairs)
         reference_compliance, compliance = (
@@ -243,7 +243,7 @@ def _reduce_massless(
 
 
 def _is_residual_flexibility_rounding(
-    compliance_diagonal: np.ndarray, modal_sources: np.ndarray, squares: np.ndarray
+    compliance_diagonal: np.ndarray, modal_sources: np.ndarray, squared_omegas: np.ndarray
 ) -> np.ndarray:
     """Return True for forces whose residual flexibility is only rounding.
 
@@ -253,11 +253,13 @@ def _is_residual_flexibility_rounding(
         Residual flexibility of each force.
     modal_sources : (n_modes, n_sources)
         Modal forces Phi^T X by the unit forces X.
-    squares : (n_modes,) [rad^2/s^2]
+    squared_omegas : (n_modes,) [rad^2/s^2]
         Squares of the modes' frequencies.
     """
-    is_elastic = squares > 0.0
-    modal_compliance = np.sum(modal_sources[is_elastic] ** 2 / squares[is_elastic, None], axis=0)
+    is_elastic_mode = squared_omegas > 0.0
+    modal_compliance = np.sum(
+        modal_sources[is_elastic_mode] ** 2 / squared_omegas[is_elastic_mode, None], axis=0
+    )
     return np.asarray(compliance_diagonal <= ZERO_TOLERANCE * modal_compliance)
 
 
@@ -276,17 +278,17 @@ def _uniform_damping_rule_or_none(structure: Structure) -> DampingRule | None:
         return ModalDamping(damping.ratio)
     if structure.n_dofs <= MAX_DENSE_SIZE:
         return None
-    problem = f"{len(damping.ratio)} ratios for all {structure.n_dofs} modes"
+    problem_text = f"{len(damping.ratio)} ratios for all {structure.n_dofs} modes"
     requirement = (
         "one ratio, or ratios of the lowest modes (damping.modes), as the structure has more than "
         f"{MAX_DENSE_SIZE} dofs"
     )
-    raise InputError("damping ratio", problem, requirement)
+    raise InputError("damping ratio", problem_text, requirement)
 
 
 @contextmanager
 def _regular_stiffness_factor(
-    factor: Factor, structure: Structure, *, is_held: bool
+    stiffness_factor: Factor, structure: Structure, *, is_held: bool
 ) -> Iterator[Factor]:
     """Yield a factor of the stiffness, shifted if it is singular.
 
@@ -294,41 +296,47 @@ def _regular_stiffness_factor(
     eigenvalues s = omega^2.
     """
     if is_held:
-        yield factor
+        yield stiffness_factor
         return
-    shift = (
-        solve_modes_with_factor(factor, structure, min(structure.n_dofs, 10)).omega[-1] ** 2 or 1.0
+    squared_omega_shift = (
+        solve_modes_with_factor(stiffness_factor, structure, min(structure.n_dofs, 10)).omega[-1]
+        ** 2
+        or 1.0
     )
-    with factored_sum(structure.stiffness, shift, structure.mass, definite=True) as regular_factor:
+    with factored_sum(
+        structure.stiffness, squared_omega_shift, structure.mass, definite=True
+    ) as regular_factor:
         yield regular_factor
 
 
 def _reduce_to_vectors(
     structure: Structure,
     mode_shapes: np.ndarray,
-    squares: np.ndarray,
-    vectors: np.ndarray,
+    squared_omegas: np.ndarray,
+    displacement_vectors: np.ndarray,
     reference: ReducedStructure | None,
 ) -> ReducedStructure:
     """Reduce a structure to the span of modes and other displacement vectors.
 
-    The basis is made M-orthonormal and K-diagonal. ``squares`` are the squares of the modes'
-    frequencies; ``vectors`` are (n_local, m).
+    The basis is made M-orthonormal and K-diagonal. ``squared_omegas`` are the squares of the modes'
+    frequencies; ``displacement_vectors`` are (n_local, m).
     """
-    vectors = orthonormalise_against_basis(structure, structure.mass, mode_shapes, vectors)
-    projected_stiffness = structure.sum_over_ranks(
-        vectors.T @ multiply_columns(structure.stiffness, vectors)
+    displacement_vectors = orthonormalise_against_basis(
+        structure, structure.mass, mode_shapes, displacement_vectors
     )
-    vector_squares, eigenvectors = np.linalg.eigh(projected_stiffness)
-    vectors = vectors @ eigenvectors
-    basis = np.hstack([mode_shapes, vectors])
-    squares = np.concatenate([squares, vector_squares])
-    damping = _reduce_damping(structure, basis, squares)
-    return ReducedStructure(structure, basis, squares, damping, reference)
+    projected_stiffness = structure.sum_over_ranks(
+        displacement_vectors.T @ multiply_columns(structure.stiffness, displacement_vectors)
+    )
+    vector_squared_omegas, eigenvectors = np.linalg.eigh(projected_stiffness)
+    displacement_vectors = displacement_vectors @ eigenvectors
+    basis = np.hstack([mode_shapes, displacement_vectors])
+    squared_omegas = np.concatenate([squared_omegas, vector_squared_omegas])
+    damping = _reduce_damping(structure, basis, squared_omegas)
+    return ReducedStructure(structure, basis, squared_omegas, damping, reference)
 
 
 def _reduce_damping(
-    structure: Structure, basis: np.ndarray, squares: np.ndarray
+    structure: Structure, basis: np.ndarray, squared_omegas: np.ndarray
 ) -> DampingRule | np.ndarray | None:
     """Return the reduced damping T^T C T, as a rule or matrix.
 
@@ -339,8 +347,8 @@ def _reduce_damping(
         return None
     if (uniform_rule := _uniform_damping_rule_or_none(structure)) is not None:
         return uniform_rule
-    modal_damping = damping_on_modes(structure, basis, squares)
-    omega = np.sqrt(np.maximum(squares, 0.0))
+    modal_damping = project_damping_on_modes(structure, basis, squared_omegas)
+    omega = np.sqrt(np.maximum(squared_omegas, 0.0))
     if modal_damping.ndim == 2:
         return modal_damping
     if np.any(modal_damping[omega == 0.0] > 0.0):  # no ratio damps a motion as a rigid body

@@ -249,7 +249,7 @@ class RitzProjection:
         Structure that was projected, at its own speed.
     basis : (structure.n_local, n)
         V, of modes and static responses at several speeds.
-    rest_stiffness, rotation_stiffnesses : (n, n), (3, n, n)
+    rest_stiffness, stiffness_terms_K_1_K_2_K_3 : (n, n), (3, n, n)
         V^T K V at rest, and V^T K_i V of the terms K_1, K_2, K_3 of :class:`Rotation`.
     mass_diagonal : (n,)
         Diagonal of the mass matrix V^T M V.
@@ -266,7 +266,7 @@ class RitzProjection:
     structure: Structure
     basis: np.ndarray
     rest_stiffness: np.ndarray
-    rotation_stiffnesses: np.ndarray
+    stiffness_terms_K_1_K_2_K_3: np.ndarray
     mass_diagonal: np.ndarray
     force: np.ndarray
     centrifugal_load: np.ndarray
@@ -360,7 +360,7 @@ class RitzProjection:
         (2K+1, n) [N]
             V^T f, with the mean load due to rotation.
         """
-        K_1_term, K_2_term, K_3_term = speed**2 * self.rotation_stiffnesses
+        K_1_term, K_2_term, K_3_term = speed**2 * self.stiffness_terms_K_1_K_2_K_3
         stiffness = self.rest_stiffness + K_1_term + K_2_term + speed**2 * K_3_term
         rotation_displacement = np.linalg.solve(
             self.rest_stiffness + K_1_term, speed**2 * self.centrifugal_load
@@ -472,7 +472,7 @@ class RunUpStructure(QuasiStaticReduction):
         omega : float [rad/s]
             The nearest natural frequency is taken.
         """
-        K_1_term, K_2_term, K_3_term = self.speed**2 * self.body.ritz.rotation_stiffnesses
+        K_1_term, K_2_term, K_3_term = self.speed**2 * self.body.ritz.stiffness_terms_K_1_K_2_K_3
         nearest_mode_index = int(np.abs(self.omega - omega).argmin())
         mode_shape = self.shapes[:, nearest_mode_index]
         log_speed_stiffness_slope = 2.0 * (K_1_term + K_2_term + 2.0 * self.speed**2 * K_3_term)

@@ -35,11 +35,16 @@ from fenics_crack.basics.errors import (
 from fenics_crack.basics.suggestions import check_calls, with_old_names
 from fenics_crack.basics.tables import format_count
 from fenics_crack.basics.threads import run_single_threaded
-from fenics_crack.model.body import DEFAULT_SETTING, MATRIX_INDEPENDENT_FIELD_NAMES, Body, Setting
+from fenics_crack.model.body import (
+    DEFAULT_SETTING,
+    FIELD_NAMES_THAT_KEEP_MATRIX_CACHE,
+    Body,
+    Setting,
+)
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import (
     AbsentMatrix,
-    add_harmonics,
+    add_harmonics_to_load,
     add_springs,
     check_and_distribute_parts,
     expand_to_pairs,
@@ -243,8 +248,10 @@ AnyStructure = TypeVar("AnyStructure", bound="Structure")
 
 @with_old_names(
     check_dofs="as_dof_numbers",
+    drawable_nodes="local_nodes_with_cells_or_none",
     watched_sector="watched_sector_index",
     watched_sector_load="watched_sector_load_rows",
+    with_harmonics="with_added_load_harmonics",
 )
 class Structure(Coordinates):
     """A linear structure with contact pairs; read-only.
@@ -308,7 +315,7 @@ class Structure(Coordinates):
 
         Tangential gaps, behind the normal ones, get no addition.
         """
-        clearance, added_clearance = self.body.clearance.copy(), self.setting.clearance
+        clearance, added_clearance = self.body.clearance.copy(), self.setting.added_clearance
         clearance[: np.size(added_clearance) if np.ndim(added_clearance) else None] += (
             added_clearance
         )
@@ -391,7 +398,7 @@ class Structure(Coordinates):
         new_structure, body = object.__new__(type(self)), self.body
         if changes:
             new_caches: dict[str, Any] = {"result_cache": {}}
-            if not changes.keys() <= MATRIX_INDEPENDENT_FIELD_NAMES:
+            if not changes.keys() <= FIELD_NAMES_THAT_KEEP_MATRIX_CACHE:
                 new_caches["matrix_cache"] = {}
             body = replace(body, **new_caches | changes)
         Structure.__init__(new_structure, body)
@@ -549,7 +556,7 @@ class Structure(Coordinates):
 
         return _change_with_rotation(self, bond_pairs)
 
-    def with_harmonics(self, harmonics: Mapping[int, tuple[Any, Any]]) -> Structure:
+    def with_added_load_harmonics(self, harmonics: Mapping[int, tuple[Any, Any]]) -> Structure:
         """Return this structure with further harmonics of its load.
 
         Parameters
@@ -569,7 +576,7 @@ class Structure(Coordinates):
             raise InputError(
                 "structure", repr(self), "a structure that is not reduced, as structure.whole"
             )
-        load_coefficients = add_harmonics(self.force, harmonics, self.mass)
+        load_coefficients = add_harmonics_to_load(self.force, harmonics, self.mass)
         return self._in_setting(
             replace(self.setting, load_weights=1.0), force=load_coefficients, clamp=None
         )

@@ -150,20 +150,20 @@ def find_attractor(
                 and relative_decay_per_period * distance_to_orbit <= allowed_movement
             ):
                 orbit_text = f"an orbit of {n_orbit_load_periods} periods of the load"
-                description = f"settles to {orbit_text if lag_index else 'a periodic orbit'}"
+                outcome_text = f"settles to {orbit_text if lag_index else 'a periodic orbit'}"
                 return Attractor(
                     orbit,
-                    description,
+                    outcome_text,
                     (len(states_at_periods) - 1) * orbit_equations.subharmonic,
                     orbit_equations,
                     last_state,
                 )
-    description = "does not settle: " + describe_closest_return(
+    outcome_text = "does not settle: " + describe_closest_return(
         states_at_periods, orbit_equations.subharmonic, "it"
     )
     return Attractor(
         None,
-        description,
+        outcome_text,
         (len(states_at_periods) - 1) * orbit_equations.subharmonic,
         orbit_equations,
         states_at_periods[-1],
@@ -195,18 +195,23 @@ def find_irregular_motion(
     Source: Benettin et al., Meccanica 15 (1980) 9-20.
     """
     begin_stage("growth of a disturbance of the exact motion")
-    period, weights = 2.0 * np.pi * subharmonic / omega, flow.energy_weights(omega / subharmonic)
-    state_change = np.random.default_rng(1).normal(size=flow.state_size) / weights
+    period, energy_weights = (
+        2.0 * np.pi * subharmonic / omega,
+        flow.energy_weights(omega / subharmonic),
+    )
+    state_change = np.random.default_rng(1).normal(size=flow.state_size) / energy_weights
     remaining_pieces, cumulative_log_growths = MAX_SEARCH_PIECES, [0.0]
     with suppress(ConvergenceError):  # also at the end of its budget
         for _ in range(MAX_GROWTH_PERIODS):
             motion = flow.advance(
                 state, omega, period, budget=Budget(allowed_pieces=remaining_pieces)
             )
-            state_change = motion.track @ (state_change / np.linalg.norm(weights * state_change))
+            state_change = motion.track @ (
+                state_change / np.linalg.norm(energy_weights * state_change)
+            )
             state, remaining_pieces = motion.state, remaining_pieces - motion.n_taylor_pieces
             cumulative_log_growths.append(
-                cumulative_log_growths[-1] + math.log(np.linalg.norm(weights * state_change))
+                cumulative_log_growths[-1] + math.log(np.linalg.norm(energy_weights * state_change))
             )
     transient_end_index = len(cumulative_log_growths) // 3
     total_log_growth = cumulative_log_growths[-1] - cumulative_log_growths[transient_end_index]

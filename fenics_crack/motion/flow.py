@@ -55,12 +55,12 @@ class Budget:
     ----------
     allowed_pieces : int
         Maximum pieces of the motion, each with a Taylor series.
-    allowed_intervals : int
+    allowed_event_intervals : int
         Maximum intervals between events: pairs open, close, stick or slip.
     """
 
     allowed_pieces: int = 100_000
-    allowed_intervals: int = 20_000
+    allowed_event_intervals: int = 20_000
 
 
 class BudgetError(ConvergenceError):
@@ -238,19 +238,20 @@ class Flow:
         """
         modal_model = self.modal_model
 
-        def select(motion_columns: np.ndarray) -> np.ndarray:
+        def select_rows(motion_columns: np.ndarray) -> np.ndarray:
             """Return the requested rows of motions (n_dofs, k)."""
             return motion_columns[dofs] if rows is None else rows @ motion_columns
 
-        displacement: np.ndarray = modal_displacement @ select(modal_model.shapes).T
+        displacement: np.ndarray = modal_displacement @ select_rows(modal_model.shapes).T
         if (
             modal_model.massless_flexibility is not None
             and modal_model.massless_pair_responses is not None
         ):
             displacement += (
-                load_basis @ select((self.structure.force @ modal_model.massless_flexibility).T).T
+                load_basis
+                @ select_rows((self.structure.force @ modal_model.massless_flexibility).T).T
             )
-            displacement -= force @ select(modal_model.massless_pair_responses).T
+            displacement -= force @ select_rows(modal_model.massless_pair_responses).T
         return displacement
 
 
@@ -380,12 +381,14 @@ class ContactFlow(Flow):
         Velocities have weight 1, and modal displacements the mode's frequency [rad/s], at least
         ``base_omega``.
         """
-        weights = np.ones(self.state_size)
-        np.sqrt(np.maximum(self.modal_model.squares, base_omega**2), out=weights[: self.n_modes])
+        energy_weights = np.ones(self.state_size)
+        np.sqrt(
+            np.maximum(self.modal_model.squares, base_omega**2), out=energy_weights[: self.n_modes]
+        )
         if self.friction_law:  # h deforms a spring as stiff as a single sticking pair
             stick_compliance = np.diag(self.compliance)[self.structure.n_pairs :]
-            weights[2 * self.n_modes :] = 1.0 / np.sqrt(stick_compliance)
-        return weights
+            energy_weights[2 * self.n_modes :] = 1.0 / np.sqrt(stick_compliance)
+        return energy_weights
 
     def amplitude_weights(self, base_omega: float) -> np.ndarray:
         """Return the weights w of a state z for the amplitude norm |w z|: (state_size,).
@@ -431,21 +434,21 @@ class ContactFlow(Flow):
         n_instants = len(instants)
         n_contact_rows = len(self.softness)
         n_pairs = self.structure.n_pairs
-        states = np.empty((n_instants, 2 * self.n_modes))
+        state_samples = np.empty((n_instants, 2 * self.n_modes))
         forces_and_openings = np.empty(
             (n_instants, 2 * n_contact_rows if self.friction_law else n_contact_rows)
         )
         pair_states = np.empty((n_instants, n_pairs), dtype=np.int8)
         motion_struct, copy_track = self._make_motion_struct_and_track_copier(
             budget, omega=omega, time=start, end=start + duration, state=end_state,
-            n_instants=n_instants, instants=instants, states=states, answers=forces_and_openings,
-            closed=pair_states,
+            n_instants=n_instants, instants=instants, states=state_samples,
+            answers=forces_and_openings, closed=pair_states,
         )  # fmt: skip
-        _check_outcome(
+        _check_integration_outcome(
             kernel.flow_advance(self.handle, motion_struct.address), motion_struct.address.n_events
         )
         track = Track(self, omega, start, **copy_track(motion_struct.address.n_intervals))
-        samples = Samples(self, omega, instants, states, forces_and_openings, pair_states)
+        samples = Samples(self, omega, instants, state_samples, forces_and_openings, pair_states)
         n_events = int(motion_struct.address.n_events)
         n_taylor_pieces = int(motion_struct.address.n_pieces)
         return IntegratedMotion(end_state, n_events, n_taylor_pieces, track, samples)
@@ -481,7 +484,7 @@ class ContactFlow(Flow):
             self.handle, motion_struct.address, len(states), period, pointer(states),
             pointer(end_states), pointer(interval_counts),
         )  # fmt: skip
-        _check_outcome(outcome, motion_struct.address.n_events)
+        _check_integration_outcome(outcome, motion_struct.address.n_events)
         track = Track(self, omega, 0.0, **copy_track(motion_struct.address.n_intervals))
         return end_states, track, interval_counts
 
@@ -494,8 +497,8 @@ class ContactFlow(Flow):
         arrays by name.
         """
         budget = budget or Budget()
-        if self._track_buffer_length < budget.allowed_intervals:
-            self._track_buffer_length = max_intervals = budget.allowed_intervals
+        if self._track_buffer_length < budget.allowed_event_intervals:
+            self._track_buffer_length = max_intervals = budget.allowed_event_intervals
             pair_state_buffer = np.empty((max_intervals, self.structure.n_pairs), np.int8)
             self._track_array_by_name = {
                 "sets": pair_state_buffer,
@@ -511,7 +514,7 @@ class ContactFlow(Flow):
         track_array_by_name = self._track_array_by_name
         limits_by_name = {
             "max_pieces": budget.allowed_pieces,
-            "max_intervals": budget.allowed_intervals,
+            "max_intervals": budget.allowed_event_intervals,
         }
 
         def copy_track(n_intervals: int) -> dict[str, np.ndarray]:
@@ -564,13 +567,13 @@ class Track:
         return Struct("flow_track", n_intervals=len(self.lengths), **members_by_name)
 
     @cached_property
-    def tangent(self) -> np.ndarray:
+    def derivative_of_end_state(self) -> np.ndarray:
         """Return dz(end) / dz(start), the derivative of the state z: (state_size, state_size)."""
         tangent_matrix = np.empty((self.flow.state_size, self.flow.state_size))
         outcome = kernel.flow_tangent(
             self.flow.handle, self._struct.address, pointer(tangent_matrix)
         )
-        _check_outcome(outcome, len(self.lengths) - 1)
+        _check_integration_outcome(outcome, len(self.lengths) - 1)
         return tangent_matrix
 
     def derivative_by_softness(
@@ -586,20 +589,22 @@ class Track:
         softness_rate : (n_rows,)
             Derivative of 1 / kappa of each contact row by the parameter.
         """
-        derivative = np.empty(self.flow.state_size)
+        end_state_derivative = np.empty(self.flow.state_size)
         checked_softness_rate = require_shape(softness_rate, *self.flow.softness.shape)
         outcome = kernel.flow_by_structure(
             self.flow.handle, self._struct.address, pointer(as_doubles(start_state)), NULL,
-            pointer(checked_softness_rate), pointer(derivative),
+            pointer(checked_softness_rate), pointer(end_state_derivative),
         )  # fmt: skip
-        _check_outcome(outcome, len(self.lengths) - 1)
-        return derivative
+        _check_integration_outcome(outcome, len(self.lengths) - 1)
+        return end_state_derivative
 
-    def __matmul__(self, change: np.ndarray) -> np.ndarray:
+    def __matmul__(self, start_change: np.ndarray) -> np.ndarray:
         """Return the end state's change for a change (state_size,) of the start state."""
         interval_counts = np.array([len(self.lengths)], dtype=np.intc)
         return np.asarray(
-            self.carry_changes(change, np.zeros((1, self.flow.state_size)), interval_counts)[-1]
+            self.carry_changes(start_change, np.zeros((1, self.flow.state_size)), interval_counts)[
+                -1
+            ]
         )
 
     def carry_changes(
@@ -623,15 +628,15 @@ class Track:
         (n + 1, size)
             d at the start of each part, and at the end.
         """
-        changes = np.empty((len(interval_counts) + 1, self.flow.state_size))
-        changes[0] = start_change
+        state_changes = np.empty((len(interval_counts) + 1, self.flow.state_size))
+        state_changes[0] = start_change
         outcome = kernel.flow_carry_changes(
             self.flow.handle, self._struct.address, len(interval_counts), pointer(interval_counts),
             pointer(as_doubles(state_jumps)),
-            pointer(changes),
+            pointer(state_changes),
         )  # fmt: skip
-        _check_outcome(outcome, len(self.lengths) - 1)
-        return changes
+        _check_integration_outcome(outcome, len(self.lengths) - 1)
+        return state_changes
 
 
 @dataclass(frozen=True)
@@ -737,13 +742,15 @@ def _upper_bound_of_rates(max_square: float, damping: np.ndarray) -> float:
     Roots s of s^2 + c s + k = 0 have no larger |s| for all k <= ``max_square`` [1/s^2] and all
     Rayleigh quotients c of the damping [1/s].
     """
-    max_damping = float(np.linalg.norm(damping, 2 if damping.ndim == 2 else np.inf))
+    max_damping_rate = float(np.linalg.norm(damping, 2 if damping.ndim == 2 else np.inf))
     if damping.ndim == 2 and not np.allclose(damping, damping.T):  # c is complex
-        return 0.5 * (max_damping + float(np.sqrt(max_damping**2 + 4.0 * max(max_square, 0.0))))
-    return max(float(np.sqrt(max(max_square, 0.0))), max_damping)
+        return 0.5 * (
+            max_damping_rate + float(np.sqrt(max_damping_rate**2 + 4.0 * max(max_square, 0.0)))
+        )
+    return max(float(np.sqrt(max(max_square, 0.0))), max_damping_rate)
 
 
-def _check_outcome(outcome: int, n_events: int) -> None:
+def _check_integration_outcome(outcome: int, n_events: int) -> None:
     """Raise the error for a failure code of the kernel's integration.
 
     ``n_events`` is the number of events before the failure, for the message.

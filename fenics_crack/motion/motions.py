@@ -1,8 +1,8 @@
 """Observed motions: each kind of motion yields a :class:`Record`, and all numbers follow from it.
 
 Motions are harmonic-balance solutions, exact orbits, time histories, and curves. Each has one
-method, ``records``. It multiplies the displacement by given rows, and adds the gaps and contact
-forces at the crack faces, over a period. A curve has a record for each point.
+method, ``yield_records_of_row_products``. It multiplies the displacement by given rows, and adds
+the gaps and contact forces at the crack faces, over a period. A curve has a record for each point.
 
 Crack indicators change with the crack. A watched displacement is
 
@@ -263,7 +263,7 @@ class Harmonics:
     ----------
     coefficients : (2H+1,) [m]
         Fourier coefficients of the displacement.
-    mean, fundamental : float [m]
+    mean, amplitude_at_load_frequency : float [m]
         a0 and U_1; nan if U_1 is 0.
     largest_order, ratio_largest : float
         Order k of the largest harmonic above the load's, and U_k / U_1.
@@ -272,14 +272,18 @@ class Harmonics:
     def __init__(self, coefficients: np.ndarray, subharmonic: int) -> None:
         self.coefficients, self._subharmonic = coefficients, subharmonic
         self._amplitudes = np.hypot(coefficients[1::2], coefficients[2::2])
-        fundamental = self.harmonic(1)
+        amplitude_at_load_frequency = self.harmonic(1)
         self.mean = float(coefficients[0])
-        self.fundamental = fundamental if fundamental > 0.0 else math.nan
+        self.amplitude_at_load_frequency = (
+            amplitude_at_load_frequency if amplitude_at_load_frequency > 0.0 else math.nan
+        )
         self.largest_order = self.ratio_largest = math.nan
         higher_amplitudes = self._amplitudes[2 * subharmonic - 1 :: subharmonic]
         if len(higher_amplitudes):
             largest_index = int(higher_amplitudes.argmax())
-            self.ratio_largest = float(higher_amplitudes[largest_index]) / self.fundamental
+            self.ratio_largest = (
+                float(higher_amplitudes[largest_index]) / self.amplitude_at_load_frequency
+            )
             if higher_amplitudes[largest_index] > NEGLIGIBLE * np.abs(coefficients).max():
                 self.largest_order = 2.0 + largest_index
 
@@ -294,7 +298,7 @@ class Harmonics:
 
     def ratio(self, multiple: float) -> float:
         """Return U_j / U_1, relative to the amplitude at the load's frequency."""
-        return self.harmonic(multiple) / self.fundamental
+        return self.harmonic(multiple) / self.amplitude_at_load_frequency
 
 
 class PointDisplacement(Harmonics):
@@ -421,13 +425,18 @@ class ObservedDisplacement(NamedTuple):
     real_fourier_coefficients: np.ndarray
 
 
-@with_old_names(measure="indicators_of_dofs", observe="observe_dofs")
+@with_old_names(
+    faces="face_indicators",
+    measure="indicators_of_dofs",
+    observe="observe_dofs",
+    records="yield_records_of_row_products",
+)
 class ObservedMotion:
     """A motion, or many along a curve, with numbers from its records."""
 
     structure: Structure
 
-    def records(self, rows: np.ndarray) -> Iterator[Record]:
+    def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[Record]:
         """Yield the motion's record, or one for each curve point (collective).
 
         Parameters
@@ -458,17 +467,19 @@ class ObservedMotion:
         ]
 
     @property
-    def faces(self) -> dict[str, Any]:
+    def face_indicators(self) -> dict[str, Any]:
         """Return openings, forces and shares of the crack faces by name (collective).
 
         Names follow :class:`Indicators`. Numbers that are nan everywhere are left out.
         """
         if not self._face_number_dicts:
             self.observe_rows(np.zeros((0, self.structure.n_local)))
-        value_or_array_by_name = self._value_or_array_by_name(self._face_number_dicts)
+        value_or_array_by_indicator_name = self._gather_over_curve_points_by_name(
+            self._face_number_dicts
+        )
         return {
             name: value
-            for name, value in value_or_array_by_name.items()
+            for name, value in value_or_array_by_indicator_name.items()
             if not np.all(np.isnan(value))
         }
 
@@ -528,7 +539,7 @@ class ObservedMotion:
         number_dicts_of_records = []
         coefficients_of_records = []
         place_number_dicts = list[dict[str, float]]()
-        for record_index, full_record in enumerate(self.records(all_rows)):
+        for record_index, full_record in enumerate(self.yield_records_of_row_products(all_rows)):
             dof_record = full_record.last_periods(N_RECORDED_PERIODS)
             dof_record = dof_record.select_rows(slice(len(rows))) if places else dof_record
             if record_index < len(self._face_number_dicts):
@@ -553,8 +564,8 @@ class ObservedMotion:
                 )
         observed_displacements = [
             ObservedDisplacement(
-                Indicators(**self._value_or_array_by_name(number_dicts_of_row)),
-                self._value_or_array_over_points(list(coefficients_of_row)),
+                Indicators(**self._gather_over_curve_points_by_name(number_dicts_of_row)),
+                self._gather_over_curve_points(list(coefficients_of_row)),
             )
             for number_dicts_of_row, coefficients_of_row in zip(
                 zip(*number_dicts_of_records, strict=True),
@@ -562,20 +573,20 @@ class ObservedMotion:
                 strict=True,
             )
         ]
-        return observed_displacements, self._value_or_array_by_name(place_number_dicts)
+        return observed_displacements, self._gather_over_curve_points_by_name(place_number_dicts)
 
-    def _value_or_array_by_name(
+    def _gather_over_curve_points_by_name(
         self, dicts_of_numbers_by_name: Sequence[Mapping[str, float]]
     ) -> dict[str, Any]:
         """Gather each named number over all records: a float, on a curve (n,)."""
         return {
-            name: self._value_or_array_over_points(
+            name: self._gather_over_curve_points(
                 [number_by_name[name] for number_by_name in dicts_of_numbers_by_name]
             )
             for name in dicts_of_numbers_by_name[0]
         }
 
-    def _value_or_array_over_points(self, values: list[Any]) -> Any:
+    def _gather_over_curve_points(self, values: list[Any]) -> Any:
         """Return the value of a motion's only record; curves override the method."""
         [only_record_value] = values
         return only_record_value
@@ -587,7 +598,7 @@ class ObservedMotion:
 
     @cached_property
     def _face_number_dicts(self) -> list[dict[str, float]]:
-        """Return what :meth:`faces` has of each record, observed at the first request."""
+        """Return what :meth:`face_indicators` has of each record, observed at the first request."""
         return []
 
 

@@ -117,11 +117,14 @@ class Prediction(NamedTuple):
     @property
     def monodromy(self) -> np.ndarray:
         """Return the monodromy matrix along the solution: (flow.state_size, flow.state_size)."""
-        return self.solution_track.tangent
+        return self.solution_track.derivative_of_end_state
 
 
 @with_old_names(
-    inverse="i_minus_m_solver", sampled="period_samples", sliding="friction_number_by_name"
+    events="n_events",
+    inverse="i_minus_m_solver",
+    sampled="period_samples",
+    sliding="friction_number_by_name",
 )
 @dataclass(frozen=True, repr=False)
 class PeriodicOrbit(ObservedMotion, Described):
@@ -163,14 +166,14 @@ class PeriodicOrbit(ObservedMotion, Described):
         return self.flows - 1
 
     @property
-    def events(self) -> int:
+    def n_events(self) -> int:
         """Return how often pairs open, close, stick or slip in a period."""
         return self.motion.n_events
 
     @property
     def monodromy(self) -> np.ndarray:
         """Return the monodromy matrix M = dz(T) / dz(0): (flow.state_size, flow.state_size)."""
-        return self.motion.track.tangent
+        return self.motion.track.derivative_of_end_state
 
     @cached_property
     def multipliers(self) -> np.ndarray:
@@ -186,10 +189,10 @@ class PeriodicOrbit(ObservedMotion, Described):
         state_change = self.motion.state - self.state
         return self.energy_norm(state_change) / (self.energy_norm(self.state) or 1.0)
 
-    def energy_norm(self, change: np.ndarray) -> float:
+    def energy_norm(self, state_change: np.ndarray) -> float:
         """Return the energy norm of a state's change (flow.state_size,)."""
         return float(
-            np.linalg.norm(self.flow.energy_weights(self.omega / self.subharmonic) * change)
+            np.linalg.norm(self.flow.energy_weights(self.omega / self.subharmonic) * state_change)
         )
 
     @cached_property
@@ -198,14 +201,14 @@ class PeriodicOrbit(ObservedMotion, Described):
 
         M is the monodromy matrix. Raises LinAlgError if I - M is singular.
         """
-        weights = self.flow.energy_weights(self.omega / self.subharmonic)
-        return _make_i_minus_m_solver(self.flow, self.motion.track, weights)
+        energy_weights = self.flow.energy_weights(self.omega / self.subharmonic)
+        return _make_i_minus_m_solver(self.flow, self.motion.track, energy_weights)
 
     def samples(self, time: np.ndarray) -> Samples:
         """Return the motion at ascending times of the period [s]."""
         return self.flow.advance(self.state, self.omega, self.period, instants=time).samples
 
-    def _evaluate_at(self, time: np.ndarray, samples_attribute: str) -> np.ndarray:
+    def _samples_array_at(self, time: np.ndarray, samples_attribute: str) -> np.ndarray:
         """Return an array of :class:`Samples`, by the attribute's name, at any times [s]."""
         sample_times, sample_index_of_time = np.unique(
             np.mod(time, self.period), return_inverse=True
@@ -231,36 +234,38 @@ class PeriodicOrbit(ObservedMotion, Described):
 
     def gap_at(self, time: np.ndarray) -> np.ndarray:
         """Return the normal gaps at times [s]: (len(time), n_pairs) [m]."""
-        return self._evaluate_at(time, "gap")
+        return self._samples_array_at(time, "gap")
 
     def tangential_gap_at(self, time: np.ndarray) -> np.ndarray:
         """Return the tangential gaps at times [s]: (len(time), n_pairs) [m].
 
         Without friction: (len(time), 0).
         """
-        return self._evaluate_at(time, "gaps")[:, self.flow.structure.n_pairs :]
+        return self._samples_array_at(time, "gaps")[:, self.flow.structure.n_pairs :]
 
     def tangential_force_at(self, time: np.ndarray) -> np.ndarray:
         """Return the friction force at times [s]: (len(time), n_pairs) [N].
 
         Without friction: (len(time), 0).
         """
-        return self._evaluate_at(time, "forces")[:, self.flow.structure.n_pairs :]
+        return self._samples_array_at(time, "forces")[:, self.flow.structure.n_pairs :]
 
     def force_at(self, time: np.ndarray) -> np.ndarray:
         """Return the contact force at times [s]: (len(time), n_pairs) [N]."""
-        return self._evaluate_at(time, "force")
+        return self._samples_array_at(time, "force")
 
     def displacement_at(self, time: np.ndarray) -> np.ndarray:
         """Return the displacement of the structure at times [s]: (len(time), n_dofs) [m]."""
-        return self._evaluate_at(time, "displacement")
+        return self._samples_array_at(time, "displacement")
 
     @property
     def structure(self) -> Structure:  # type: ignore[override]
         """Return the structure that vibrates."""
         return self.flow.structure
 
-    def records(self, rows: np.ndarray, instants: int | None = None) -> Iterator[Record]:
+    def yield_records_of_row_products(
+        self, rows: np.ndarray, instants: int | None = None
+    ) -> Iterator[Record]:
         """Yield the record of the motion over a period.
 
         ``rows`` (m, n_dofs) are factors of the displacement. Between instants the motion is, on
@@ -280,15 +285,15 @@ class PeriodicOrbit(ObservedMotion, Described):
 
         def interpolate_at(period_fractions: np.ndarray) -> Any:
             time = self.period * np.mod(period_fractions, 1.0)
-            piece_index = np.minimum(np.searchsorted(piece_ends, time), len(piece_ends) - 1)
-            piece_coordinate = (
-                1.0 + 2.0 * (time - piece_ends[piece_index]) / piece_lengths[piece_index]
+            piece_indices = np.minimum(np.searchsorted(piece_ends, time), len(piece_ends) - 1)
+            piece_coordinates = (
+                1.0 + 2.0 * (time - piece_ends[piece_indices]) / piece_lengths[piece_indices]
             )
-            node_distances = piece_coordinate[:, None] - gauss_nodes
+            node_distances = piece_coordinates[:, None] - gauss_nodes
             node_distances = np.where(node_distances == 0.0, sys.float_info.min, node_distances)
             node_weights = barycentric_weights / node_distances
             node_weights /= node_weights.sum(axis=1, keepdims=True)
-            column_indices = len(gauss_nodes) * piece_index[:, None] + node_indices_in_piece
+            column_indices = len(gauss_nodes) * piece_indices[:, None] + node_indices_in_piece
             row_starts = len(gauss_nodes) * np.arange(len(time) + 1)
             interpolation_matrix = sparse.csr_matrix(
                 (node_weights.ravel(), column_indices.ravel(), row_starts),
@@ -424,14 +429,19 @@ class PeriodicOrbit(ObservedMotion, Described):
         gauss_samples, piece_lengths = self._gauss_samples_and_lengths(
             len(flow.modal_load) // 2 * self.omega
         )
-        _, gauss_weights, differentiation = gauss_legendre_rule()
+        _, gauss_weights, differentiation_matrix = gauss_legendre_rule()
 
-        def integrate_power(node_forces: np.ndarray, node_displacements: np.ndarray) -> np.ndarray:
+        def work_of_columns(node_forces: np.ndarray, node_displacements: np.ndarray) -> np.ndarray:
             """Return the work int F x' dt of each column of forces and displacements."""
-            shape = len(piece_lengths), len(gauss_weights), -1
-            rates = differentiation @ node_displacements.reshape(shape)
+            piece_shape = len(piece_lengths), len(gauss_weights), -1
+            displacement_rates = differentiation_matrix @ node_displacements.reshape(piece_shape)
             return np.asarray(
-                np.einsum("k,pkc,pkc->c", gauss_weights, node_forces.reshape(shape), rates)
+                np.einsum(
+                    "k,pkc,pkc->c",
+                    gauss_weights,
+                    node_forces.reshape(piece_shape),
+                    displacement_rates,
+                )
             )
 
         load_basis = fourier_basis_for(flow.modal_load, self.omega * gauss_samples.time)
@@ -444,11 +454,11 @@ class PeriodicOrbit(ObservedMotion, Described):
         n_pairs = flow.structure.n_pairs
         pair_friction_work = np.zeros(n_pairs)
         if flow.friction_law:
-            pair_friction_work = integrate_power(
+            pair_friction_work = work_of_columns(
                 gauss_samples.forces[:, n_pairs:], gauss_samples.gaps[:, n_pairs:]
             )
         load_work = float(
-            integrate_power(load_basis, gauss_samples.row_products(flow.structure.force)).sum()
+            work_of_columns(load_basis, gauss_samples.row_products(flow.structure.force)).sum()
         )
         return Work(load_work, damping_work, pair_friction_work)
 
@@ -485,22 +495,22 @@ class PeriodicOrbit(ObservedMotion, Described):
 
     def to_dict(self) -> dict[str, Any]:
         """Return multiplier, gap extremes [m], events, residual and iterations by name."""
-        face_number_by_name = {"opening": 0.0, "penetration": 0.0} | self.faces
+        face_number_by_name = {"opening": 0.0, "penetration": 0.0} | self.face_indicators
         return {
             "multiplier": float(abs(self.multipliers[0])),
             "opening": face_number_by_name["opening"],
             "penetration": face_number_by_name["penetration"],
-            "events": self.events,
+            "events": self.n_events,
             "residual": float(self.residual),
             "iterations": self.iterations,
         }
 
     def _repr_text(self) -> str:
-        multiplier_words = (
+        multiplier_text = (
             f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}"
         )
         return (
-            f"{multiplier_words}, {format_count(self.events, 'event')}, "
+            f"{multiplier_text}, {format_count(self.n_events, 'event')}, "
             f"residual {self.residual:.2g}"
         )
 
@@ -530,17 +540,17 @@ def gauss_legendre_rule() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     -------
     nodes : (n,)
         Positions in the piece, from -1 to 1.
-    weights : (n,)
+    gauss_weights : (n,)
     differentiation : (n, n)
         Matrix from values at the nodes to derivatives at the nodes.
     """
-    legendre_nodes, weights = np.polynomial.legendre.leggauss(2 * kernel.MAX_PIECE_ANGLE)
+    legendre_nodes, gauss_weights = np.polynomial.legendre.leggauss(2 * kernel.MAX_PIECE_ANGLE)
     polynomials_at_nodes = np.polynomial.legendre.legvander(legendre_nodes, len(legendre_nodes) - 1)
     derivative_coefficients = np.polynomial.legendre.legder(np.eye(len(legendre_nodes)))
     derivatives_at_nodes = np.polynomial.legendre.legval(legendre_nodes, derivative_coefficients).T
     return (
         legendre_nodes,
-        weights,
+        gauss_weights,
         np.linalg.solve(polynomials_at_nodes.T, derivatives_at_nodes.T).T,
     )
 
@@ -577,13 +587,13 @@ class MotionInEqualParts(PeriodicOrbit):
 
     def samples(self, time: np.ndarray) -> Samples:
         """Return the motion at ascending times of the period [s]."""
-        duration = self.period / len(self.starts)
-        start_times = duration * np.arange(len(self.starts) + 1)
+        part_duration = self.period / len(self.starts)
+        start_times = part_duration * np.arange(len(self.starts) + 1)
         times_by_part = np.split(time, np.searchsorted(time, start_times[1:-1]))
         part_argument_tuples = zip(self.starts, start_times.tolist(), times_by_part, strict=False)
         part_samples = [
             self.flow.advance(
-                state, self.omega, duration, start=start_time, instants=instants
+                state, self.omega, part_duration, start=start_time, instants=instants
             ).samples
             for state, start_time, instants in part_argument_tuples
         ]
@@ -652,7 +662,7 @@ def predict_orbit(
     Prediction or None
         None if the motion cannot be integrated.
     """
-    weights = flow.energy_weights(omega / subharmonic)
+    energy_weights = flow.energy_weights(omega / subharmonic)
     try:
         period = 2.0 * np.pi * subharmonic / omega
         end_states, solution_track, interval_counts = flow.integrate_parts(states, omega, period)
@@ -660,7 +670,7 @@ def predict_orbit(
         period_end_change = solution_track.carry_changes(
             np.zeros(flow.state_size), state_jumps, interval_counts
         )[-1]
-        solve_i_minus_m = _make_i_minus_m_solver(flow, solution_track, weights)
+        solve_i_minus_m = _make_i_minus_m_solver(flow, solution_track, energy_weights)
         state_changes = solution_track.carry_changes(
             solve_i_minus_m(period_end_change, FORCING_TERM), state_jumps, interval_counts
         )[:-1]
@@ -690,25 +700,32 @@ def predict_motion(
     return None
 
 
-def _make_i_minus_m_solver(flow: ContactFlow, track: Track, weights: np.ndarray) -> IMinusMSolver:
+def _make_i_minus_m_solver(
+    flow: ContactFlow, track: Track, energy_weights: np.ndarray
+) -> IMinusMSolver:
     """Return the function b to (I - M)^-1 b for a track.
 
     M is the monodromy matrix. Models with more than 120 modes use GMRES, in the norm with the given
-    ``weights``.
+    ``energy_weights``.
     """
     if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
-        i_minus_m_factors = factorise_transpose(np.eye(flow.state_size) - track.tangent)
+        i_minus_m_factors = factorise_transpose(
+            np.eye(flow.state_size) - track.derivative_of_end_state
+        )
         if not (np.isfinite(i_minus_m_factors[0]).all() and np.diag(i_minus_m_factors[0]).all()):
             raise np.linalg.LinAlgError("I - M is singular")
         return lambda right_side, tolerance: solve_by_transpose_factors(
             i_minus_m_factors, right_side
         )
 
-    def apply_i_minus_m(change: np.ndarray) -> np.ndarray:
-        return change - weights * (track @ (change / weights))
+    def weighted_i_minus_m_product(weighted_change: np.ndarray) -> np.ndarray:
+        return weighted_change - energy_weights * (track @ (weighted_change / energy_weights))
 
     return lambda right_side, tolerance: (
-        gmres(apply_i_minus_m, weights * right_side, tolerance, MAX_GMRES_PRODUCTS) / weights
+        gmres(
+            weighted_i_minus_m_product, energy_weights * right_side, tolerance, MAX_GMRES_PRODUCTS
+        )
+        / energy_weights
     )
 
 
@@ -743,20 +760,25 @@ def find_orbit(
     PeriodicOrbit or None
         None if the search fails.
     """
-    search = _NewtonOrbitSearch(flow, omega, subharmonic, state)
+    newton_search = _NewtonOrbitSearch(flow, omega, subharmonic, state)
     try:
-        if not search.leads_to_orbit(solve_i_minus_m, step_tolerance):
+        if not newton_search.leads_to_orbit(solve_i_minus_m, step_tolerance):
             return None
     except (ConvergenceError, np.linalg.LinAlgError, ValueError) as error:
         if failure_reasons is not None and isinstance(error, BudgetError):
-            budget_text = f"its budget of {search.allowed_taylor_pieces:,} pieces"
+            budget_text = f"its budget of {newton_search.allowed_taylor_pieces:,} pieces"
             failure_reasons.append(
                 f"the search for an exact orbit ended at {budget_text}; use fewer pairs"
                 " (mesh.patches) or modes"
             )
         return None
     orbit = PeriodicOrbit(
-        flow, omega, subharmonic, search.motion, search.state, search.n_integrated_periods
+        flow,
+        omega,
+        subharmonic,
+        newton_search.motion,
+        newton_search.state,
+        newton_search.n_integrated_periods,
     )
     # If M is huge, a step may be short although the motion does not close.
     return orbit if orbit.residual <= MULTIPLIER_TOLERANCE else None
@@ -789,9 +811,9 @@ class _NewtonOrbitSearch:
         self._weights = flow.energy_weights(omega / subharmonic)
         self.state, self.n_integrated_periods = state, 0
 
-    def energy_norm(self, change: np.ndarray) -> float:
+    def energy_norm(self, state_change: np.ndarray) -> float:
         """Return the energy norm of a state change."""
-        weighted_change = self._weights * change
+        weighted_change = self._weights * state_change
         return math.sqrt(weighted_change @ weighted_change)
 
     def leads_to_orbit(self, solve_i_minus_m: IMinusMSolver | None, step_tolerance: float) -> bool:

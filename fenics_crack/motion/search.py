@@ -151,14 +151,14 @@ def search_orbit(
     OrbitSearchResult
     """
     prefer_stable = prefer_stable and flow.n_modes <= MAX_MODES_FOR_MONODROMY
-    task = _SearchTask(flow, omega, state_guesses, subharmonic, prefer_stable)
+    search_task = _SearchTask(flow, omega, state_guesses, subharmonic, prefer_stable)
     for start_strategy in start_strategies or ORBIT_STARTS_BY_NAME.values():
         begin_stage(start_strategy.name)
-        if orbits_from_start := [*start_strategy.generate_candidates(task)]:
+        if orbits_from_start := [*start_strategy.generate_candidates(search_task)]:
             return OrbitSearchResult(
                 orbits_from_start[0], tuple(orbits_from_start[1:]), start_strategy.name
             )
-    return OrbitSearchResult(None, (), "; ".join(task.failure_reasons[-2:]))
+    return OrbitSearchResult(None, (), "; ".join(search_task.failure_reasons[-2:]))
 
 
 @dataclass(frozen=True)
@@ -199,29 +199,29 @@ class _SearchTask:
         return FlowOrbitEquations(self.flow, self.omega, start_state, self.subharmonic)
 
 
-def _find_from_guesses(task: _SearchTask) -> list[PeriodicOrbit]:
+def _find_orbits_from_guesses(search_task: _SearchTask) -> list[PeriodicOrbit]:
     """Find orbits up to the first, or up to the first stable orbit, and sort by stability."""
     found_orbits = list[PeriodicOrbit]()
-    for guessed_states in task.state_guesses:
-        task.tried_states.append(guessed_states)
-        orbit = task.find_orbit(guessed_states[0])
+    for guessed_states in search_task.state_guesses:
+        search_task.tried_states.append(guessed_states)
+        orbit = search_task.find_orbit(guessed_states[0])
         if orbit is None:
             continue
         if not any(is_same_orbit_in_phase(orbit, known_orbit) for known_orbit in found_orbits):
             found_orbits.append(orbit)
-        if not task.prefer_stable or orbit.is_stable:
+        if not search_task.prefer_stable or orbit.is_stable:
             break
-    return sorted(found_orbits, key=lambda orbit: task.prefer_stable and not orbit.is_stable)
+    return sorted(found_orbits, key=lambda orbit: search_task.prefer_stable and not orbit.is_stable)
 
 
-def _find_after_multiple_shooting_step(task: _SearchTask) -> Iterable[PeriodicOrbit]:
+def _find_orbit_after_multiple_shooting_step(search_task: _SearchTask) -> Iterable[PeriodicOrbit]:
     """Find the first orbit after a Newton step for a whole guess."""
     prediction_iterator = (
-        predict_orbit(task.flow, task.omega, guessed_states, task.subharmonic)
-        for guessed_states in task.tried_states
+        predict_orbit(search_task.flow, search_task.omega, guessed_states, search_task.subharmonic)
+        for guessed_states in search_task.tried_states
     )
     orbit_or_none_iterator = (
-        task.find_orbit(prediction.states[0], prediction.solve_i_minus_m)
+        search_task.find_orbit(prediction.states[0], prediction.solve_i_minus_m)
         for prediction in prediction_iterator
         if prediction is not None
     )
@@ -313,12 +313,12 @@ class Homotopy:
         return _HomotopyPoint(orbit_point, parameter, self._orbit_equations.start_unknown)
 
 
-def _find_along_path(task: _SearchTask) -> Iterator[PeriodicOrbit]:
+def _find_orbit_along_path(search_task: _SearchTask) -> Iterator[PeriodicOrbit]:
     """Find the orbit to which a path leads from the last guess."""
-    if not task.tried_states or task.flow.n_modes > MAX_MODES_FOR_MONODROMY:
+    if not search_task.tried_states or search_task.flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return
-    orbit_equations = task.orbit_equations
-    homotopy = Homotopy(orbit_equations, SearchOptions.piece_budget(task.flow) // 2)
+    orbit_equations = search_task.orbit_equations
+    homotopy = Homotopy(orbit_equations, SearchOptions.piece_budget(search_task.flow) // 2)
     path_options = replace(HOMOTOPY_OPTIONS, max_steps=Budget.allowed_pieces)
     with suppress(ConvergenceError, np.linalg.LinAlgError):
         # The guess may be an orbit with a singular M - I, next to a resonance without damping.
@@ -338,28 +338,34 @@ def _find_along_path(task: _SearchTask) -> Iterator[PeriodicOrbit]:
             homotopy, start_point, path_options, [Target(1.0)]
         ).find_terminal_point_or_none()
         if end_point is not None:
-            yield from filter(None, [task.find_orbit(orbit_equations.state(end_point.unknown))])
+            yield from filter(
+                None, [search_task.find_orbit(orbit_equations.state(end_point.unknown))]
+            )
 
 
 # --- along the motion -----------------------------------------------------------------------------
 
 
-def _find_along_motion(task: _SearchTask) -> Iterator[PeriodicOrbit]:
+def _find_orbit_along_motion(search_task: _SearchTask) -> Iterator[PeriodicOrbit]:
     """Find an orbit to which the motion settles, or which the motion passes."""
-    orbit_equations = task.orbit_equations
-    remaining_pieces = SearchOptions.piece_budget(task.flow) // 4
+    orbit_equations = search_task.orbit_equations
+    remaining_pieces = SearchOptions.piece_budget(search_task.flow) // 4
     state_iterator = yield_states_after_periods(
-        orbit_equations, orbit_equations.start_unknown, SearchOptions.max_periods(task.flow)
+        orbit_equations, orbit_equations.start_unknown, SearchOptions.max_periods(search_task.flow)
     )
     states_at_periods = np.array([orbit_equations.start_unknown, *state_iterator])
-    task.failure_reasons.append(describe_closest_return(states_at_periods, task.subharmonic))
+    search_task.failure_reasons.append(
+        describe_closest_return(states_at_periods, search_task.subharmonic)
+    )
     distances_after_period = np.linalg.norm(np.diff(states_at_periods, axis=0), axis=1)
     # Start from the last state, then from the close returns, the closest first.
     for state_index in (-1, *np.argsort(distances_after_period, kind="stable").tolist()):
         if remaining_pieces <= 0:
             return
         start_state = orbit_equations.state(states_at_periods[state_index])
-        orbit = find_orbit(task.flow, task.omega, start_state, subharmonic=task.subharmonic)
+        orbit = find_orbit(
+            search_task.flow, search_task.omega, start_state, subharmonic=search_task.subharmonic
+        )
         if orbit is not None:
             yield orbit
             return
@@ -372,18 +378,18 @@ def _find_along_motion(task: _SearchTask) -> Iterator[PeriodicOrbit]:
 
 
 ORBIT_STARTS_BY_NAME = {
-    "guesses": StartStrategy("exact orbit by Newton's method", _find_from_guesses),
+    "guesses": StartStrategy("exact orbit by Newton's method", _find_orbits_from_guesses),
     "steps": StartStrategy(
-        "exact orbit by a step of the whole motion", _find_after_multiple_shooting_step
+        "exact orbit by a step of the whole motion", _find_orbit_after_multiple_shooting_step
     ),
-    "path": StartStrategy("exact orbit along a path from the motion", _find_along_path),
-    "motion": StartStrategy("exact orbit by following the motion", _find_along_motion),
+    "path": StartStrategy("exact orbit along a path from the motion", _find_orbit_along_path),
+    "motion": StartStrategy("exact orbit by following the motion", _find_orbit_along_motion),
 }
 """Starts for an orbit search, by name, in order."""
 
 
 def yield_states_after_periods(
-    orbit_equations: FlowOrbitEquations, state: np.ndarray, max_periods: int
+    orbit_equations: FlowOrbitEquations, scaled_state: np.ndarray, max_periods: int
 ) -> Iterator[np.ndarray]:
     """Yield a motion's state, in scaled unknowns x, after each period.
 
@@ -395,9 +401,9 @@ def yield_states_after_periods(
         for _ in range(max_periods):
             if remaining_pieces <= 0:
                 return
-            state = orbit_equations.unknown_after_period(state, 1.0)
+            scaled_state = orbit_equations.unknown_after_period(scaled_state, 1.0)
             remaining_pieces -= orbit_equations.n_taylor_pieces_in_last_period
-            yield state
+            yield scaled_state
 
 
 def describe_closest_return(
@@ -415,18 +421,20 @@ def describe_closest_return(
         Subject of the sentence.
     """
     closest_relative_distances = []
-    for lag in range(1, min(MAX_RETURN_PERIODS, len(states_at_periods) - 1) + 1):
-        state_sizes = np.linalg.norm(states_at_periods[lag:], axis=1)
-        distances = np.linalg.norm(states_at_periods[lag:] - states_at_periods[:-lag], axis=1)
+    for n_return_periods in range(1, min(MAX_RETURN_PERIODS, len(states_at_periods) - 1) + 1):
+        state_sizes = np.linalg.norm(states_at_periods[n_return_periods:], axis=1)
+        return_distances = np.linalg.norm(
+            states_at_periods[n_return_periods:] - states_at_periods[:-n_return_periods], axis=1
+        )
         closest_relative_distances.append(
-            float(np.min(distances / np.maximum(state_sizes, 1e-300)))
+            float(np.min(return_distances / np.maximum(state_sizes, 1e-300)))
         )
     if not closest_relative_distances:
         return f"{motion_name} cannot be integrated over a period"
-    closest_index = int(np.argmin(closest_relative_distances))
+    closest_return_index = int(np.argmin(closest_relative_distances))
     followed_periods_text = format_count((len(states_at_periods) - 1) * subharmonic, "period")
-    return_periods_text = format_count((closest_index + 1) * subharmonic, "period")
-    closeness_text = format_percent(closest_relative_distances[closest_index])
+    return_periods_text = format_count((closest_return_index + 1) * subharmonic, "period")
+    closeness_text = format_percent(closest_relative_distances[closest_return_index])
     return (
         f"followed for {followed_periods_text} of the load, {motion_name} comes back to within"
         f" {closeness_text} of where it was at best, after {return_periods_text}"

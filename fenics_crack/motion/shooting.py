@@ -106,7 +106,7 @@ class ShootingEquations(Equations):
             pairs=flow.structure.n_pairs, friction=flow.friction_law is not None,
             base=omega[0], rate=omega[1],
             turns=2.0 * np.pi * subharmonic, scale=scale, max_pieces=Budget.allowed_pieces,
-            max_intervals=Budget.allowed_intervals, **arrays,
+            max_intervals=Budget.allowed_event_intervals, **arrays,
         )  # fmt: skip
         self._kernel_point_pointer = attach_destructor(
             kernel.new_shooting_point(self._struct.address), kernel.free_shooting_point

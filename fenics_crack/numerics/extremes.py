@@ -47,35 +47,37 @@ def find_maximum_values(
     evaluate_functions : callable, optional
         Callable from positions (n,), 0 to 1, to values (n, m).
     """
-    maxima: np.ndarray = np.max(samples, axis=0)
+    function_maxima: np.ndarray = np.max(samples, axis=0)
     previous_samples, next_samples = np.roll(samples, 1, 0), np.roll(samples, -1, 0)
     # A function exceeds its sample by less than the sample exceeds the lower neighbour.
-    may_be_largest = 2.0 * samples - np.minimum(previous_samples, next_samples) >= maxima
+    may_be_largest = 2.0 * samples - np.minimum(previous_samples, next_samples) >= function_maxima
     sample_indices, function_indices = np.nonzero(
         (samples > previous_samples) & (samples >= next_samples) & may_be_largest
     )
-    period_fractions, spacing = sample_indices / len(samples), 1.0 / len(samples)
+    period_fractions, sample_spacing = sample_indices / len(samples), 1.0 / len(samples)
     for refinement_index in range(MAX_GRID_REFINEMENTS):
         if evaluate_functions is None or not len(period_fractions):
             break
         candidate_indices = np.arange(len(period_fractions))
-        nearby_fractions = period_fractions[:, None] + spacing * SAMPLE_OFFSETS
+        nearby_fractions = period_fractions[:, None] + sample_spacing * SAMPLE_OFFSETS
         nearby_values = evaluate_functions(nearby_fractions.ravel())
         nearby_values = nearby_values.reshape(*nearby_fractions.shape, -1)[
             candidate_indices, :, function_indices
         ]
         largest_nearby_indices = nearby_values.argmax(axis=1)
         np.maximum.at(
-            maxima, function_indices, nearby_values[candidate_indices, largest_nearby_indices]
+            function_maxima,
+            function_indices,
+            nearby_values[candidate_indices, largest_nearby_indices],
         )
         if refinement_index == 0:
             peak_offsets, peak_estimates = _maximise_polynomial(
                 nearby_values, SAMPLE_OFFSETS[largest_nearby_indices]
             )
-            peak_values = evaluate_functions(period_fractions + spacing * peak_offsets)[
+            peak_values = evaluate_functions(period_fractions + sample_spacing * peak_offsets)[
                 candidate_indices, function_indices
             ]
-            np.maximum.at(maxima, function_indices, peak_values)
+            np.maximum.at(function_maxima, function_indices, peak_values)
             allowed_error = MAX_POLYNOMIAL_ERROR * np.ptp(nearby_values, axis=1)
             is_polynomial = np.abs(peak_values - peak_estimates) <= allowed_error
             is_equal_to_largest = (
@@ -87,36 +89,41 @@ def find_maximum_values(
             candidate_indices, largest_nearby_indices[candidate_indices]
         ]
         function_indices = function_indices[candidate_indices]
-        spacing *= SAMPLE_OFFSETS[1] - SAMPLE_OFFSETS[0]
-    return maxima
+        sample_spacing *= SAMPLE_OFFSETS[1] - SAMPLE_OFFSETS[0]
+    return function_maxima
 
 
 def _maximise_polynomial(
-    values: np.ndarray, start_offset: np.ndarray
+    nine_values: np.ndarray, start_offset_in_half_windows: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Maximise the polynomials through nine values each, by three Newton steps.
 
     Parameters
     ----------
-    values : (n, 9)
+    nine_values : (n, 9)
         Values at ``SAMPLE_OFFSETS``, equally spaced from -1 to 1.
-    start_offset : (n,)
+    start_offset_in_half_windows : (n,)
         First guess of each offset, from -1 to 1.
 
     Returns
     -------
-    offset : (n,)
+    offset_in_half_windows : (n,)
         Offsets of the maxima, from -1 to 1.
     maximum : (n,)
         Values of the polynomials there.
     """
-    coefficients, offset = values @ COEFFICIENTS_FROM_VALUES.T, start_offset
+    coefficients = nine_values @ COEFFICIENTS_FROM_VALUES.T
+    offset_in_half_windows = start_offset_in_half_windows
     slope_coefficients = coefficients[:, 1:] * OFFSET_EXPONENTS[1:]
     curvature_coefficients = slope_coefficients[:, 1:] * OFFSET_EXPONENTS[1:-1]
     for _ in range(3):
-        powers = offset[:, None] ** OFFSET_EXPONENTS
-        slope = (slope_coefficients * powers[:, :-1]).sum(1)
-        curvature = (curvature_coefficients * powers[:, :-2]).sum(1)
-        offset = offset - slope / np.where(curvature < 0.0, curvature, -np.inf)
-        offset = np.minimum(np.maximum(offset, -1.0), 1.0)
-    return offset, (coefficients * offset[:, None] ** OFFSET_EXPONENTS).sum(1)
+        offset_powers = offset_in_half_windows[:, None] ** OFFSET_EXPONENTS
+        slopes = (slope_coefficients * offset_powers[:, :-1]).sum(1)
+        curvatures = (curvature_coefficients * offset_powers[:, :-2]).sum(1)
+        offset_in_half_windows = offset_in_half_windows - slopes / np.where(
+            curvatures < 0.0, curvatures, -np.inf
+        )
+        offset_in_half_windows = np.minimum(np.maximum(offset_in_half_windows, -1.0), 1.0)
+    return offset_in_half_windows, (
+        coefficients * offset_in_half_windows[:, None] ** OFFSET_EXPONENTS
+    ).sum(1)

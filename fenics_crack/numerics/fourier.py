@@ -24,19 +24,21 @@ FFT need not be loaded."""
 
 def to_complex(coefficients: np.ndarray) -> np.ndarray:
     """Return complex harmonics X_0, ..., X_H, (H+1, ...), from real coefficients (2H+1, ...)."""
-    harmonics = np.zeros((len(coefficients) // 2 + 1, *coefficients.shape[1:]), dtype=complex)
-    harmonics.real[0], harmonics.real[1:] = coefficients[0], coefficients[1::2]
+    complex_harmonics = np.zeros(
+        (len(coefficients) // 2 + 1, *coefficients.shape[1:]), dtype=complex
+    )
+    complex_harmonics.real[0], complex_harmonics.real[1:] = coefficients[0], coefficients[1::2]
     # Not np.negative: NumPy 2.2 misreads strided input where the output is strided too.
-    np.subtract(0.0, coefficients[2::2], out=harmonics.imag[1:])
-    return harmonics
+    np.subtract(0.0, coefficients[2::2], out=complex_harmonics.imag[1:])
+    return complex_harmonics
 
 
-def from_complex(harmonics: np.ndarray) -> np.ndarray:
+def from_complex(complex_harmonics: np.ndarray) -> np.ndarray:
     """Return real coefficients (2H+1, ...) from complex harmonics (H+1, ...)."""
-    coefficients = np.empty((2 * len(harmonics) - 1, *harmonics.shape[1:]))
-    coefficients[0] = harmonics[0].real
-    coefficients[1::2] = harmonics[1:].real
-    coefficients[2::2] = -harmonics[1:].imag
+    coefficients = np.empty((2 * len(complex_harmonics) - 1, *complex_harmonics.shape[1:]))
+    coefficients[0] = complex_harmonics[0].real
+    coefficients[1::2] = complex_harmonics[1:].real
+    coefficients[2::2] = -complex_harmonics[1:].imag
     return coefficients
 
 
@@ -53,30 +55,39 @@ def fourier_basis(phase: np.ndarray, orders: ArrayLike = (1.0,)) -> np.ndarray:
     -------
     (..., 2K+1)
     """
-    angles = np.multiply.outer(phase, orders)
-    basis = np.ones((*angles.shape[:-1], 2 * angles.shape[-1] + 1))
-    basis[..., 1::2], basis[..., 2::2] = np.cos(angles), np.sin(angles)
-    return basis
+    order_times_phase = np.multiply.outer(phase, orders)
+    basis_values = np.ones((*order_times_phase.shape[:-1], 2 * order_times_phase.shape[-1] + 1))
+    basis_values[..., 1::2], basis_values[..., 2::2] = (
+        np.cos(order_times_phase),
+        np.sin(order_times_phase),
+    )
+    return basis_values
 
 
-def fourier_basis_for(coefficients: np.ndarray, phase: np.ndarray) -> np.ndarray:
+def fourier_basis_for(coefficients: np.ndarray, phases: np.ndarray) -> np.ndarray:
     """Return the Fourier basis 1, cos theta, sin theta, ... up to harmonic H.
 
     Only the coefficients' number of rows, 2H+1, is used. At phases theta (...) [rad] the
     result is (..., 2H+1).
     """
-    phase, n_harmonics = np.asarray(phase, dtype=float), len(coefficients) // 2
-    powers = np.ones((n_harmonics + 1, *phase.shape), dtype=complex)
+    phases, n_harmonics = np.asarray(phases, dtype=float), len(coefficients) // 2
+    exponential_powers = np.ones((n_harmonics + 1, *phases.shape), dtype=complex)
     if n_harmonics:
-        powers[1] = np.exp(1j * phase)
+        exponential_powers[1] = np.exp(1j * phases)
     n_powers = 1
     while n_powers < n_harmonics:  # exp(i k theta): a fifth of the time of sines and cosines
-        n_new = min(n_powers, n_harmonics - n_powers)
-        powers[n_powers + 1 : n_powers + 1 + n_new] = powers[1 : 1 + n_new] * powers[n_powers]
-        n_powers += n_new
-    basis = np.empty((len(coefficients), *phase.shape))
-    basis[0], basis[1::2], basis[2::2] = 1.0, powers[1:].real, powers[1:].imag
-    return np.moveaxis(basis, 0, -1)
+        n_new_powers = min(n_powers, n_harmonics - n_powers)
+        exponential_powers[n_powers + 1 : n_powers + 1 + n_new_powers] = (
+            exponential_powers[1 : 1 + n_new_powers] * exponential_powers[n_powers]
+        )
+        n_powers += n_new_powers
+    basis_values = np.empty((len(coefficients), *phases.shape))
+    basis_values[0], basis_values[1::2], basis_values[2::2] = (
+        1.0,
+        exponential_powers[1:].real,
+        exponential_powers[1:].imag,
+    )
+    return np.moveaxis(basis_values, 0, -1)
 
 
 def evaluate_series(coefficients: np.ndarray, omega: float, time: np.ndarray) -> np.ndarray:
@@ -87,11 +98,11 @@ def evaluate_series(coefficients: np.ndarray, omega: float, time: np.ndarray) ->
 
 def differentiate(coefficients: np.ndarray, omega: float) -> np.ndarray:
     """Return the coefficients of x'(t) from those of x(t): (2H+1, n)."""
-    frequencies = omega * np.arange(1, len(coefficients) // 2 + 1)[:, None]
-    derivative = np.zeros_like(coefficients)
-    derivative[1::2] = frequencies * coefficients[2::2]
-    derivative[2::2] = -frequencies * coefficients[1::2]
-    return derivative
+    harmonic_omegas = omega * np.arange(1, len(coefficients) // 2 + 1)[:, None]
+    derivative_coefficients = np.zeros_like(coefficients)
+    derivative_coefficients[1::2] = harmonic_omegas * coefficients[2::2]
+    derivative_coefficients[2::2] = -harmonic_omegas * coefficients[1::2]
+    return derivative_coefficients
 
 
 def sample_period(coefficients: np.ndarray, n_instants: int) -> np.ndarray:
@@ -110,16 +121,18 @@ def sample_period(coefficients: np.ndarray, n_instants: int) -> np.ndarray:
     return np.asarray(scipy.fft.irfft(spectrum, n=n_instants, axis=0))
 
 
-def fourier_coefficients(values: np.ndarray, harmonics: int) -> np.ndarray:
+def fourier_coefficients(samples: np.ndarray, harmonics: int) -> np.ndarray:
     """Return the Fourier coefficients (2H+1, ...) of samples over a period.
 
     The n > 2H samples (n, ...) are equally spaced.
     """
-    if (2 * harmonics + 1) * len(values) <= MAX_MATRIX_ENTRIES:
-        return _multiply_first_axis(_samples_to_coefficients_matrix(harmonics, len(values)), values)
+    if (2 * harmonics + 1) * len(samples) <= MAX_MATRIX_ENTRIES:
+        return _multiply_first_axis(
+            _samples_to_coefficients_matrix(harmonics, len(samples)), samples
+        )
     import scipy.fft
 
-    spectrum = scipy.fft.rfft(values, axis=0)[: harmonics + 1] * (2.0 / len(values))
+    spectrum = scipy.fft.rfft(samples, axis=0)[: harmonics + 1] * (2.0 / len(samples))
     spectrum[0] *= 0.5
     return from_complex(spectrum)
 
@@ -150,18 +163,20 @@ def fourier_basis_over_period(harmonics: int, n_instants: int) -> np.ndarray:
     instants, orders = np.arange(n_instants), np.arange(1, harmonics + 1)
     roots_of_unity = np.exp(2j * np.pi / n_instants * instants)
     exponentials = roots_of_unity[np.outer(instants, orders) % n_instants]
-    basis = np.ones((n_instants, 2 * harmonics + 1))
-    basis[:, 1::2], basis[:, 2::2] = exponentials.real, exponentials.imag
-    basis.flags.writeable = False  # all callers share it
-    return basis
+    basis_values = np.ones((n_instants, 2 * harmonics + 1))
+    basis_values[:, 1::2], basis_values[:, 2::2] = exponentials.real, exponentials.imag
+    basis_values.flags.writeable = False  # all callers share it
+    return basis_values
 
 
 @lru_cache(maxsize=16)
 def _samples_to_coefficients_matrix(harmonics: int, n_instants: int) -> np.ndarray:
     """Return the matrix from samples of a period to coefficients: (2H+1, n_instants)."""
-    matrix = 2.0 / n_instants * fourier_basis_over_period(harmonics, n_instants).T
-    matrix[0] *= 0.5
-    return matrix
+    coefficients_from_samples = (
+        2.0 / n_instants * fourier_basis_over_period(harmonics, n_instants).T
+    )
+    coefficients_from_samples[0] *= 0.5
+    return coefficients_from_samples
 
 
 def _multiply_first_axis(matrix: np.ndarray, array: np.ndarray) -> np.ndarray:
@@ -183,9 +198,10 @@ def stretch_period(coefficients: np.ndarray, period_factor: int) -> np.ndarray:
 
     In ``period_factor`` times the period, harmonic k becomes harmonic k * period_factor.
     """
-    harmonics = to_complex(coefficients)
+    complex_harmonics = to_complex(coefficients)
     stretched_harmonics = np.zeros(
-        (period_factor * (len(harmonics) - 1) + 1, *harmonics.shape[1:]), dtype=complex
+        (period_factor * (len(complex_harmonics) - 1) + 1, *complex_harmonics.shape[1:]),
+        dtype=complex,
     )
-    stretched_harmonics[::period_factor] = harmonics
+    stretched_harmonics[::period_factor] = complex_harmonics
     return from_complex(stretched_harmonics)

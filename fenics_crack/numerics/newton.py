@@ -140,7 +140,9 @@ class Snes(ABC):
         self._snes = PETSc.SNES().create(matrix.comm)
         self._snes.setOptionsPrefix(OPTIONS_PREFIX)
         self._snes.setFunction(self._set_residual, self._residual_vector)
-        self._snes.setJacobian(lambda snes, unknown, *matrices: self.linearise(unknown), matrix)
+        self._snes.setJacobian(
+            lambda snes, unknown, *matrices: self.update_jacobian(unknown), matrix
+        )
         petsc_options = PETSc.Options(OPTIONS_PREFIX)
         needs_default_line_search = not petsc_options.hasName("snes_linesearch_type")
         if needs_default_line_search:
@@ -156,11 +158,11 @@ class Snes(ABC):
         """Set the default linear solver, a KSP."""
 
     @abstractmethod
-    def evaluate(self, unknown_vector: Any, residual_vector: Any) -> None:
+    def write_residual(self, unknown_vector: Any, residual_vector: Any) -> None:
         """Write F at a vector of unknowns into a vector."""
 
     @abstractmethod
-    def linearise(self, unknown_vector: Any) -> None:
+    def update_jacobian(self, unknown_vector: Any) -> None:
         """Update the matrix to the Jacobian at a vector."""
 
     def solve_into_unknown_vector(
@@ -205,7 +207,7 @@ class Snes(ABC):
 
     def _set_residual(self, snes: Any, unknown_vector: Any, residual_vector: Any) -> None:
         try:
-            self.evaluate(unknown_vector, residual_vector)
+            self.write_residual(unknown_vector, residual_vector)
         except ConvergenceError as error:
             self._convergence_error = error
             raise
@@ -276,10 +278,10 @@ class SystemSnes(Snes):
             self._last_unknown_and_linearisation = unknown, linearisation
         return self._last_unknown_and_linearisation[1]
 
-    def evaluate(self, unknown_vector: Any, residual_vector: Any) -> None:
+    def write_residual(self, unknown_vector: Any, residual_vector: Any) -> None:
         residual_vector.array_w[:] = self._linearisation_at(unknown_vector).residual.ravel()
 
-    def linearise(self, unknown_vector: Any) -> None:
+    def update_jacobian(self, unknown_vector: Any) -> None:
         self._linearisation = self._linearisation_at(unknown_vector)
 
     def mult(self, matrix: Any, factor_vector: Any, product_vector: Any) -> None:

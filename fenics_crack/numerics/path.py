@@ -140,12 +140,12 @@ class PathSegment(Sequence[PathPoint]):
     def __init__(
         self, start_points: Sequence[PathPoint], capacity: int, n_record_entries: int = 0
     ) -> None:
-        shape = start_points[0].unknown.shape
+        unknown_shape = start_points[0].unknown.shape
         if n_record_entries:
             self.records = np.zeros((capacity, n_record_entries))
         self.unknowns, self.unknown_tangents = (
-            np.zeros((capacity, *shape)),
-            np.zeros((capacity, *shape)),
+            np.zeros((capacity, *unknown_shape)),
+            np.zeros((capacity, *unknown_shape)),
         )
         self.parameters, self.parameter_tangents, self.chord_lengths = np.zeros((3, capacity))
         self.unknowns_weights, self.time_mean_weights = np.zeros((2, capacity))
@@ -154,23 +154,32 @@ class PathSegment(Sequence[PathPoint]):
             np.zeros(capacity, np.int8),
         )
         self.located_events: list[tuple[Event, PathPoint]] = []
-        for index, point in enumerate(start_points):
-            self.set_point(index, point)
+        for point_index, point in enumerate(start_points):
+            self.set_point(point_index, point)
 
-    def set_point(self, index: int, point: PathPoint) -> None:
+    def set_point(self, point_index: int, point: PathPoint) -> None:
         """Overwrite the point at an index."""
-        self.unknowns[index], self.unknown_tangents[index] = point.unknown, point.tangent.x
-        self.parameters[index], self.parameter_tangents[index] = point.parameter, point.tangent.p
-        self.unknowns_weights[index], self.time_mean_weights[index] = (
+        self.unknowns[point_index], self.unknown_tangents[point_index] = (
+            point.unknown,
+            point.tangent.x,
+        )
+        self.parameters[point_index], self.parameter_tangents[point_index] = (
+            point.parameter,
+            point.tangent.p,
+        )
+        self.unknowns_weights[point_index], self.time_mean_weights[point_index] = (
             point.tangent.unknowns_weight,
             point.tangent.time_mean_weight,
         )
-        self.chord_lengths[index] = point.chord_length_from_previous
+        self.chord_lengths[point_index] = point.chord_length_from_previous
         if "records" in vars(self) and point.record is not None:
-            self.records[index] = point.record
+            self.records[point_index] = point.record
         if "step_control_values" in vars(self):
-            self.step_control_values[index] = point.step_control_values
-        self.iterations[index], self.crosses_branch[index] = point.iterations, point.crosses_branch
+            self.step_control_values[point_index] = point.step_control_values
+        self.iterations[point_index], self.crosses_branch[point_index] = (
+            point.iterations,
+            point.crosses_branch,
+        )
 
     def struct(self, n_known: int, **scalars: float) -> Struct:
         """Return the C struct ``path`` with the arrays; ``n_known`` points are known."""
@@ -186,9 +195,9 @@ class PathSegment(Sequence[PathPoint]):
 
     def yield_one_point_segments(self) -> Iterator[PathSegment]:
         """Yield a segment with one point for each point, in order."""
-        for index in range(len(self)):
-            segment = self[index : index + 1]
-            segment.located_events = self.located_events if index == len(self) - 1 else []
+        for point_index in range(len(self)):
+            segment = self[point_index : point_index + 1]
+            segment.located_events = self.located_events if point_index == len(self) - 1 else []
             yield segment
 
     @overload
@@ -271,28 +280,31 @@ class BranchPoint(Event):
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
         start, end = ends
-        lower_length, upper_length = 0.0, chord_length(system, start, end)
-        start_orientation = _orientation_sign(system, start)
-        while upper_length - lower_length > MIN_RESOLVED_DISTANCE:
-            middle_length = 0.5 * (lower_length + upper_length)
+        length_before_crossing, length_after_crossing = 0.0, chord_length(system, start, end)
+        start_orientation = _sign_of_tangent_part_times_determinant(system, start)
+        while length_after_crossing - length_before_crossing > MIN_RESOLVED_DISTANCE:
+            middle_length = 0.5 * (length_before_crossing + length_after_crossing)
             point = try_step(system, start, middle_length, rtol)
             if point is None:
                 break
-            if _orientation_sign(system, point) == start_orientation:
-                lower_length = middle_length
+            if _sign_of_tangent_part_times_determinant(system, point) == start_orientation:
+                length_before_crossing = middle_length
             else:
-                end, upper_length = point, middle_length
+                end, length_after_crossing = point, middle_length
         return end
 
 
-def _orientation_sign(system: System, point: PathPoint) -> float:
+def _sign_of_tangent_part_times_determinant(system: System, point: PathPoint) -> float:
     """Return the sign of t_p det J, with the tangent's parameter part t_p."""
     linearisation = point.linearisation or system.linearise(point.unknown, point.parameter)
     return float(linearisation.sign * np.sign(point.tangent.p))
 
 
 class ZeroCrossing(Event):
-    """Sign change of a function of the path's points, located by :func:`find_zero_and_residual`."""
+    """Sign change of a function of the path's points.
+
+    Located by :func:`find_zero_point_and_function_value`.
+    """
 
     def __init__(self, function: Callable[[PathPoint], float]) -> None:
         self._function = function
@@ -302,11 +314,11 @@ class ZeroCrossing(Event):
         return np.asarray(function_values[1:] * function_values[:-1] < 0.0)
 
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
-        return find_zero_and_residual(system, ends, self._function, rtol)[0]
+        return find_zero_point_and_function_value(system, ends, self._function, rtol)[0]
 
 
-def find_zero_and_residual(
-    system: System, ends: SegmentEnds, function: Callable[[PathPoint], float], rtol: float
+def find_zero_point_and_function_value(
+    system: System, ends: SegmentEnds, point_function: Callable[[PathPoint], float], rtol: float
 ) -> tuple[PathPoint, float]:
     """Find the zero of a function f(point) between two points of a path.
 
@@ -336,7 +348,8 @@ def find_zero_and_residual(
         start.tangent, x=unknown_change / full_chord_length, p=parameter_change / full_chord_length
     )
     points_and_values_by_fraction = {
-        fraction: (point, function(point)) for fraction, point in zip((0.0, 1.0), ends, strict=True)
+        fraction: (point, point_function(point))
+        for fraction, point in zip((0.0, 1.0), ends, strict=True)
     }
 
     def function_value_at(fraction: float) -> float:
@@ -365,7 +378,7 @@ def find_zero_and_residual(
                 tangent=tangent,
                 step_control_values=step_control_values_or_none(system, linearisation),
             )
-            points_and_values_by_fraction[fraction] = point, function(point)
+            points_and_values_by_fraction[fraction] = point, point_function(point)
         return points_and_values_by_fraction[fraction][1]
 
     kept_fraction, last_fraction = 0.0, 1.0
@@ -520,11 +533,11 @@ class StepControl(ABC):
 
 def step_control_values_or_none(system: System, linearisation: Linearisation) -> np.ndarray | None:
     """Return a point's values for a step control, or None without such values."""
-    values_function = getattr(system, "step_control_values", None)
+    values_function_or_none = getattr(system, "step_control_values", None)
     return (
         None
-        if values_function is None
-        else np.asarray(values_function(linearisation.record[None])[0])
+        if values_function_or_none is None
+        else np.asarray(values_function_or_none(linearisation.record[None])[0])
     )
 
 
@@ -639,35 +652,43 @@ class Path:
             len(self._events), len(segment) - 1
         )
         part_start_index = 1
-        for index in map(int, np.flatnonzero(may_occur_by_event_and_step.any(axis=0) | is_outside)):
-            ends = segment[index], segment[index + 1]
-            tolerance = max(MAX_LOCATION_RESIDUAL, self._rounding_at(ends[1]))
-            segment_part = segment[part_start_index : index + 2]
+        for step_index in map(
+            int, np.flatnonzero(may_occur_by_event_and_step.any(axis=0) | is_outside)
+        ):
+            segment_ends = segment[step_index], segment[step_index + 1]
+            tolerance = max(
+                MAX_LOCATION_RESIDUAL, self._relative_residual_rounding_at(segment_ends[1])
+            )
+            segment_part = segment[part_start_index : step_index + 2]
             for event, event_may_occur in zip(
-                self._events, may_occur_by_event_and_step[:, index], strict=True
+                self._events, may_occur_by_event_and_step[:, step_index], strict=True
             ):
-                location = event.locate(self._system, ends, tolerance) if event_may_occur else None
-                if location is not None:
-                    location = self._with_record_and_step_control_values(location)
-                    segment_part.located_events.append((event, location))
-                if location is not None and event.is_terminal:
-                    if location is ends[0]:
-                        segment_part = segment[part_start_index : index + 1]
+                event_point_or_none = (
+                    event.locate(self._system, segment_ends, tolerance) if event_may_occur else None
+                )
+                if event_point_or_none is not None:
+                    event_point_or_none = self._with_record_and_step_control_values(
+                        event_point_or_none
+                    )
+                    segment_part.located_events.append((event, event_point_or_none))
+                if event_point_or_none is not None and event.is_terminal:
+                    if event_point_or_none is segment_ends[0]:
+                        segment_part = segment[part_start_index : step_index + 1]
                     else:
-                        segment_part.set_point(-1, location)
+                        segment_part.set_point(-1, event_point_or_none)
                     self.end_reason, self.terminal_event = EndReason.REACHED, event
                     yield segment_part, None
                     return
-                if event_may_occur and location is None and event.must_be_located:
-                    yield segment[part_start_index : index + 1], index
+                if event_may_occur and event_point_or_none is None and event.must_be_located:
+                    yield segment[part_start_index : step_index + 1], step_index
                     return
-            if is_outside[index]:
+            if is_outside[step_index]:
                 self.end_reason = EndReason.RANGE_LEFT
-                yield segment[part_start_index : index + 1], None
+                yield segment[part_start_index : step_index + 1], None
                 return
             if segment_part.located_events:
                 yield segment_part, None
-                part_start_index = index + 2
+                part_start_index = step_index + 2
         if part_start_index < len(segment):
             yield segment[part_start_index:], None
 
@@ -686,7 +707,7 @@ class Path:
             step_control_values=step_control_values_or_none(self._system, linearisation),
         )
 
-    def _rounding_at(self, point: PathPoint) -> float:
+    def _relative_residual_rounding_at(self, point: PathPoint) -> float:
         """Return the rounding error of |F| / |x| at a point."""
         system_rounding = getattr(self._system, "rounding", None)
         return (
@@ -740,15 +761,17 @@ class Path:
                     2 * self._points_per_call, self._options.points_per_call
                 )
             return segment[n_known_points - 1 :]
-        last_index = n_known_points - 1 + int(rejected_step_indices[0])
-        if segment.crosses_branch[last_index + 1 :].sum() % 2:
+        last_accepted_index = n_known_points - 1 + int(rejected_step_indices[0])
+        if segment.crosses_branch[last_accepted_index + 1 :].sum() % 2:
             self._orientation = -self._orientation
         self._next_step_length = self._max_step = 0.5 * float(
             step_lengths[rejected_step_indices[0]]
         )
         self._points_per_call = min(POINTS_PER_CALL_AFTER_HALVING, self._options.points_per_call)
         return (
-            segment[n_known_points - 1 : last_index + 1] if last_index >= n_known_points else None
+            segment[n_known_points - 1 : last_accepted_index + 1]
+            if last_accepted_index >= n_known_points
+            else None
         )
 
     def _follow_in_one_kernel_call(self, n_remaining_points: int) -> PathSegment | None:
@@ -765,7 +788,10 @@ class Path:
             The last known point and the new points; None if the step control halves the first step.
         """
         path_options, start_points = self._options, self._start_points
-        parameter, rounding = start_points[-1].parameter, self._rounding_at(start_points[-1])
+        start_parameter, residual_rounding = (
+            start_points[-1].parameter,
+            self._relative_residual_rounding_at(start_points[-1]),
+        )
         target_parameters = [event.parameter for event in self._events if isinstance(event, Target)]
         parameter_bounds = [*path_options.parameter_range, *target_parameters]
         max_new_points = min(
@@ -782,15 +808,15 @@ class Path:
         )
         stepping_struct = Struct(
             "stepping", max_step=self._max_step, min_step=path_options.min_step,
-            min_cosine=path_options.min_cosine, rounding=rounding,
+            min_cosine=path_options.min_cosine, rounding=residual_rounding,
             correction=correction_struct(
-                max(path_options.rtol, rounding), MAX_PARAMETER_CHANGE_IN_STEPS
+                max(path_options.rtol, residual_rounding), MAX_PARAMETER_CHANGE_IN_STEPS
             ),
-            min_parameter=max(bound for bound in parameter_bounds if bound <= parameter),
-            max_parameter=min(bound for bound in parameter_bounds if bound >= parameter),
+            min_parameter=max(bound for bound in parameter_bounds if bound <= start_parameter),
+            max_parameter=min(bound for bound in parameter_bounds if bound >= start_parameter),
         )  # fmt: skip
         first_step_length = self._next_step_length
-        outcome = self._equations.run_unchecked(
+        outcome_code = self._equations.run_unchecked(
             kernel.follow_path, stepping_struct.address, segment_struct.address
         )
         self._orientation, self._next_step_length = (
@@ -798,7 +824,7 @@ class Path:
             segment_struct.address.step,
         )
         if segment_struct.address.n_known == len(start_points):
-            self._equations.has_found_solution(outcome)
+            self._equations.has_found_solution(outcome_code)
         if segment_struct.address.n_known == len(start_points) or self._step_control is None:
             return segment[len(start_points) - 1 : segment_struct.address.n_known]
         return self._cut_at_rejected_step(

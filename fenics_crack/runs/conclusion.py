@@ -236,7 +236,7 @@ def _list_crack_and_verdict_sentences(
     sentences = []
     if run.structure.n_pairs and solution.contact is not None:
         subject_text = "the crack opens" if faces_text != "pairs" else "contact opens"
-        opening_text = format_quantity(solution.faces["opening"], "m")
+        opening_text = format_quantity(solution.face_indicators["opening"], "m")
         opening_error = run.stated.stated("opening")[0] if run.stated is not None else 0.0
         error_text = (
             f", estimated error {format_error(opening_error)},"
@@ -245,7 +245,7 @@ def _list_crack_and_verdict_sentences(
         )
         sentences.append(
             f"{subject_text} by {opening_text}{error_text} and is closed "
-            f"for {format_percent(solution.faces['closed_share'])} of the period"
+            f"for {format_percent(solution.face_indicators['closed_share'])} of the period"
             if solution.breathes
             else LINEAR_VIBRATION_TEXT
         )

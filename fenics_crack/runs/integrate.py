@@ -30,7 +30,7 @@ from fenics_crack.scene.tables import Integration
 from fenics_crack.study.observer import make_requested_rows_and_readers
 from fenics_crack.study.prepare import Study, prepare
 from fenics_crack.study.solve import required_contact_law, with_friction_lines
-from fenics_crack.time.march import Initial, TimeHistory, initial_state
+from fenics_crack.time.march import Initial, TimeHistory, make_initial_state_parts
 
 
 def integrate(
@@ -176,7 +176,7 @@ def _start_state_from_run(
     if isinstance(earlier_motion, TimeHistory):
         final_state = earlier_motion.final_state
     else:
-        final_state = initial_state(
+        final_state = make_initial_state_parts(
             earlier_motion.structure, earlier_motion.contact, earlier_motion
         )
     local_states = earlier_motion.structure.expand(np.array(final_state[:2]))

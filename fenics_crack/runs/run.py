@@ -194,6 +194,7 @@ class Run(StudyWithResult, Generic[ResultType]):
     distance = ResultAttribute()
     estimate = ResultAttribute()
     exact = ResultAttribute()
+    face_indicators = ResultAttribute()
     faces = ResultAttribute()
     final_state = ResultAttribute()
     force_coefficients = ResultAttribute()
@@ -267,6 +268,7 @@ class Run(StudyWithResult, Generic[ResultType]):
     undecided = ResultAttribute()
     values = ResultAttribute()
     verdicts = ResultAttribute()
+    yield_records_of_row_products = ResultAttribute()
 
 
 def check_run_has_motion(run: object) -> None:

@@ -218,7 +218,7 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     check_run_has_motion(run)
     refuse_for_reason(reason_without_stress_intensity(run.scene), "run", repr(run))
     tips, displacement_rows, force_rows = make_tips_and_intensity_rows(run)
-    [record] = run.result.records(displacement_rows)
+    [record] = run.result.yield_records_of_row_products(displacement_rows)
     tip_histories = compute_crack_tip_histories(record, tips, force_rows, run.scene.growth)
     K_III_columns = [
         tip_history.K_III for tip_history in tip_histories if tip_history.K_III is not None

@@ -109,7 +109,7 @@ def observe_quantities(study: Study, motion: ObservedMotion) -> list[ObservedQua
             observed_quantities.append(
                 ObservedQuantity(column_name, words, value, observable.unit, quantity_name)
             )
-    value_by_name = motion.faces | {
+    value_by_name = motion.face_indicators | {
         quantity_name: requested_value_by_name[quantity_name]
         for quantity_name in list_requested_extra_quantities(study.scene)
     }
@@ -383,7 +383,7 @@ def _collect_intensities_by_front(
         [Pa m^1/2]; and the largest correction of K_I by contact [Pa m^1/2].
     """
     stations, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
-    [record] = motion.records(displacement_rows)
+    [record] = motion.yield_records_of_row_products(displacement_rows)
     tip_histories = compute_crack_tip_histories(record, stations, force_rows, study.scene.growth)
     intensities_by_front, station_names = {}, [station.name for station in stations]
     for front_name, station_indices in station_indices_by_front(station_names).items():

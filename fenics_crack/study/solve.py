@@ -11,7 +11,7 @@ from fenics_crack.balance.block_system import SOLVER_BY_FORM
 from fenics_crack.balance.error_report import UNESTIMATED_REPORT
 from fenics_crack.balance.harmonic_balance import (
     FIRST_MODE_COUNT,
-    mode_counts,
+    mode_counts_to_try,
     slide_along_lines,
     solve_linear,
     solve_to_tolerance,
@@ -195,7 +195,9 @@ def candidate_mode_counts(study: Study, max_modes: int = MAX_MODES_FOR_MONODROMY
         max_modes = min(
             max_modes, len(structure.compute_once(make_empty_receptance_list)[0].squares) // 2
         )
-    return mode_counts(structure, FIRST_MODE_COUNT if is_large else reduction.n_modes, max_modes)
+    return mode_counts_to_try(
+        structure, FIRST_MODE_COUNT if is_large else reduction.n_modes, max_modes
+    )
 
 
 def reduce_to_modes(study: Study, n_modes: int) -> Study:

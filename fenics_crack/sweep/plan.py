@@ -16,7 +16,7 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import MAX_HARMONIC_ORDER, InputError
 from fenics_crack.fem.blocks import plate_pair_upper_bound
 from fenics_crack.fem.matrix_files import table_pair_upper_bound
-from fenics_crack.fem.plate import build_mesh
+from fenics_crack.fem.plate import build_plate_or_solid_mesh
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCE_KEYS, Contact
 
@@ -241,7 +241,7 @@ def _find_pair_upper_bound(scene: Scene) -> int:
     max_pairs_per_crack = 1 if has_mouth_contact_only else mesh_table.patches or math.inf
     if mesh_table.layout == "file" or scene.dimension == 3:
         try:
-            mesh = build_mesh(scene, MPI.COMM_SELF)
+            mesh = build_plate_or_solid_mesh(scene, MPI.COMM_SELF)
         except InputError:
             return 0  # its cases will fail
         if not mesh.has_cracks:

@@ -33,7 +33,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.contact_system import default_projection_weight
-from fenics_crack.balance.error_report import ERROR_PARTS, LARGE_ERROR
+from fenics_crack.balance.error_report import LARGE_ERROR, PART_NAMES_OF_TOTAL_ERROR
 from fenics_crack.balance.harmonic_balance import slide_along_lines, solve_linear
 from fenics_crack.balance.more_modes import ERROR_IF_UNKNOWN
 from fenics_crack.balance.problem import Problem
@@ -303,7 +303,9 @@ class SweepResult(Tabular):
         The shape is (4, ...), then that of the axes. The four are truncation, reduction, sampling
         and residual, as in :class:`ErrorReport`. A case without a solution or an estimate has 0.
         """
-        return np.nan_to_num([self[f"{error_part_name}_error"] for error_part_name in ERROR_PARTS])
+        return np.nan_to_num(
+            [self[f"{error_part_name}_error"] for error_part_name in PART_NAMES_OF_TOTAL_ERROR]
+        )
 
     @property
     def inexact(self) -> np.ndarray:
@@ -448,7 +450,7 @@ class SweepResult(Tabular):
         }
         value_by_field |= {
             f"error_{error_part_name}": float(self[f"{error_part_name}_error"][case_index])
-            for error_part_name in ERROR_PARTS
+            for error_part_name in PART_NAMES_OF_TOTAL_ERROR
         }
         if problem.has_projected_constraint:
             value_by_field["weight"] = default_projection_weight(problem.compliance_model())

@@ -59,10 +59,10 @@ from fenics_crack.model.contact import (
 )
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import MODAL_COORDINATES_IN_CACHE, all_modes, is_small
-from fenics_crack.model.modes import damped_modes, largest_frequency, multiply_columns
+from fenics_crack.model.modes import damped_modes, find_largest_natural_omega, multiply_columns
 from fenics_crack.model.reduced import MASS_REMEDY, check_faces_have_mass
 from fenics_crack.model.structure import RayleighDamping, Structure
-from fenics_crack.time.march import MarchRequest, Scheme, TimeHistory, Window, march
+from fenics_crack.time.march import MarchRequest, PeriodWindow, Scheme, TimeHistory, march
 
 SCHEME_NAME, MORE_STEPS_REMEDY = "central differences", "take more steps per period"
 
@@ -105,7 +105,7 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
         )
         largest_omega = float(np.sqrt(np.linalg.eigvalsh(bonded_stiffness)[-1]))
     else:
-        largest_omega = largest_frequency(
+        largest_omega = find_largest_natural_omega(
             structure_with_friction_rows.tied(springs) if np.any(springs) else structure
         )
         collect_garbage(structure.comm)
@@ -178,8 +178,8 @@ def integrate_central_difference(
     request = MarchRequest.from_call(integrate_central_difference, options, *arguments)
     min_steps = stable_steps_per_period(structure, omega, contact)
     if steps_per_period < min_steps:
-        allowed = f">= {min_steps}, the stable limit of the scheme"
-        raise InputError("steps_per_period", steps_per_period, allowed)
+        allowed_text = f">= {min_steps}, the stable limit of the scheme"
+        raise InputError("steps_per_period", steps_per_period, allowed_text)
     has_kernel = is_small(structure) and (is_piecewise_linear(contact) or request.is_rigid)
     return march(request, (_ModalDifferences if has_kernel else _CentralDifferences)(request))
 
@@ -200,7 +200,7 @@ class _EnergyAccount:
             np.empty((0, n_columns)) for n_columns in column_counts
         ]
 
-    def add_period(self, window: Window) -> tuple[float, float]:
+    def add_period(self, window: PeriodWindow) -> tuple[float, float]:
         """Add one period; return the energy created and the energy put in so far [J]."""
         period_arrays = (
             self._request.load_samples,
@@ -209,22 +209,30 @@ class _EnergyAccount:
             window.displacement_at_load,
         )
         extended_arrays = [
-            np.vstack(pieces) for pieces in zip(self._last_rows, period_arrays, strict=True)
+            np.vstack(row_blocks) for row_blocks in zip(self._last_rows, period_arrays, strict=True)
         ]
-        self._last_rows = [array[-2:] for array in extended_arrays]
-        load, gap, force, displacement_at_load = extended_arrays
+        self._last_rows = [extended_array[-2:] for extended_array in extended_arrays]
+        extended_load, extended_gaps, extended_forces, displacement_at_load = extended_arrays
         n_pairs = self._request.structure.n_pairs  # springs and friction of tangents create none
-        gap, force = gap[:, :n_pairs], force[:, :n_pairs]
-        self._created_energy -= 0.5 * float(np.sum(force[1:-1] * (gap[2:] - gap[:-2])))
+        extended_gaps, extended_forces = extended_gaps[:, :n_pairs], extended_forces[:, :n_pairs]
+        self._created_energy -= 0.5 * float(
+            np.sum(extended_forces[1:-1] * (extended_gaps[2:] - extended_gaps[:-2]))
+        )
         if not self._request.is_rigid:
             first_spring_energies, last_spring_energies = (
-                contact_energy(self._request.contact, end_gaps) for end_gaps in (gap[:2], gap[-2:])
+                contact_energy(self._request.contact, end_gaps)
+                for end_gaps in (extended_gaps[:2], extended_gaps[-2:])
             )
             self._created_energy += 0.5 * float(
                 last_spring_energies.sum() - first_spring_energies.sum()
             )
         local_load_work = np.array(
-            [0.5 * np.sum(load[1:-1] * (displacement_at_load[2:] - displacement_at_load[:-2]))]
+            [
+                0.5
+                * np.sum(
+                    extended_load[1:-1] * (displacement_at_load[2:] - displacement_at_load[:-2])
+                )
+            ]
         )
         self._energy_input += abs(float(self._request.structure.sum_over_ranks(local_load_work)[0]))
         return self._created_energy, self._energy_input
@@ -232,7 +240,7 @@ class _EnergyAccount:
 
 def _last_velocity(
     step_size: float,
-    increment: np.ndarray,
+    last_increment: np.ndarray,
     acceleration_function: Callable[[np.ndarray], np.ndarray],
 ) -> np.ndarray:
     """Return the velocity at the end of a time integration from its last increment.
@@ -240,7 +248,7 @@ def _last_velocity(
     The last increment (n,) over the step size is the velocity half a step earlier. The callable
     takes a velocity (n,) to the acceleration at the end.
     """
-    mean_velocity = velocity = increment / step_size
+    mean_velocity = velocity = last_increment / step_size
     for _ in range(3):  # the acceleration depends on the velocity a little
         velocity = mean_velocity + 0.5 * step_size * acceleration_function(velocity)
     return velocity
@@ -282,7 +290,7 @@ class _ModalDifferences(Scheme):
         self._modal_displacement, modal_velocity = (
             modes.shapes_inverse @ physical_part for physical_part in request.start_state[:2]
         )
-        initial_gap = self._gap()
+        initial_gap = self._end_gaps()
         if friction_members:
             self._sticking_places[:] = (
                 request.start_state[2] if request.start_state[2:] else initial_gap[n_rows // 2 :]
@@ -329,7 +337,7 @@ class _ModalDifferences(Scheme):
             is_closed=np.zeros(n_rows, bool),
         )  # fmt: skip
 
-    def _gap(self) -> np.ndarray:
+    def _end_gaps(self) -> np.ndarray:
         """Return the gaps at the end of the integration: (n_rows,) [m]."""
         return np.asarray(
             self._modal_displacement @ self._modes.gaps_by_mode
@@ -347,7 +355,7 @@ class _ModalDifferences(Scheme):
             load_coefficients[0] + load_coefficients[1::2].sum(axis=0)
         ) @ modes.shapes - modes.squares * self._modal_displacement
         if not self._request.is_rigid:
-            acceleration -= modes.gaps_by_mode @ self._penalty_forces_of_rows(self._gap())
+            acceleration -= modes.gaps_by_mode @ self._penalty_forces_of_rows(self._end_gaps())
         return np.asarray(acceleration - modes.damping_force(velocity))
 
     def _penalty_forces_of_rows(self, gap: np.ndarray) -> np.ndarray:
@@ -356,7 +364,7 @@ class _ModalDifferences(Scheme):
             return self._request.contact.force(gap)
         return self._friction_solver.solve(gap[None], self._sticking_places)[0][0]
 
-    def fill_period(self, window: Window, period_number: int) -> None:
+    def integrate_and_fill_period(self, window: PeriodWindow, period_number: int) -> None:
         modes, request, n_window_steps = self._modes, self._request, len(window.gap)
         n_steps_in_cache = max(1, MODAL_COORDINATES_IN_CACHE // len(modes.squares))
         for first_step in range(0, n_window_steps, n_steps_in_cache):
@@ -465,7 +473,7 @@ class _CentralDifferences(Scheme):
         self.increment = dt * velocity - 0.5 * dt**2 * self._acceleration_at_phase_zero(velocity)
         self._energy_account = _EnergyAccount(request, self._linear_energy(velocity))
 
-    def fill_period(self, window: Window, period_number: int) -> None:
+    def integrate_and_fill_period(self, window: PeriodWindow, period_number: int) -> None:
         for step_index in range(len(window.gap)):
             displacement = self.displacement
             self.advance(step_index)
@@ -577,11 +585,11 @@ class _CentralDifferences(Scheme):
         """Return elastic plus kinetic energy, (u^T K u + v^T M v) / 2 [J]."""
         structure = self.structure
         matrices_and_vectors = (structure.stiffness, self.displacement), (structure.mass, velocity)
-        energy = 0.5 * sum(
+        local_energy = 0.5 * sum(
             vector @ multiply_columns(matrix, vector[:, None])[:, 0]
             for matrix, vector in matrices_and_vectors
         )
-        return float(structure.sum_over_ranks(np.array([energy]))[0])
+        return float(structure.sum_over_ranks(np.array([local_energy]))[0])
 
     def _nearest_admissible_displacement(self, displacement: np.ndarray) -> np.ndarray:
         """Return the nearest displacement (n_local,) without penetration, in the norm of M."""

@@ -52,7 +52,7 @@ from fenics_crack.model.modes import multiply_columns
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import Flow, as_doubles, check_has_exact_flow, exact_flow_or_error
 from fenics_crack.numerics.fourier import differentiate, fourier_basis_for, from_complex, to_complex
-from fenics_crack.time.march import MarchRequest, Scheme, TimeHistory, Window, march
+from fenics_crack.time.march import MarchRequest, PeriodWindow, Scheme, TimeHistory, march
 
 
 def integrate_events(
@@ -190,17 +190,17 @@ class _EventScheme(Scheme):
         self._instants = period_fractions * self._period
         self._state = self._flow.state(*request.start_state)
 
-    def fill_period(self, window: Window, period_number: int) -> None:
+    def integrate_and_fill_period(self, window: PeriodWindow, period_number: int) -> None:
         request = self._request
         period_motion = self._flow.advance(
             self._state, request.omega, self._period, instants=self._instants
         )
         self._state, sampled_motion = period_motion.state, period_motion.samples
-        displacement = sampled_motion.displacement
-        self._end_displacement = displacement[-1]
+        displacement_samples = sampled_motion.displacement
+        self._end_displacement = displacement_samples[-1]
         window.gap[:], window.force[:] = sampled_motion.gaps[:-1], sampled_motion.forces[:-1]
-        window.recorded_displacement[:] = displacement[:-1, request.recorded_dofs]
-        window.displacement_at_load[:] = displacement[
+        window.recorded_displacement[:] = displacement_samples[:-1, request.recorded_dofs]
+        window.displacement_at_load[:] = displacement_samples[
             :-1, request.loaded_dofs
         ] * _loaded_coordinate_scales(request)
 
@@ -238,7 +238,7 @@ class ExponentialFlow(Flow):
             2.0 * np.pi / omega / steps_per_period,
         )
         modes, (n_modes, n_rows) = self.modal_model, self.modal_model.gaps_by_mode.shape
-        transition, force_response = modes.transition_and_force_response(self.step_size)
+        transition_by_step, force_response = modes.transition_and_force_response(self.step_size)
         halved_force_response = 0.5 * force_response  # Gamma
         gap_response = modes.gaps_by_mode.T @ halved_force_response[:n_modes]
         self.state_to_gap_matrix = np.hstack([modes.gaps_by_mode.T, np.zeros((n_rows, n_modes))])
@@ -274,7 +274,7 @@ class ExponentialFlow(Flow):
             }
         self._kernel_struct = Struct(
             "exponential", n_modes=n_modes, n_rows=n_rows, n_instants=steps_per_period,
-            has_coupled_modes=modes.damping.ndim == 2, transition=transition,
+            has_coupled_modes=modes.damping.ndim == 2, transition=transition_by_step,
             gap_rows=as_doubles(modes.gaps_by_mode.T),
             force_response=as_doubles(halved_force_response.T),
             gap_response=as_doubles(gap_response),
@@ -290,8 +290,8 @@ class ExponentialFlow(Flow):
 
         From phase 0 on: ``states`` (n, 2 n_modes) of the modes, contact ``force`` (n, n_rows) [N].
         """
-        phase = 2.0 * np.pi * np.arange(len(states)) / self.steps_per_period
-        return self.displacement(states, force, phase, dofs)
+        phases = 2.0 * np.pi * np.arange(len(states)) / self.steps_per_period
+        return self.displacement(states, force, phases, dofs)
 
     def advance(self, state: np.ndarray, periods: int = 1) -> ExponentialSteps:
         """Integrate whole load periods from a state (state_size,) at phase 0.
@@ -406,7 +406,7 @@ class _ExponentialScheme(Scheme):
         )
         self._energy_input = self._losses_less_energy_input = 0.0
 
-    def fill_period(self, window: Window, period_number: int) -> None:
+    def integrate_and_fill_period(self, window: PeriodWindow, period_number: int) -> None:
         flow, request = self._flow, self._request
         flow_steps = flow.advance(self._state)
         states, forces = flow_steps.states, flow_steps.forces
@@ -442,11 +442,12 @@ class _ExponentialScheme(Scheme):
     def _total_energy(self, flow_steps: ExponentialSteps, instant_index: int) -> float:
         """Return the sum of kinetic, elastic and contact energy at an instant [J]."""
         flow = self._flow
-        displacement = flow.displacement_from_phase_zero(
+        displacement_at_instant = flow.displacement_from_phase_zero(
             flow_steps.states[[instant_index]], flow_steps.forces[[instant_index]]
         )[0]
         doubled_elastic_energy = (
-            displacement @ multiply_columns(flow.structure.stiffness, displacement[:, None])[:, 0]
+            displacement_at_instant
+            @ multiply_columns(flow.structure.stiffness, displacement_at_instant[:, None])[:, 0]
         )
         modal_velocity = flow_steps.states[instant_index, len(flow.modal_model.squares) :]
         doubled_spring_energy = np.sum(flow.softness * flow_steps.forces[instant_index] ** 2)

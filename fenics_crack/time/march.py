@@ -148,7 +148,7 @@ class MarchRequest:
     def start_state(self) -> tuple[np.ndarray, ...]:
         """Displacement and velocity (n_local,) at time 0, with friction also the sticking places
         (n_pairs,) [m] if they are given."""
-        return initial_state(self.structure, self.contact, self.initial)
+        return make_initial_state_parts(self.structure, self.contact, self.initial)
 
     @cached_property
     def recorded_dofs(self) -> np.ndarray:
@@ -306,15 +306,16 @@ class TimeHistory(ObservedMotion, Tabular):
         extrapolation_weights = np.append(
             np.linalg.lstsq(scaled_changes[:-1].T, -scaled_changes[-1], rcond=None)[0], 1.0
         )
-        weighted_offsets = [
+        weighted_differences = [
             np.tensordot(extrapolation_weights, scaled_array[:-1] - scaled_array[-1], 1)
             for scaled_array in scaled_arrays
         ]
-        max_offset_norm = max(
-            float(np.linalg.norm(weighted_offset)) for weighted_offset in weighted_offsets
+        largest_difference_norm = max(
+            float(np.linalg.norm(weighted_difference))
+            for weighted_difference in weighted_differences
         )
         weight_sum = abs(float(extrapolation_weights.sum()))
-        return max_offset_norm / weight_sum if weight_sum > 0.0 else math.inf
+        return largest_difference_norm / weight_sum if weight_sum > 0.0 else math.inf
 
     def change(self, periods: int = 1) -> float:
         """Return the relative change of the motion over the last ``periods`` (collective).
@@ -328,11 +329,15 @@ class TimeHistory(ObservedMotion, Tabular):
             At most ``periods`` periods are recorded.
         """
         check_count("periods", periods, 1)
-        records = self._watched_periods
-        if periods >= len(records[0]):
-            raise InputError("periods", periods, f"fewer than the {len(records[0])} recorded")
-        newest_arrays = [record[-1] for record in records]
-        return _largest_relative_change(newest_arrays, [record[-1 - periods] for record in records])
+        watched_period_arrays = self._watched_periods
+        if periods >= len(watched_period_arrays[0]):
+            raise InputError(
+                "periods", periods, f"fewer than the {len(watched_period_arrays[0])} recorded"
+            )
+        newest_arrays = [watched_array[-1] for watched_array in watched_period_arrays]
+        return _largest_relative_change(
+            newest_arrays, [watched_array[-1 - periods] for watched_array in watched_period_arrays]
+        )
 
     @property
     def _watched_periods(self) -> list[np.ndarray]:
@@ -340,10 +345,10 @@ class TimeHistory(ObservedMotion, Tabular):
 
         Each array is (n_periods, steps_per_period, n_columns) [m].
         """
-        records = [self.gap + self.structure.clearance]
+        watched_arrays = [self.gap + self.structure.clearance]
         with suppress(InputError):
-            records.append(self.displacement())
-        return [self.by_period(record) for record in records]
+            watched_arrays.append(self.displacement())
+        return [self.by_period(watched_array) for watched_array in watched_arrays]
 
     def displacement(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
         """Return displacements: (n, len(dofs)) [m]; None is the watched dof (collective).
@@ -368,7 +373,7 @@ class TimeHistory(ObservedMotion, Tabular):
             self.recorded @ (selection_matrix / recording_rank_counts)
         )
 
-    def records(self, rows: np.ndarray) -> Iterator[Record]:
+    def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[Record]:
         """Yield one record: rows (m, n_local) times the displacement, gaps, forces (collective).
 
         Fourier coefficients belong to the last period; at most 10 harmonics, fewer with few steps.
@@ -385,26 +390,26 @@ class TimeHistory(ObservedMotion, Tabular):
         if any(
             structure.comm.allgather(bool(np.any(np.delete(rows, recorded_local_dofs, axis=1))))
         ):
-            allowed = "None, to record all displacements, of which these are made"
-            raise InputError("dofs", "some", allowed)
+            allowed_text = "None, to record all displacements, of which these are made"
+            raise InputError("dofs", "some", allowed_text)
         row_products = structure.sum_over_ranks(
             self.recorded[:, first_column_indices] @ rows[:, recorded_local_dofs].T
         )
-        n_steps, gap, force = self.steps_per_period, self.gap, self.contact_force
+        n_steps, row_gaps, row_forces = (self.steps_per_period, self.gap, self.contact_force)
         if self.tangential_gap is not None and self.tangential_force is not None:
-            gap = np.hstack([gap, self.tangential_gap])
-            force = np.hstack([force, self.tangential_force])
+            row_gaps = np.hstack([row_gaps, self.tangential_gap])
+            row_forces = np.hstack([row_forces, self.tangential_force])
         yield Record(
             2.0 * np.pi * (len(self.time) - 1) / n_steps / np.ptp(self.time), 1, self.time,
             fourier_coefficients(row_products[-n_steps:], min(10, (n_steps - 1) // 2)),
-            row_products, gap, force,
+            row_products, row_gaps, row_forces,
             structure=structure,
             friction_coefficient=self.friction,
             instants_per_load_period=n_steps,
         )  # fmt: skip
 
 
-class Window(NamedTuple):
+class PeriodWindow(NamedTuple):
     """Arrays of one load period, filled by a scheme.
 
     Rows are instants. ``gap`` [m] and contact ``force`` [N] have a column for each normal gap, with
@@ -431,7 +436,7 @@ class Scheme(ABC):
     """PETSc objects that are freed after the integration."""
 
     @abstractmethod
-    def fill_period(self, window: Window, period_number: int) -> None:
+    def integrate_and_fill_period(self, window: PeriodWindow, period_number: int) -> None:
         """Integrate period ``period_number``, from 0 on, fill the window, and sum up the energy."""
 
     @abstractmethod
@@ -465,7 +470,7 @@ def march(request: MarchRequest, scheme: Scheme) -> TimeHistory:
     kept_arrays: list[np.ndarray] = [np.empty((n_kept_periods * n_steps, n)) for n in column_counts]
     gap, force, recorded_displacement = kept_arrays
     displacement_at_load = np.empty((n_steps, len(request.loaded_dofs)))
-    n_periods, change = 0, np.inf
+    n_periods, relative_change = 0, np.inf
     previous_arrays: tuple[np.ndarray, np.ndarray] | None = None
     is_hidden = not request.progress or structure.comm.rank != 0
     if not is_hidden:
@@ -481,13 +486,13 @@ def march(request: MarchRequest, scheme: Scheme) -> TimeHistory:
             period_rows = slice(
                 period % n_kept_periods * n_steps, (period % n_kept_periods + 1) * n_steps
             )
-            window = Window(
+            window = PeriodWindow(
                 gap[period_rows],
                 force[period_rows],
                 recorded_displacement[period_rows],
                 displacement_at_load,
             )
-            scheme.fill_period(window, period)
+            scheme.integrate_and_fill_period(window, period)
             n_periods = period + 1
             gathered_displacement_at_load = np.concatenate(
                 structure.comm.allgather(displacement_at_load), axis=1
@@ -496,11 +501,11 @@ def march(request: MarchRequest, scheme: Scheme) -> TimeHistory:
             # Slow modes hardly move the gaps.
             newest_arrays = gap_motion, gathered_displacement_at_load
             if previous_arrays is not None:
-                change = _largest_relative_change(newest_arrays, previous_arrays)
+                relative_change = _largest_relative_change(newest_arrays, previous_arrays)
             previous_arrays = newest_arrays
-            if change < request.settle or stop_request.is_requested(structure.comm):
+            if relative_change < request.settle or stop_request.is_requested(structure.comm):
                 break
-    seconds = clock.perf_counter() - start_seconds
+    elapsed_seconds = clock.perf_counter() - start_seconds
     n_kept_rows = min(n_periods, n_kept_periods) * n_steps
     oldest_row = n_periods % n_kept_periods * n_steps if n_periods > n_kept_periods else 0
     gap, force, recorded_displacement = (
@@ -514,10 +519,10 @@ def march(request: MarchRequest, scheme: Scheme) -> TimeHistory:
     return TimeHistory(
         time=np.arange(n_periods * n_steps - n_kept_rows, n_periods * n_steps) * request.step_size,
         gap=gap[:, :n_pairs],
-        settled=change,
+        settled=relative_change,
         created_energy=scheme.created_energy_ratio,
         periods=n_periods,
-        seconds=seconds,
+        seconds=elapsed_seconds,
         steps_per_period=n_steps,
         structure=structure,
         recorded=recorded_displacement,
@@ -546,11 +551,11 @@ def _moving_part_sizes(period_arrays: Sequence[np.ndarray]) -> list[float]:
     size is infinite if the array is rounding error beside the largest one, so that its changes do
     not count. An example are the gaps of rigid crack faces that stay closed.
     """
-    sizes = [motion_size(period_array) for period_array in period_arrays]
-    return [size if size > NEGLIGIBLE * max(sizes) else math.inf for size in sizes]
+    motion_sizes = [motion_size(period_array) for period_array in period_arrays]
+    return [size if size > NEGLIGIBLE * max(motion_sizes) else math.inf for size in motion_sizes]
 
 
-def initial_state(
+def make_initial_state_parts(
     structure: Structure, contact: ContactLaw, initial: Initial
 ) -> tuple[np.ndarray, ...]:
     """Return displacement and velocity (n_local,) at time 0 (collective).
@@ -593,12 +598,14 @@ def initial_state(
     has_right_shapes = all(shape_match_flags) and len(state_parts) in (
         (2, 3) if has_friction else (2,)
     )
-    allowed = (
+    allowed_text = (
         "a solution of this structure, or finite displacement and velocity of shape "
         f"{expected_shapes[0]} as two arrays, with friction a third of finite places, of shape "
         f"{expected_shapes[2]}"
     )
-    input_error = InputError("initial", [state_part.shape for state_part in state_parts], allowed)
+    input_error = InputError(
+        "initial", [state_part.shape for state_part in state_parts], allowed_text
+    )
     is_finite = all(np.all(np.isfinite(state_part)) for state_part in state_parts)
     raise_first_error(structure.comm, None if has_right_shapes and is_finite else input_error)
     return state_parts

@@ -45,7 +45,7 @@ def test_orbit_by_shooting(name: str) -> None:
     solution = solved(name)
     shot_orbit, orbit = fc.shoot(solution.structure, solution), judged.orbit_of(solution)
     assert np.linalg.norm(shot_orbit.gap - orbit.gap) < 1e-8 * np.linalg.norm(orbit.gap)
-    assert shot_orbit.events == orbit.events and shot_orbit.residual < 1e-9
+    assert shot_orbit.n_events == orbit.n_events and shot_orbit.residual < 1e-9
     assert np.abs(shot_orbit.multipliers[0]) == pytest.approx(
         np.abs(orbit.multipliers[0]), rel=1e-8
     )
@@ -119,9 +119,9 @@ def test_smooth_law_against_the_variational_equation() -> None:
     rows = solution.displacement_coefficients[:, 0]
     state = np.array([rows[0] + rows[1::2].sum(), (k * rows[2::2]).sum()])
     for _ in range(4):
-        initial_state = np.concatenate([state, np.eye(2).ravel()])
+        make_initial_state_parts = np.concatenate([state, np.eye(2).ravel()])
         end = scipy.integrate.solve_ivp(
-            rate, (0.0, solution.period), initial_state, "DOP853", rtol=1e-10, atol=1e-12
+            rate, (0.0, solution.period), make_initial_state_parts, "DOP853", rtol=1e-10, atol=1e-12
         ).y[:, -1]
         monodromy = end[2:].reshape(2, 2)
         state = state + np.linalg.solve(np.eye(2) - monodromy, end[:2] - state)

@@ -47,7 +47,7 @@ from fenics_crack.balance.contact_integrals import (
     ExactIntegrals,
     PairIntegrals,
     SampledIntegrals,
-    default_n_samples,
+    default_instants_per_period,
     integrals_with_uncoupled_pairs,
 )
 from fenics_crack.basics.ranks import gather_rows
@@ -322,8 +322,8 @@ def test_choice_of_integrals() -> None:
     assert isinstance(integrals, SampledIntegrals) and integrals.samples == 64
     integrals = integrals_with_uncoupled_pairs(smoothed_law, 5, n_load_periods=3)
     assert isinstance(integrals, SampledIntegrals) and integrals.samples == 3 * 1024
-    assert default_n_samples(5) == default_n_samples(32) == 1024
-    assert default_n_samples(33) == 2048
+    assert default_instants_per_period(5) == default_instants_per_period(32) == 1024
+    assert default_instants_per_period(33) == 2048
 
 
 # --- forces that couple the pairs -----------------------------------------------------------------
@@ -1177,7 +1177,7 @@ class Given(ObservedMotion):
         values |= {"row_products": np.array([[11.0], [-11.0]]), "gaps": nothing, "forces": nothing}
         self._record = Record(**values | {"structure": self.structure} | given)
 
-    def records(self, rows: np.ndarray) -> Any:
+    def yield_records_of_row_products(self, rows: np.ndarray) -> Any:
         yield self._record
 
 

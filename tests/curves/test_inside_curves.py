@@ -41,7 +41,7 @@ from fenics_crack.curves.continuation import Continuation
 from fenics_crack.curves.orbit_events import (
     MIN_STEP_RATIO,
     MultiplierStepControl,
-    changes_of_counts,
+    changes_of_multiplier_counts,
     leading_multipliers_and_counts,
 )
 from fenics_crack.curves.orbits import OrbitEquations
@@ -185,7 +185,7 @@ def test_over_the_speed_of_a_rotor() -> None:
     problem = fc.Problem(rotor, 12 * 600.0, fc.UnilateralConstraint())
     family = OrbitEquations(problem, "speed", 560.0, 640.0)
     orbit = orbit_at(family.problem_at(600.0))
-    assert orbit.events > 0 and family.omega(620.0) == pytest.approx(12 * 620.0)
+    assert orbit.n_events > 0 and family.omega(620.0) == pytest.approx(12 * 620.0)
     unknown = family.unknown(orbit.state, 600.0)
     assert family.curve_points_row(unknown, 600.0) == pytest.approx(orbit.state, abs=1e-12)
     size = np.abs(unknown).max()
@@ -495,7 +495,9 @@ def test_motions_of_all_points_are_those_of_each(damping: str, rigid: bool) -> N
 )
 def test_what_counts_as_a_change(before: Any, after: Any, expected: tuple[int, ...]) -> None:
     """Of r, d and c."""
-    assert changes_of_counts(np.array([row(*before), row(*after)]))[0].tolist() == list(expected)
+    assert changes_of_multiplier_counts(np.array([row(*before), row(*after)]))[0].tolist() == list(
+        expected
+    )
 
 
 @pytest.mark.parametrize(
@@ -851,5 +853,5 @@ def test_change_over_half_a_period_is_twice_the_odd_harmonics() -> None:
     coefficients = np.random.default_rng(3).standard_normal((7, 2))
     later = coefficients * (-1.0) ** ((np.arange(7) + 1) // 2)[:, None]
     system = SimpleNamespace(shape=coefficients.shape)
-    change = BalanceEquations.relative_half_period_change(system, coefficients, 0.0)  # type: ignore[arg-type]
+    change = BalanceEquations.relative_motion_change_over_half_period(system, coefficients, 0.0)  # type: ignore[arg-type]
     assert change == pytest.approx(relative(later, coefficients), rel=1e-12)

@@ -168,7 +168,7 @@ def test_other_mode_is_found_by_its_frequency() -> None:
 def test_harmonic_that_takes_most_power(near: float, harmonic: int) -> None:
     """Of a load with two harmonics, the third much larger: next to a frequency one of them excites
     the mode."""
-    structure = mass(0.01, force=0.1).with_harmonics({3: (np.zeros(1), np.ones(1))})
+    structure = mass(0.01, force=0.1).with_added_load_harmonics({3: (np.zeros(1), np.ones(1))})
     resonance = resonance_at(Problem(structure, near, fc.UnilateralPenalty(1.0), 20))
     bilinear = 2.0 * math.sqrt(2.0) / (1.0 + math.sqrt(2.0))
     assert resonance.harmonic == harmonic
@@ -280,7 +280,7 @@ def test_the_short_form() -> None:
         resonance.omega == pytest.approx(bilinear, rel=2e-3) and resonance.solution.harmonics == 5
     )
     assert resonance.omega == fc.resonance_at(Problem(structure, 1.2, law)).omega
-    harmonic_load_structure = structure.with_harmonics({7: (None, np.array([1e-6]))})
+    harmonic_load_structure = structure.with_added_load_harmonics({7: (None, np.array([1e-6]))})
     assert fc.resonance_at(harmonic_load_structure, law, 1.2).solution.harmonics == 7
 
 

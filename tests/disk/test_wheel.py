@@ -170,7 +170,7 @@ def test_varied_wheel(mistuned: Wheel) -> None:
     assert second == pytest.approx(first_rows, rel=1e-12, abs=1e-12 * np.abs(first_rows).max())
     assert fc.reduce_wheel(mistuned.varied(clearance=1e-6), 1).clearance == pytest.approx(1e-6)
     catch_error(
-        lambda: mistuned.with_harmonics({3: (np.ones(mistuned.n_dofs), None)}),
+        lambda: mistuned.with_added_load_harmonics({3: (np.ones(mistuned.n_dofs), None)}),
         "structure",
         names=r"excitation\.harmonics",
     )

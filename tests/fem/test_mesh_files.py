@@ -25,7 +25,7 @@ from fenics_crack.fem.msh_file import (
     load_mesh_into_gmsh,
     make_cells_of_kind,
 )
-from fenics_crack.fem.plate import build_mesh
+from fenics_crack.fem.plate import build_plate_or_solid_mesh
 
 WIDTH, HEIGHT = 2.0, 1.0
 CURVES: dict[str, list[tuple[float, float]]] = {
@@ -146,7 +146,7 @@ def test_lips_of_the_plugin(
     structure = build_structure(scene)
     rtol = 1e-3 if name == "arc" else 1e-9
     np.testing.assert_allclose(area(structure), WIDTH * HEIGHT, rtol=rtol)
-    [lip] = build_mesh(scene, MPI.COMM_SELF).crack_paths_or_surfaces
+    [lip] = build_plate_or_solid_mesh(scene, MPI.COMM_SELF).crack_paths_or_surfaces
     assert lip.has_mouth == _on_edge(*CURVES[name][0])
     elements = len(lip.points) - 1
     assert structure.n_pairs == elements * order - (not lip.has_mouth)
@@ -283,10 +283,10 @@ def test_text_of_the_documentation(tmp_path: Path) -> None:
 
 def test_named_points_and_curves(plugin: Callable[..., Path]) -> None:
     """All of them, and curves that share edges too; a clamp may also be part of an outline."""
-    mesh = build_mesh(file_plate(plugin("edge")), MPI.COMM_SELF)
+    mesh = build_plate_or_solid_mesh(file_plate(plugin("edge")), MPI.COMM_SELF)
     assert mesh.position_by_point_name == {"load": (2.0, 1.0), "mouth": (0.0, 0.4)}
     assert mesh.tags_by_group.keys() == {"clamp", "lower_lip", "upper_lip"}
-    mesh = build_mesh(file_plate(plugin("edge", outline=True)), MPI.COMM_SELF)
+    mesh = build_plate_or_solid_mesh(file_plate(plugin("edge", outline=True)), MPI.COMM_SELF)
     counts = {name: len(mesh.facets(name)) for name in mesh.tags_by_group}
     assert counts["outline"] > counts["clamp"] > 0
     assert set(mesh.facets("clamp")) < set(mesh.facets("outline"))
@@ -305,7 +305,9 @@ def test_a_load_is_one_point(tmp_path: Path) -> None:
         model.mesh.generate(2)
         gmsh.write(str(path))
     catch_error(
-        lambda: build_mesh(file_plate(path, contact=None, crack=None), MPI.COMM_SELF),
+        lambda: build_plate_or_solid_mesh(
+            file_plate(path, contact=None, crack=None), MPI.COMM_SELF
+        ),
         "mesh.file",
         names="2 points in the group 'load'",
     )

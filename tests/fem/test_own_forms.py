@@ -20,8 +20,8 @@ from test_solids import of_file, write_box, write_hexahedra
 import fenics_crack as fc
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.fem import compat
-from fenics_crack.fem.loads import rigid_motions
-from fenics_crack.fem.plate import PartMesh, build_mesh
+from fenics_crack.fem.loads import rigid_motion_displacements
+from fenics_crack.fem.plate import PartMesh, build_plate_or_solid_mesh
 from fenics_crack.model.modes import multiply_columns
 
 PLATE = fc.Scene.load(DEMOS / "paper_plate.toml").replace(
@@ -60,7 +60,7 @@ def vectors(mesh: Any, order: int) -> Any:
 
 def given(scene: fc.Scene, comm: MPI.Comm) -> tuple[list[Any], dict[str, Any], PartMesh]:
     """Space and forms of a scene's material on a mesh of its own, and the other arguments."""
-    plate, material, d = build_mesh(scene, comm), scene.material, scene.dimension
+    plate, material, d = build_plate_or_solid_mesh(scene, comm), scene.material, scene.dimension
     space = vectors(plate.mesh, scene.mesh.order)
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
     t, nu = (scene.geometry.thickness if d == 2 else 1.0), material.poisson
@@ -157,7 +157,7 @@ def test_solids_of_order_1() -> None:
     two = fc.build_structure(scene)
     assert structure.pair_areas == pytest.approx(two.pair_areas, rel=1e-12)
     points, dofs = structure.nodes.points, structure.nodes.dofs
-    for motion in rigid_motions(points)[:, np.argsort(dofs.ravel())]:
+    for motion in rigid_motion_displacements(points)[:, np.argsort(dofs.ravel())]:
         assert abs(structure.apply_bt(motion[None])).max() < 1e-12
 
 

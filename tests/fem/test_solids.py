@@ -40,7 +40,7 @@ from fenics_crack.fem.loads import assemble_loads
 from fenics_crack.fem.matrix_files import find_coincident_node_pairs
 from fenics_crack.fem.msh_file import make_cells_of_kind
 from fenics_crack.fem.nodal_mesh import NodalMesh
-from fenics_crack.fem.plate import Dofs, build_mesh
+from fenics_crack.fem.plate import Dofs, build_plate_or_solid_mesh
 from fenics_crack.model.modes import multiply_columns
 from fenics_crack.model.nodes import format_point
 from fenics_crack.model.rotation import relative_coriolis_shifts, static_displacement_and_forces
@@ -361,7 +361,7 @@ def test_cases_of_a_sweep_are_known_without_a_mesh(monkeypatch: pytest.MonkeyPat
     take them."""
     sweep_scene = solid(THROUGH, **{"sweep.over": {"crack.length": [0.008, 0.01, 0.5]}})
     with monkeypatch.context() as patch:
-        patch.setattr("fenics_crack.sweep.plan.build_mesh", None)
+        patch.setattr("fenics_crack.sweep.plan.build_plate_or_solid_mesh", None)
         plan = Plan(sweep_scene)
         is_scene = [isinstance(plan.scene_or_reason_at((place,)), Scene) for place in range(3)]
         assert is_scene == [True, True, False]
@@ -968,7 +968,7 @@ def test_loads_at_the_nodes_of_a_curved_side() -> None:
     of cells leave some of them out, and rounding puts half of them beside the mesh."""
     blade = Scene.load(DEMOS / "solid_blade.toml")
     force = {"loads": None, "excitation.force_cos": [0.0, 0.0, 2.0]}
-    plate = build_mesh(blade, MPI.COMM_SELF)
+    plate = build_plate_or_solid_mesh(blade, MPI.COMM_SELF)
     dofs = Dofs(plate, function_space(plate.mesh, 2), MPI.COMM_SELF)
     side_nodes = dofs.nodes_on("suction_side")
     free_nodes = side_nodes[

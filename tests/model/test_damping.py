@@ -164,11 +164,11 @@ def test_reduced() -> None:
     structure = chain("rayleigh", 60)
     reduced_structure = fc.reduce_structure(structure, modes=20)
     assert reduced_structure.damping == RAYLEIGH and reduced_structure.reference.damping == RAYLEIGH
-    projected_damping = (
+    project_damping_on_columns = (
         reduced_structure.basis.T @ dense_matrices(structure)[1] @ reduced_structure.basis
     )
     np.testing.assert_allclose(
-        projected_damping, dense(reduced_structure.damping_matrix), atol=1e-12
+        project_damping_on_columns, dense(reduced_structure.damping_matrix), atol=1e-12
     )
     reduced_matrix_structure = fc.reduce_structure(with_matrix(structure), modes=20)
     direct_solution, matrix_solution = (
@@ -177,7 +177,7 @@ def test_reduced() -> None:
     )
     assert relative(direct_solution.gap_coefficients, matrix_solution.gap_coefficients) < 1e-9
     later = fc.reduce_structure(structure.damped(None), modes=20).damped(RAYLEIGH)
-    np.testing.assert_allclose(dense(later.damping_matrix), projected_damping, atol=1e-12)
+    np.testing.assert_allclose(dense(later.damping_matrix), project_damping_on_columns, atol=1e-12)
     assert later.varied(damping=2.0).damping == RAYLEIGH.scaled(2.0)
 
 

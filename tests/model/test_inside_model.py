@@ -30,12 +30,16 @@ from fenics_crack.model.contact import (
     forces_and_slopes_of_smooth_law,
     solve_complementarity,
     solve_complementarity_by_least_squares,
-    solve_forces,
+    solve_contact_forces_by_newton,
 )
 from fenics_crack.model.factor import Factor, make_matrix_from_local_rows
 from fenics_crack.model.matrices import read_labels
 from fenics_crack.model.modal import all_modes
-from fenics_crack.model.modes import damped_count_and_max_omega, damped_modes, largest_frequency
+from fenics_crack.model.modes import (
+    damped_count_and_max_omega_or_none,
+    damped_modes,
+    find_largest_natural_omega,
+)
 
 
 def badly_conditioned(rng: np.random.Generator, pairs: int, condition: float) -> np.ndarray:
@@ -350,7 +354,7 @@ def test_forces_by_newton(stiffness: float) -> None:
     rng = np.random.default_rng(7)
     law = fc.SmoothedPenalty(stiffness, 1e3)
     matrix, gap = random_stiffness(rng, 4) / 8.0, rng.normal(size=4)
-    force = solve_forces(
+    force = solve_contact_forces_by_newton(
         lambda g: (law.force(g), law.tangent(g)), matrix, gap[None], np.zeros((1, 4))
     )[0]
     gap_reached = gap - matrix @ force
@@ -363,7 +367,7 @@ def test_forces_by_newton(stiffness: float) -> None:
 def test_forces_that_do_not_exist_are_an_error() -> None:
     """A force that falls with the gap, faster than the step's compliance allows."""
     catch_error(
-        lambda: solve_forces(
+        lambda: solve_contact_forces_by_newton(
             lambda g: (1.0 + g**2, 2.0 * g),
             np.ones((1, 1)),
             np.full((1, 1), -5.0),
@@ -382,9 +386,9 @@ def test_largest_frequency() -> None:
     mass, stiffness = random_matrices(30)
     structure = Structure.from_matrices(mass, stiffness, gap=None)
     max_omega = np.sqrt(scipy.linalg.eigvalsh(stiffness, mass)[-1])
-    assert largest_frequency(structure) == pytest.approx(max_omega, rel=1e-6)
+    assert find_largest_natural_omega(structure) == pytest.approx(max_omega, rel=1e-6)
     heavy_structure = Structure.from_matrices(4.0 * mass, stiffness, gap=None)
-    assert largest_frequency(heavy_structure) == pytest.approx(max_omega / 2.0, rel=1e-6)
+    assert find_largest_natural_omega(heavy_structure) == pytest.approx(max_omega / 2.0, rel=1e-6)
 
 
 def test_a_diverging_structure_is_refused() -> None:
@@ -449,7 +453,7 @@ def modes_of(scene: Scene, count: int, comm: MPI.Comm) -> dict[str, Any]:
     return {
         "omega": modes.omega,
         "shapes": shapes[np.lexsort(points.round(9).T)],
-        "largest": largest_frequency(structure),
+        "largest": find_largest_natural_omega(structure),
     }
 
 
@@ -526,7 +530,7 @@ def test_high_harmonics_of_varied_copies(damping: str, eigensolutions: list[int]
     )):  # fmt: skip
         del eigensolutions[:]
         compliance = FactoredCompliance(copy, 0.2, load_coefficients(copy, 3, 1))
-        compliances.append(compliance.higher_harmonics_compliance(6))
+        compliances.append(compliance.compliance_matrices_of_higher_harmonics(6))
         compliance.destroy()
         assert (eigensolutions == []) == (copy is half_damped)
     np.testing.assert_allclose(compliances[1], compliances[2], rtol=1e-7, atol=1e-12)
@@ -602,10 +606,10 @@ def test_range_of_damped_modes() -> None:
         (fc.ModalDamping(ratios, 4), (2, omega[2])),
         (fc.ModalDamping([0.01] * 12 + [0.0] * 18), (12, omega[11])),
     ):
-        damped_range = damped_count_and_max_omega(structure.damped(damping))
+        damped_range = damped_count_and_max_omega_or_none(structure.damped(damping))
         assert damped_range == (exact_range and pytest.approx(exact_range, rel=1e-9)), damping
-    assert damped_count_and_max_omega(chain("matrix")) is None
-    assert damped_count_and_max_omega(chain("modal").varied(damping=0.0)) == (0, 0.0)
+    assert damped_count_and_max_omega_or_none(chain("matrix")) is None
+    assert damped_count_and_max_omega_or_none(chain("modal").varied(damping=0.0)) == (0, 0.0)
 
 
 def test_range_of_a_reduced_structure() -> None:
@@ -615,14 +619,18 @@ def test_range_of_a_reduced_structure() -> None:
     last_omega = fc.solve_modes(structure, 8).omega[-1]
     for modes in (5, 8, 20):
         reduced_structure = fc.reduce_structure(few_modes_damped, modes=modes)
-        assert damped_count_and_max_omega(reduced_structure) == pytest.approx(
+        assert damped_count_and_max_omega_or_none(reduced_structure) == pytest.approx(
             (8, last_omega), rel=1e-9
         )
-        assert damped_count_and_max_omega(reduced_structure.damped(fc.ModalDamping(0.02))) is None
-        assert damped_count_and_max_omega(reduced_structure.damped(None)) == (0, 0.0)
+        assert (
+            damped_count_and_max_omega_or_none(reduced_structure.damped(fc.ModalDamping(0.02)))
+            is None
+        )
+        assert damped_count_and_max_omega_or_none(reduced_structure.damped(None)) == (0, 0.0)
     for rule in (fc.ModalDamping(0.02), fc.RayleighDamping(0.05, 0.03)):
         assert (
-            damped_count_and_max_omega(fc.reduce_structure(structure.damped(rule), modes=8)) is None
+            damped_count_and_max_omega_or_none(fc.reduce_structure(structure.damped(rule), modes=8))
+            is None
         )
 
 

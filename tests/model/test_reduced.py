@@ -390,7 +390,7 @@ def test_another_load_or_damping_needs_no_factor(monkeypatch: pytest.MonkeyPatch
     load = {3: (None, np.linspace(0.0, 1.0, 40))}
     base_chain, factorisations = chain("modal", 40), list[int]()
     reduced(base_chain, 8)
-    fresh_model = reduced(chain("rayleigh", 40).with_harmonics(harmonics), 6)
+    fresh_model = reduced(chain("rayleigh", 40).with_added_load_harmonics(harmonics), 6)
 
     def counted(make: Callable[..., Any], *given: Any, **options: Any) -> Any:
         factorisations.append(1)
@@ -398,7 +398,7 @@ def test_another_load_or_damping_needs_no_factor(monkeypatch: pytest.MonkeyPatch
 
     wrap(monkeypatch, "fenics_crack.model.receptance.Factor", counted)
     changed_model = reduced(
-        base_chain.with_harmonics(harmonics).damped(fresh_model.whole.damping), 6
+        base_chain.with_added_load_harmonics(harmonics).damped(fresh_model.whole.damping), 6
     )
     assert not factorisations
     for name in ("omega", "force", "compliance", "modal_damping", "residual_compliance"):
@@ -407,10 +407,11 @@ def test_another_load_or_damping_needs_no_factor(monkeypatch: pytest.MonkeyPatch
     assert (
         relative(changed_model.values_at(motion, dofs), fresh_model.values_at(motion, dofs)) < 1e-9
     )
-    expected_model = reduced(chain("modal", 40).with_harmonics(load), 6)
+    expected_model = reduced(chain("modal", 40).with_added_load_harmonics(load), 6)
     factorisations.clear()
     assert (
-        relative(reduced(base_chain.with_harmonics(load), 6).force, expected_model.force) < 1e-9
+        relative(reduced(base_chain.with_added_load_harmonics(load), 6).force, expected_model.force)
+        < 1e-9
         and factorisations
     )
 

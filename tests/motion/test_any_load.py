@@ -29,7 +29,7 @@ def loaded() -> fc.Structure:
         force_mean=0.3 * load_rows[0], force_cos=load_rows[1], force_sin=load_rows[2],
         clearance=0.05,
     )  # fmt: skip
-    return structure.with_harmonics(parts)
+    return structure.with_added_load_harmonics(parts)
 
 
 def dense(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -90,7 +90,7 @@ def followed(structure: fc.Structure, omega: float, state: np.ndarray, end: floa
 def test_exact_orbit_against_integration() -> None:
     structure, omega = loaded(), 0.8
     orbit = fc.solve_harmonic_balance(structure, omega, LAW, tolerance=1e-3).orbit
-    assert orbit is not None and orbit.events >= 4
+    assert orbit is not None and orbit.n_events >= 4
     shapes = orbit.flow.modal_model.shapes.T
     start = np.concatenate([part @ shapes for part in np.split(orbit.state, 2)])
     end_state = followed(structure, omega, start, orbit.period)
@@ -203,4 +203,4 @@ def test_bad_harmonics() -> None:
         ({2: 1.0}, "harmonics[2]", 1.0),
         ([1], "harmonics", [1]),
     ):
-        catch_error(partial(structure.with_harmonics, harmonics), key, value)
+        catch_error(partial(structure.with_added_load_harmonics, harmonics), key, value)

@@ -103,10 +103,12 @@ def test_against_the_reference(
     reference, turn = reference_of(structure, contact, flow)
     passage = reference.advance(turn @ state, omega, 0.3, duration, 60)
     tangent = passage.tangent() @ turn
-    tangent_size = np.linalg.norm(motion.track.tangent)
+    tangent_size = np.linalg.norm(motion.track.derivative_of_end_state)
     assert relative(turn @ motion.state, passage.state) < 1e-12 * (1.0 + tangent_size)
     assert np.abs(motion.samples.gap - passage.gap).max() < 1e-12 * (1.0 + tangent_size)
-    assert relative(turn @ motion.track.tangent, tangent) < 1e-9 * (1.0 + tangent_size)
+    assert relative(turn @ motion.track.derivative_of_end_state, tangent) < 1e-9 * (
+        1.0 + tangent_size
+    )
     assert motion.n_events == len(passage.pieces) - 1
     assert motion.samples.gap[motion.samples.is_closed].min(initial=0.0) >= 0.0
     assert motion.track.lengths.sum() == pytest.approx(duration, rel=1e-12)
@@ -159,7 +161,7 @@ def test_derivatives(light: bool) -> None:
             for h in (state_changes, -state_changes)
         )
         slope = (upper_motion.state - lower_motion.state) / (2.0 * step)
-        assert relative(track.tangent[:, place], slope) < 1e-7
+        assert relative(track.derivative_of_end_state[:, place], slope) < 1e-7
     upper_motion, lower_motion = (
         flow.advance(state, omega + h, duration, start=0.4) for h in (step, -step)
     )
@@ -177,15 +179,17 @@ def test_parts_make_the_whole() -> None:
     end_states, track, ends = flow.integrate_parts(samples.states, omega, 2.0 * np.pi / omega)
     assert relative(end_states[:-1], samples.states[1:]) < 1e-12
     assert relative(end_states[-1], full_motion.state) < 1e-12
-    assert relative(track.tangent, full_motion.track.tangent) < 1e-11
+    assert (
+        relative(track.derivative_of_end_state, full_motion.track.derivative_of_end_state) < 1e-11
+    )
     start, excess = thrown(flow, 5), np.zeros_like(end_states)
     carried_changes = track.carry_changes(start, excess, ends)
     part = flow.advance(samples.states[4], omega, starts[1], start=starts[4]).track
-    assert relative(carried_changes[5], part.tangent @ carried_changes[4]) < 1e-12
-    assert relative(carried_changes[-1], full_motion.track.tangent @ start) < 1e-11
+    assert relative(carried_changes[5], part.derivative_of_end_state @ carried_changes[4]) < 1e-12
+    assert relative(carried_changes[-1], full_motion.track.derivative_of_end_state @ start) < 1e-11
     excess[-2:] = thrown(flow, 7), thrown(flow, 8)
     last_track = flow.advance(samples.states[-1], omega, starts[1], start=starts[-1]).track
-    end_change = last_track.tangent @ excess[-2] + excess[-1]
+    end_change = last_track.derivative_of_end_state @ excess[-2] + excess[-1]
     assert (
         relative(track.carry_changes(start, excess, ends)[-1], carried_changes[-1] + end_change)
         < 1e-11
@@ -252,7 +256,12 @@ def test_almost_equal_structures() -> None:
         rest = np.resize(np.linspace(-1, 1, 10), structure.n_dofs)
         motion = flow.advance(flow.state(rest, 0.0 * rest), 0.7, 18.0)
         to_dofs = np.kron(np.eye(2), flow.modal_model.shapes)
-        motions.append((motion.n_events, to_dofs @ motion.track.tangent @ np.linalg.inv(to_dofs)))
+        motions.append(
+            (
+                motion.n_events,
+                to_dofs @ motion.track.derivative_of_end_state @ np.linalg.inv(to_dofs),
+            )
+        )
     (events, tangent), *parts = motions
     assert events == sum(part[0] for part in parts) > 20
     for number, (_, single_tangent) in enumerate(parts):
@@ -284,7 +293,7 @@ def test_motions_do_not_depend_on_earlier_ones(
         motion = flow.advance(thrown(flow, 7), 0.5, 60.0)
         step = predict_orbit(flow, 0.5, series_states_at_period_parts(flow, displacement, 0.5))
         assert motion.n_events > 40 and step is not None
-        return motion.state, motion.track.lengths, motion.track.tangent, step.states
+        return motion.state, motion.track.lengths, motion.track.derivative_of_end_state, step.states
 
     fresh_arrays = found(busy=False)
     monkeypatch.setattr(
@@ -333,9 +342,9 @@ def test_budget() -> None:
     """A motion that takes more is given up at once."""
     flow = known(chain(), fc.UnilateralPenalty(50.0))
     for duration, budget, names, kind in (
-        (1e3, Budget(allowed_intervals=20), "after 20 events", fc.ConvergenceError),
+        (1e3, Budget(allowed_event_intervals=20), "after 20 events", fc.ConvergenceError),
         (1e3, Budget(allowed_pieces=20), "too fast", BudgetError),
-        (1e300, Budget(allowed_intervals=20), "too fast", BudgetError),
+        (1e300, Budget(allowed_event_intervals=20), "too fast", BudgetError),
     ):
         catch_error(
             partial(flow.advance, thrown(flow), 0.8, duration, budget=budget),
@@ -377,7 +386,7 @@ def test_derivative_while_all_pairs_are_open(damping: float) -> None:
             [-np.diag(flow.modal_model.squares), -np.diag(flow.modal_model.damping)],
         ]
     )
-    tangent = flow.advance(thrown(flow), 0.3, 20.0).track.tangent
+    tangent = flow.advance(thrown(flow), 0.3, 20.0).track.derivative_of_end_state
     assert tangent == pytest.approx(scipy.linalg.expm(20.0 * matrix), abs=1e-9)
 
 
@@ -402,7 +411,7 @@ def test_derivative_along_short_sets(turn: float) -> None:
             scipy.linalg.expm(length * matrix.reshape(exact_tangent.shape)) @ exact_tangent
         )
     unit = np.repeat([flow.rate_bound, 1.0], flow.n_modes)
-    tangent = unit[:, None] * Track(flow, 1.0, 0.0, sets, lengths).tangent / unit
+    tangent = unit[:, None] * Track(flow, 1.0, 0.0, sets, lengths).derivative_of_end_state / unit
     assert np.abs(tangent - unit[:, None] * exact_tangent / unit).max() < 1e-13
 
 
@@ -448,7 +457,7 @@ def test_orbit_against_the_reference(seed: int, light: bool) -> None:
     assert np.abs(gap - passage.gap).max() < 1e-11 * np.ptp(gap)
     max_multiplier = np.abs(np.linalg.eigvals(passage.tangent())).max()
     assert abs(orbit.multipliers[0]) == pytest.approx(max_multiplier, rel=1e-9)
-    assert orbit.events == len(passage.pieces) - 1 > 0
+    assert orbit.n_events == len(passage.pieces) - 1 > 0
     assert 0.2 < distance(solution, orbit) / prediction.relative_gap_error < 2.0
 
 
@@ -468,7 +477,9 @@ def test_motion_in_arcs(light: bool) -> None:
         one_period_motion is not None
         and relative(one_period_motion.gap_at(time), orbit.gap_at(time)) < 1e-7
     )
-    assert one_period_motion.faces["opening"] == pytest.approx(orbit.faces["opening"], rel=1e-7)
+    assert one_period_motion.face_indicators["opening"] == pytest.approx(
+        orbit.face_indicators["opening"], rel=1e-7
+    )
 
 
 def test_twice_the_period() -> None:
@@ -528,7 +539,7 @@ def test_coefficients(light: bool) -> None:
     flow = exact_flow_or_none(structure, RIGID if light else fc.UnilateralPenalty(20.0))
     settled_state = flow.advance(np.zeros(flow.state_size), 0.6, 30 * 2.0 * np.pi / 0.6).state
     orbit = find_orbit(flow, 0.6, settled_state)
-    assert orbit is not None and orbit.events > 0
+    assert orbit is not None and orbit.n_events > 0
     coefficients, time = orbit.coefficients(6), np.arange(2**15) * orbit.period / 2**15
     assert relative(coefficients.gap, fourier_coefficients(orbit.gap_at(time), 6)) < 1e-6
     assert relative(coefficients.force, fourier_coefficients(orbit.force_at(time), 6)) < 1e-6
@@ -548,7 +559,7 @@ def test_open_crack() -> None:
     """Without contact the orbit is the linear response, whatever the start."""
     structure = oscillator(clearance=100.0)
     orbit = find_orbit(known(structure, fc.UnilateralPenalty(1.0)), 2.0, np.array([3.0, -1.0]))
-    assert orbit is not None and orbit.events == 0
+    assert orbit is not None and orbit.n_events == 0
     linear = fc.solve_linear(structure, 2.0)
     linear_rows = np.vstack([linear.displacement_coefficients, np.zeros((0, 1))])
     assert orbit.coefficients(5).displacement == pytest.approx(linear_rows, abs=1e-11)
@@ -625,5 +636,5 @@ def test_two_slopes_are_two_penalties(omega: float) -> None:
     pair, law = oscillator(gap, [0.1]), Layer(3.0, share, depth)
     sampled_solution = fc.solve_harmonic_balance(pair, omega, law, harmonics=60, samples=8192)
     assert orbit.amplitude(1) == pytest.approx(sampled_solution.amplitude(1), rel=1e-6)
-    force = sampled_solution.faces["crack_force"]
-    assert orbit.faces["crack_force"] == pytest.approx(force, rel=1e-5)
+    force = sampled_solution.face_indicators["crack_force"]
+    assert orbit.face_indicators["crack_force"] == pytest.approx(force, rel=1e-5)

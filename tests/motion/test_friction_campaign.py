@@ -32,7 +32,7 @@ def pushed(full_plate: fc.Structure, angle: float, ratio: float) -> fc.Structure
     )
     unloaded_plate = full_plate.damped(fc.ModalDamping(ratio, 10)).varied(load=0.0)
     return fc.reduce_structure(
-        unloaded_plate.with_harmonics({1: tuple(turn)}), modes=10, method="massless"
+        unloaded_plate.with_added_load_harmonics({1: tuple(turn)}), modes=10, method="massless"
     )
 
 

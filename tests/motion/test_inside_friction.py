@@ -96,7 +96,7 @@ def test_derivative_by_state_and_places(pairs: int, mu: float) -> None:
         step = 1e-7
         ends = [flow.advance(start + s * change, omega, period).state for s in (step, -step)]
         difference = (ends[0] - ends[1]) / (2.0 * step)
-        derivative = motion.track.tangent @ change
+        derivative = motion.track.derivative_of_end_state @ change
         moves = ~np.concatenate(
             [np.zeros(2 * flow.n_modes, dtype=bool), (motion.track.sets == 1).all(axis=0)]
         )
@@ -178,7 +178,7 @@ def test_derivative_where_a_pair_always_sticks(size: float, origin: int) -> None
     at_wave = integrals.linearise(gap)
     assert (
         np.all(at_wave.contact_states == 1)
-        and integrals.march(sample_period(gap, 64))[3][0] == origin
+        and integrals.follow_forces_until_they_repeat(sample_period(gap, 64))[3][0] == origin
     )
     change, step = np.zeros((5, 2)), 1e-7
     change[:, 1] = np.random.default_rng(3).normal(size=5)
@@ -213,7 +213,7 @@ def test_a_wave_is_marched_until_its_places_repeat() -> None:
     integrals = FrictionIntegrals(CoulombFriction(RIGID, 5.0), 4, residual_compliance=compliance)
     time = 2.0 * np.pi / 128 * np.arange(128)[:, None] - phase
     gap = np.hstack([0.7 + np.cos(time), 0.6 * np.sin(time + 0.4)])
-    forces, states, places, _ = integrals.march(gap)
+    forces, states, places, _ = integrals.follow_forces_until_they_repeat(gap)
     assert np.all(states.any(axis=1)) and not np.any(states.all(axis=0))
     assert integrals.friction_contact_solver.solve(gap, places[-1])[0] == pytest.approx(
         forces, abs=1e-10

@@ -94,7 +94,7 @@ def test_all_harmonics_of_a_load_count() -> None:
     structure = fc.Structure.from_matrices(
         mass, stiffness, gap=gap, force_sin=first_force, damping=fc.ModalDamping(0.1)
     )
-    figures = find_key_figures(study_of(structure.with_harmonics({3: (None, third)})))
+    figures = find_key_figures(study_of(structure.with_added_load_harmonics({3: (None, third)})))
     squares, shapes = scipy.linalg.eigh(stiffness, mass)
 
     def moved(omega: float, force: np.ndarray) -> float:

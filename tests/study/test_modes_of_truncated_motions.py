@@ -161,7 +161,8 @@ def test_modes_that_change_the_orbit_too_much() -> None:
     assert "modes" not in report.unknown and report.stated("opening")[1] == "modes"
     larger_orbit = orbit_of(study, 20)
     true_change = abs(
-        larger_orbit.faces["opening"] / few_modes_solution.assessment.nearest_orbit.faces["opening"]
+        larger_orbit.face_indicators["opening"]
+        / few_modes_solution.assessment.nearest_orbit.face_indicators["opening"]
         - 1.0
     )
     assert true_change / study.structure.share < report.stated("opening")[0] < 1.0

@@ -10,7 +10,7 @@ from motion.test_friction import jenkins, nlstep_beam
 from motion.test_friction_on_solids import solved
 
 import fenics_crack as fc
-from fenics_crack.time.march import initial_state
+from fenics_crack.time.march import make_initial_state_parts
 
 
 @cache
@@ -104,7 +104,9 @@ def beside_the_cone(frequency: float, mu: float) -> tuple[fc.Run, float, list[np
     frictionless_run = solved(excitation__frequency=frequency, contact__friction=0.0)
     contact, structure = run.result.contact, run.structure
     assert isinstance(contact, fc.CoulombFriction) and isinstance(structure, fc.MasslessStructure)
-    start = np.array(initial_state(structure, contact, run.result)[:2])[:, : structure.n_modes]
+    start = np.array(make_initial_state_parts(structure, contact, run.result)[:2])[
+        :, : structure.n_modes
+    ]
     marched_motions = [
         march_cone(structure, run.result.omega, mu, start, count, 15) for count in STEPS
     ]

@@ -54,7 +54,7 @@ from scipy.linalg import eigh
 from fenics_crack.basics.errors import N_LOWEST_MODES, InputError
 from fenics_crack.basics.ranks import MPI
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN
-from fenics_crack.fem.loads import rigid_motions
+from fenics_crack.fem.loads import rigid_motion_displacements
 from fenics_crack.model.modes import Modes, multiply_columns, solve_modes
 from fenics_crack.monitoring.identification.interpolation import (
     Feature,
@@ -596,7 +596,7 @@ def _build_rigid_clamp_motions(modes: Modes) -> tuple[np.ndarray, int]:
     )
     if structure_nodes is None or len(clamped_points) < 2:
         return np.zeros((modes.structure.n_local, 0)), 0
-    node_motions = rigid_motions(structure_nodes.points - clamped_points.mean(axis=0))
+    node_motions = rigid_motion_displacements(structure_nodes.points - clamped_points.mean(axis=0))
     motion_columns = np.zeros((modes.structure.n_local, len(node_motions)))
     dofs_of_nodes = structure_nodes.dofs.ravel()
     motion_columns[dofs_of_nodes[dofs_of_nodes >= 0]] = node_motions[:, dofs_of_nodes >= 0].T
