@@ -111,6 +111,8 @@ class Rotation:
     def static_shape_and_motion_stiffness(self, speed: float) -> tuple[Any, Any]:
         """Return the stiffness for the static shape and for motion (collective).
 
+        W is ``speed`` [rad/s], K the stiffness at rest, and K_1 the ``rotation_stiffness``.
+
         Returns
         -------
         PETSc.Mat

@@ -360,7 +360,7 @@ class Structure(Coordinates):
     def has_matrices(self) -> bool:
         """True unless the structure comes from a file of a prepared structure.
 
-        Such a file has reduced results, but no mass and stiffness.
+        Such a file has modes and static responses, but no mass and stiffness.
         """
         return not isinstance(self.stiffness, AbsentMatrix)
 
@@ -418,7 +418,7 @@ class Structure(Coordinates):
         )
 
     def gap_of(self, displacement: np.ndarray) -> np.ndarray:
-        """Return the normal gaps' Fourier coefficients on every rank (collective).
+        """Return the Fourier coefficients of the pairs' gaps on every rank (collective).
 
         The gaps are g = B^T u - g0, with the gap matrix B and the clearance g0.
 
