@@ -83,7 +83,7 @@ class _PenaltyBase:
         object.__setattr__(self, "stiffness", stiffness)
 
     def scaled(self, factor: float) -> Self:
-        """Return this law with the stiffness factor * k."""
+        """Return this law with its stiffness k multiplied by a factor."""
         return replace(self, stiffness=np.multiply(factor, self.stiffness))
 
 
@@ -145,7 +145,10 @@ class SmoothedPenalty(_PenaltyBase):
         )
 
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """Return the contact forces lambda(g) [N] for gaps g (..., n_pairs) [m]."""
+        """Return the contact forces [N] for gaps g (..., n_pairs) [m]: the same shape.
+
+        With the stiffness k and the sharpness s, they are k g (1/2 + arctan(s g) / pi).
+        """
         return self.stiffness * gap * (0.5 + np.arctan(self.sharpness * gap) / np.pi)
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
@@ -200,7 +203,7 @@ class UnilateralConstraint:
         )
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
-        """Raise InputError, as :meth:`force`."""
+        """Raise InputError: a rigid law has no slope d lambda / d g."""
         return self.force(gap)
 
     def scaled(self, factor: float) -> UnilateralConstraint:
@@ -263,15 +266,24 @@ class CoulombFriction:
         return self.law.stiffness
 
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """Return the normal forces lambda_n(g) [N] for normal gaps g [m]."""
+        """Return the normal forces [N] for normal gaps (..., n_pairs) [m]: the same shape.
+
+        InputError: normal contact is rigid, so the forces do not follow from the gaps.
+        """
         return np.asarray(self.law.force(gap))
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
-        """Return the slopes d lambda_n / d g [N/m] for normal gaps g [m]."""
+        """Return the slopes [N/m] of the normal forces for normal gaps (..., n_pairs) [m].
+
+        InputError: normal contact is rigid.
+        """
         return np.asarray(self.law.tangent(gap))
 
     def scaled(self, factor: float) -> CoulombFriction:
-        """Return this law with factor * k and factor * k_t."""
+        """Return this law with normal and tangential stiffness multiplied by a factor.
+
+        The friction coefficient stays.
+        """
         scaled_tangential_stiffness = np.multiply(factor, self.tangential_stiffness)
         return replace(
             self, law=self.law.scaled(factor), tangential_stiffness=scaled_tangential_stiffness

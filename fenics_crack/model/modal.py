@@ -254,7 +254,10 @@ class AllModes:
 
     @cached_property
     def shapes_inverse(self) -> np.ndarray:
-        """Phi^-1, which turns displacements into modal coordinates: (n, n_dofs)."""
+        """Inverse of the mode shapes, from displacements to modal coordinates: (n, n_dofs).
+
+        With massless coordinates, this is Phi^T M, with the mode shapes Phi and the mass M.
+        """
         if self.inverse_shapes is not None:
             return self.inverse_shapes
         return np.linalg.inv(self.shapes)

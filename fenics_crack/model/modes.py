@@ -590,7 +590,9 @@ def _mode_signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class DampedModes:
-    """Modes that carry the modal damping C = M Phi diag(damping_rates) Phi^T M.
+    """Modes Phi on which modal damping acts: C = M Phi diag(damping_rates) Phi^T M.
+
+    M is the mass, and C the damping matrix, which is never formed.
 
     Attributes
     ----------
@@ -609,9 +611,10 @@ class DampedModes:
 
 
 def damped_modes(structure: Structure) -> DampedModes | None:
-    """Return the modes that carry the modal damping; None without it (collective).
+    """Return the modes on which modal damping acts (collective).
 
-    They are computed once for a structure and its varied copies.
+    None if the structure has Rayleigh damping, a damping matrix or no damping. The modes are
+    computed once for a structure and its varied copies.
 
     Raises
     ------
@@ -629,7 +632,7 @@ def damped_modes(structure: Structure) -> DampedModes | None:
 
 
 def _compute_damped_modes(structure: Structure) -> DampedModes:
-    """Compute the modes that carry the modal damping (collective)."""
+    """Compute the modes on which modal damping acts, and their damping rates (collective)."""
     modes = solve_modes(structure, count_damped_modes(structure))
     mass_shapes = multiply_columns(structure.mass, modes.shapes)
     damping_rates = structure.damping.rate(modes.omega**2)

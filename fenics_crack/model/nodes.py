@@ -355,7 +355,11 @@ class Coordinates:
         return self.sum_over_ranks((self.tangential.T @ displacement.T).T)
 
     def apply_b(self, pair_force: np.ndarray) -> np.ndarray:
-        """Return the forces B lambda on dofs, (m, n_local), from pair forces (m, n_pairs) [N]."""
+        """Return the forces on dofs (m, n_local) from contact forces (m, n_pairs) [N].
+
+        They are B lambda, with the gap matrix B and the contact forces lambda. Contact acts on the
+        structure with the opposite sign, as B lambda stands on the left of the equation of motion.
+        """
         return (self.gap @ pair_force.T).T
 
     def sum_over_ranks(self, array: np.ndarray) -> np.ndarray:

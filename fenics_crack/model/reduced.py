@@ -165,7 +165,10 @@ class ReducedStructure(Structure):
         )
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
-        """Return displacements u = T q, (m, whole.n_local), from coordinates q (m, n_dofs)."""
+        """Return displacements (m, whole.n_local) of the whole structure.
+
+        They are u = T q, with the basis T and the coordinates q, ``displacement`` (m, n_dofs).
+        """
         return self._source.expand(displacement @ self.basis.T)
 
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:

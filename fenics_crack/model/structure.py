@@ -202,15 +202,17 @@ class RayleighDamping:
     def rate(self, squares: np.ndarray) -> np.ndarray:
         """Return the modal damping rates 2 xi omega = a + b omega^2: (n,) [1/s].
 
+        xi is the damping ratio, and a and b are the coefficients of C = a M + b K.
+
         Parameters
         ----------
         squares : (n,) [rad^2/s^2]
-            omega^2.
+            omega^2, the squares of the modes' frequencies.
         """
         return self.mass + self.stiffness * squares
 
     def matrix(self, mass: Any, stiffness: Any) -> Any:
-        """Return the PETSc matrix C = a M + b K (collective)."""
+        """Return the damping matrix C = a M + b K from mass M and stiffness K (collective)."""
         mass_term = mass.copy()
         mass_term.scale(self.mass)
         total = weighted_sum(mass_term, self.stiffness, stiffness)
@@ -676,7 +678,10 @@ class Structure(Coordinates):
         return self._in_setting(setting, damping=new_damping, rotation=rotation)
 
     def watching(self, dof: int) -> Self:
-        """Return this structure with another watched dof, for results without a named dof."""
+        """Return this structure with another watched dof, for results without a named dof.
+
+        ``dof`` is a number in the whole structure; InputError if there is no such dof.
+        """
         checked_dof = int(self.whole.as_dof_numbers([dof])[0])
         return self._in_setting(replace(self.setting, watched_dof=checked_dof))
 
@@ -802,7 +807,11 @@ class Structure(Coordinates):
 
 
 def _is_mean_kept(load_weights: np.ndarray) -> bool:
-    """Return True if load weights leave the mean load alone."""
+    """Return True if load weights keep the mean load.
+
+    ``load_weights`` is a factor, 1 in this case, or a matrix (2K+1, 2K+1) for the load's rows. Its
+    first row and column must then be those of I.
+    """
     if load_weights.ndim == 0:
         return bool(load_weights == 1.0)
     return bool(

@@ -613,7 +613,10 @@ class Track:
         return derivative
 
     def __matmul__(self, change: np.ndarray) -> np.ndarray:
-        """Return the end state's change for a change (state_size,) of the start state."""
+        """Return the end state's change for a small change (state_size,) of the start state.
+
+        The change is multiplied by the flow's derivative over the track, without forming it.
+        """
         interval_counts = np.array([len(self.lengths)], dtype=np.intc)
         return np.asarray(
             self.carry_changes(change, np.zeros((1, self.flow.state_size)), interval_counts)[-1]
@@ -679,19 +682,25 @@ class Samples:
 
     @property
     def is_closed(self) -> np.ndarray:
-        """Return True for closed pairs: (n, n_pairs) bool."""
+        """Return True for closed pairs at each instant: (n, n_pairs) bool."""
         return self.pair_states > 0
 
     @cached_property
     def forces(self) -> np.ndarray:
-        """Return normal contact forces, with friction then friction forces: (n, n_rows) [N]."""
+        """Return contact forces: (n, n_rows) [N].
+
+        Normal forces come first. With friction, friction forces follow (n_rows = 2 n_pairs).
+        """
         if self.flow.friction_law:
             return self.forces_and_openings[:, : len(self.flow.softness)]
         return np.where(self.is_closed, np.maximum(self.forces_and_openings, 0.0), 0.0)
 
     @cached_property
     def gaps(self) -> np.ndarray:
-        """Return normal gaps, with friction then tangential gaps: (n, n_rows) [m]."""
+        """Return gaps, positive for penetration: (n, n_rows) [m].
+
+        Normal gaps come first. With friction, tangential gaps follow (n_rows = 2 n_pairs).
+        """
         spring_gaps = self.forces * self.flow.softness
         if self.flow.friction_law:
             return self.forces_and_openings[:, len(self.flow.softness) :] + spring_gaps

@@ -297,7 +297,10 @@ class _HomotopyPoint(DenseLinearisation):
 
     @cached_property
     def jacobian(self) -> np.ndarray:
-        """Return p M - I, with the monodromy matrix M in the unknowns x: (n, n)."""
+        """Return the derivative of the residual by the unknowns: p M - I, (n, n).
+
+        p is the parameter, and M the monodromy matrix in the unknowns.
+        """
         monodromy = self._orbit_point.monodromy
         return self._parameter * monodromy - np.eye(len(monodromy))
 
