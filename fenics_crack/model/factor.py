@@ -46,7 +46,9 @@ fill, and factors plane matrices in 0.6 of the time with its own choice. For sol
 be slower, and the factors larger.
 """
 OPTIONS_PREFIX = "crack_factor_"
+"""Beginning of the names of PETSc options that reach the solvers here."""
 ORDERING_OPTION, PRINT_OPTION = "mat_mumps_icntl_7", "mat_cholmod_print"
+"""PETSc options for the order of elimination in MUMPS, and for messages of CHOLMOD."""
 
 
 def estimate_factor_bytes(n_dofs: float, *, solid: bool) -> float:

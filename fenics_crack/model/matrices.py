@@ -63,9 +63,11 @@ DIRECTION_NUMBER_BY_DOF_LABEL |= {str(number): number for number in range(1, 10)
 MIN_ENTRY_BYTES_BY_FORMAT = {"coordinate": 4, "array": 2}
 """Minimum bytes of an entry in a Matrix Market file with the end of its line, by layout."""
 MATRIX_LAYOUTS, ENTRY_TYPES = ("coordinate", "array"), ("real", "integer")
+"""Words that the first line of a Matrix Market file may have: sparse or dense, and the entries."""
 TRANSPOSE_SIGN_BY_SYMMETRY = {"symmetric": 1, "skew-symmetric": -1}
 """Factor of an entry below the diagonal to give the one above it."""
 SYMMETRIES = ("general", *TRANSPOSE_SIGN_BY_SYMMETRY)
+"""Words for the symmetry in the first line of a Matrix Market file."""
 _LABEL_PATTERN = re.compile(r"\s*(?:(\d+)\s+)?(\d+)[\s.,]+(\d|[A-Z]+)")
 """Node and direction of a row: "12.3", or with the number of the row first "7 12 UZ"."""
 

@@ -35,10 +35,12 @@ from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamp
 from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 
 LIP_STATES = ("open", "tied")
+"""States of the crack faces in natural modes: without contact, or bonded."""
 ROUNDING_ADVICE = (
     "the structure is too slender, or held too weakly, for the rounding of its stiffness; make it "
     "thicker, or the ligament beside a crack wider"
 )
+"""Advice in errors for modes that are lost in rounding."""
 ZERO_TOLERANCE: float = kernel.ZERO_TOLERANCE
 """Relative size that counts as zero, 1e-14.
 
@@ -748,7 +750,7 @@ def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:
 # --- with the crack open and bonded --------------------------------------------------------------
 
 FREQUENCY_KIND_NAMES = ("open", "tied", "bilinear")
-"""Kinds of natural frequencies."""
+"""Kinds of natural frequencies: crack open, crack bonded, and bilinear, between both."""
 
 
 @dataclass(frozen=True, repr=False)

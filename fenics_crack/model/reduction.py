@@ -55,6 +55,7 @@ from fenics_crack.model.reduced import MasslessStructure, ReducedStructure, chec
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 
 REDUCTION_METHODS = ("massless", "free_interface")
+"""Methods of :func:`reduce_structure`: crack faces without mass, or with mass."""
 MIN_REFERENCE_ERROR_SHARE = 0.1
 """Minimum share of the truncation error that a reference is taken to remove.
 

@@ -306,6 +306,10 @@ class _HomotopyPoint(DenseLinearisation):
 
     @property
     def by_parameter(self) -> np.ndarray:
+        """Return the derivative of the residual by the parameter p: z(T) - a, (n,).
+
+        z(T) is the state after a period, and a the guess, both in the unknowns.
+        """
         return self._end_state_minus_guess
 
 

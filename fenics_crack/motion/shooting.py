@@ -69,6 +69,7 @@ class OrbitPoint(DenseLinearisation):
 
     @cached_property
     def by_parameter(self) -> np.ndarray:
+        """Return dF/dp, the derivative of the residual by the parameter: (n,)."""
         return self.make_parameter_derivative()
 
     @property
