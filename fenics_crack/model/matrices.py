@@ -655,6 +655,7 @@ def read_number_rows(
     """Read a table of numbers (n, n_columns) from a text file.
 
     ``comment`` begins a comment. ``delimiter`` separates numbers; None: white space.
+
     Raises
     ------
     OSError, ValueError

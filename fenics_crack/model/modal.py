@@ -345,6 +345,7 @@ class AllModes:
 
         ``omega`` [rad/s] is the frequency, and ``force`` (n,) has the complex modal forces. Modes
         without load are at rest.
+
         Raises
         ------
         ConvergenceError

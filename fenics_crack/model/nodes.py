@@ -380,6 +380,7 @@ class Coordinates:
         Parameters
         ----------
         displacement : (m, n_local)
+            Displacements on the dofs of this rank, one in each row.
         dofs : sequence of int or None
             Numbers of dofs through all ranks; None stands for the watched dof. Checked by
             :meth:`as_dof_numbers`, which raises InputError.
@@ -387,6 +388,7 @@ class Coordinates:
         Returns
         -------
         (m, len(dofs))
+            Values at these dofs.
         """
         checked_dofs = self.as_dof_numbers(dofs)
         is_local = (checked_dofs >= self.first_dof) & (checked_dofs < self.first_dof + self.n_local)

@@ -256,6 +256,7 @@ def _is_residual_flexibility_rounding(
     """Return True for forces whose residual flexibility is only rounding: (n_sources,) bool.
 
     It is then at most 1e-14 of the modes' compliance.
+
     Parameters
     ----------
     compliance_diagonal : (n_sources,) [m/N]

@@ -515,7 +515,7 @@ def run_up_structure(structure: Structure, start: float, stop: float, modes: int
     Parameters
     ----------
     structure : Structure
-        The whole one, with its rotation.
+        Rotating structure with all dofs, not reduced.
     start, stop : float
         Ends of the range [rad/s].
     modes : int

@@ -69,10 +69,10 @@ class SearchOptions:
     guess_harmonic_counts : tuple of int
         Numbers of harmonics in the harmonic-balance solutions for guesses.
     period_budget : int
-        Budget in periods of the flow after Newton's method failed from all guesses. Half of them
-        are for the path, a quarter for the motion, and the rest for orbits near close returns. A
-        period has 200 Taylor pieces and 12 modes; other sizes count by time, proportional to pieces
-        and to the square of the modes. The budget lasts about a second. With friction three
+        Budget after Newton's method failed from all guesses, in periods with 200 Taylor pieces and
+        12 modes. Other periods count by time, in proportion to the pieces and to the square of the
+        modes. Half of the budget is for the homotopy path, a quarter to follow the motion, and a
+        quarter for orbits near close returns. The budget lasts about a second. With friction three
         quarters are allowed, for one to three seconds.
     """
 

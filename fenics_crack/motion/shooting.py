@@ -126,6 +126,7 @@ class ShootingEquations(Equations):
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
         """Evaluate F at unknowns x and a parameter p; derivatives follow on request.
+
         Raises
         ------
         ConvergenceError
