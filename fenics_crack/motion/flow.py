@@ -49,7 +49,9 @@ from fenics_crack.numerics.fourier import fourier_basis_for
 
 @dataclass(frozen=True)
 class Budget:
-    """Limits on the work of integrating a motion, with a ConvergenceError beyond.
+    """Limits on the work of integrating a motion.
+
+    Beyond a limit, the integration raises ConvergenceError.
 
     Attributes
     ----------
@@ -72,8 +74,8 @@ def exact_flow_or_none(structure: Structure, contact: ContactLaw) -> ContactFlow
     """Return the exact flow of a structure and a contact law, or None.
 
     None for a smooth law, for a large structure, and for rigid contact with a singular residual
-    flexibility, as on faces with mass. A structure is large if neither reduced to modes with
-    massless faces nor limited to 600 dofs on one rank.
+    flexibility, as on faces with mass. A structure is small enough with at most 600 dofs on one
+    rank, or reduced to modes and massless faces.
     """
     return (
         ContactFlow(structure, contact)

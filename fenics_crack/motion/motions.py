@@ -398,10 +398,10 @@ def friction_losses(tangential_gap: np.ndarray, friction_force: np.ndarray) -> n
 
 
 def dof_selection_rows(structure: Structure, dofs: Sequence[int | None]) -> np.ndarray:
-    """Return rows (m, n_local) whose products select displacements (collective).
+    """Return rows (m, n_local) of factors that pick displacements at dofs (collective).
 
-    Rows multiply the coordinates of the structure, and products are summed over ranks. ``dofs`` are
-    m numbers in the whole structure; None stands for the watched dof.
+    A row times the coordinates of the structure, summed over ranks, is the displacement at a dof.
+    ``dofs`` are m numbers in the whole structure; None stands for the watched dof.
     """
     if not dofs:
         return np.zeros((0, structure.n_local))

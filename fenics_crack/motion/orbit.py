@@ -671,6 +671,8 @@ def predict_orbit(
 
     Parameters
     ----------
+    omega : float
+        Load frequency [rad/s].
     states : (n, flow.state_size)
         States of a solution at the starts of n equal parts of the period.
 

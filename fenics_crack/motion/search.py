@@ -179,6 +179,8 @@ class _SearchTask:
 
     Attributes
     ----------
+    flow, omega, state_guesses, subharmonic, prefer_stable
+        Arguments of :func:`search_orbit`.
     tried_states : list of (n, flow.state_size)
         Guesses that led to no orbit.
     failure_reasons : list of str
