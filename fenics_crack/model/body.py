@@ -21,9 +21,8 @@ from fenics_crack.model.nodes import Clamp, Nodes, Pairs
 class Body(ReadOnlyArrays):
     """Constant data of a structure: matrices, load, gaps; arrays are read-only.
 
-    The fields are the attributes of :class:`Structure`. Load and clearance are those before the
-    factors and the added clearance of a :class:`Setting`. The load includes the mean load due to
-    rotation.
+    The fields are the attributes of :class:`Structure`, before the factors and the added clearance
+    of a :class:`Setting`. The load includes the mean load due to rotation.
     """
 
     mass: Any
@@ -40,11 +39,11 @@ class Body(ReadOnlyArrays):
     rotation: Any = None
     comm: MPI.Comm = None
     result_cache: dict[Callable[..., Any], Any] = field(default_factory=dict)
-    """Results of :meth:`Structure.compute_once` by the function that computes them."""
+    """Results of :meth:`Structure.compute_once`; the key is the function that computes them."""
     matrix_cache: dict[Callable[..., Any], Any] = field(default_factory=dict)
-    """Cached results that depend on mass, stiffness and pairs alone.
+    """Results that depend on mass, stiffness and pairs alone; the key is their function.
 
-    Bodies that share these matrices and pairs share this dictionary.
+    Bodies with the same matrices and pairs share this dictionary.
     """
 
     def __post_init__(self) -> None:
@@ -65,12 +64,12 @@ FIELD_NAMES_THAT_KEEP_MATRIX_CACHE = {
     "watched",
     "tangential",
 }
-"""Attributes of a body that do not affect :attr:`Body.matrix_cache`."""
+"""Attributes of a body whose change leaves the results in :attr:`Body.matrix_cache` valid."""
 
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """Factors of load and damping, and an added clearance, which vary between copies.
+    """Changes by which a copy of a structure differs: load, damping, clearance, watched dof.
 
     Attributes
     ----------
@@ -81,7 +80,8 @@ class Setting:
     added_clearance : float or (n_pairs,) [m]
         Clearance added to each pair.
     watched_dof : int or None
-        Dof of the whole structure for requested results. None: the body's.
+        Dof for results without a named dof, by its number in the whole structure. None: the dof
+        that the body's ``watched`` or load selects (:attr:`Coordinates.watched_dof`).
     """
 
     load_weights: float | np.ndarray = 1.0
@@ -90,7 +90,10 @@ class Setting:
     watched_dof: int | None = None
 
     def combine_with(self, later_setting: Setting) -> Setting:
-        """Combine this setting with a later one: factors multiply, clearances add."""
+        """Combine this setting with a later one: factors multiply, clearances add.
+
+        The watched dof is the later one, unless it is None.
+        """
         watched_dof = (
             self.watched_dof if later_setting.watched_dof is None else later_setting.watched_dof
         )
@@ -101,4 +104,4 @@ class Setting:
 
 
 DEFAULT_SETTING = Setting()
-"""Setting of a new structure."""
+"""Setting of a new structure: factors of 1, and no added clearance."""

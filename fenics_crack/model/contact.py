@@ -74,7 +74,7 @@ class ContactLaw(Protocol):
 
 @dataclass(frozen=True)
 class _PenaltyBase:
-    """Base of the laws with a penalty stiffness k."""
+    """Base of the laws with a penalty stiffness k, the slope of the contact force [N/m]."""
 
     stiffness: float | np.ndarray
 
@@ -83,15 +83,16 @@ class _PenaltyBase:
         object.__setattr__(self, "stiffness", stiffness)
 
     def scaled(self, factor: float) -> Self:
-        """Return this law with the stiffness factor * k."""
+        """Return this law with its stiffness k multiplied by a factor."""
         return replace(self, stiffness=np.multiply(factor, self.stiffness))
 
 
 @dataclass(frozen=True)
 class UnilateralPenalty(_PenaltyBase):
-    """Penalty law: lambda = k g for g > 0, else 0 (paper, eq. 11).
+    """Penalty law: contact force lambda = k g at penetration g > 0, else 0.
 
-    The tangent jumps from 0 to k at the closing of a pair; at g = 0 it is 0.
+    Equation 11 of Kharyton's paper (README). The tangent d lambda / d g jumps from 0 to k as a pair
+    closes; at g = 0 it is 0.
 
     Attributes
     ----------
@@ -105,28 +106,29 @@ class UnilateralPenalty(_PenaltyBase):
     """
 
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """Return lambda(g) [N]."""
+        """Return the contact forces k max(0, g) [N] for gaps g (..., n_pairs) [m]."""
         return self.stiffness * np.maximum(gap, 0.0)
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
-        """Return d lambda / d g [N/m]."""
+        """Return the slopes d lambda / d g [N/m] for gaps g (..., n_pairs) [m]: k or 0."""
         return self.stiffness * (gap > 0.0)
 
 
 @dataclass(frozen=True)
 class SmoothedPenalty(_PenaltyBase):
-    """Smoothed penalty: lambda = k g (1/2 + arctan(s g) / pi) (paper, eq. 12, sign corrected).
+    """Smoothed penalty: contact force lambda = k g (1/2 + arctan(s g) / pi) of a gap g.
 
-    The law tends to the penalty law as s grows, but not faster than 1/s. An open crack keeps
-    feeling a pull of k / (pi s), and k / (pi s) is missing from contact forces. Choose s so that
-    this is small against the contact force.
+    Equation 12 of Kharyton's paper (README), with the sign corrected. The law tends to the penalty
+    law as the sharpness s grows, but not faster than 1/s. The force is smaller than the penalty
+    law's by up to k / (pi s); an open crack feels this as a pull. Choose s so that k / (pi s) is
+    small against the contact force.
 
     Attributes
     ----------
     stiffness : float or (n_pairs,) [N/m]
-        k.
+        k, the slope at large penetration.
     sharpness : float [1/m]
-        s.
+        s, the inverse of the gap over which the law bends.
 
     Raises
     ------
@@ -143,13 +145,18 @@ class SmoothedPenalty(_PenaltyBase):
         )
 
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """Return lambda(g) [N]."""
+        """Return the contact forces [N] for gaps g (..., n_pairs) [m]: the same shape.
+
+        With the stiffness k and the sharpness s, they are k g (1/2 + arctan(s g) / pi).
+        """
         return self.stiffness * gap * (0.5 + np.arctan(self.sharpness * gap) / np.pi)
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
-        """Return d lambda / d g [N/m].
+        """Return the slopes d lambda / d g [N/m] for gaps g (..., n_pairs) [m].
 
-        k (1/2 + arctan(s g) / pi + s g / (pi (1 + (s g)^2)))
+        With the stiffness k and the sharpness s,
+
+            d lambda / d g = k (1/2 + arctan(s g) / pi + s g / (pi (1 + (s g)^2)))
         """
         x = self.sharpness * gap
         return self.stiffness * (0.5 + (np.arctan(x) + x / (1.0 + x * x)) / np.pi)
@@ -157,11 +164,12 @@ class SmoothedPenalty(_PenaltyBase):
 
 @dataclass(frozen=True)
 class UnilateralConstraint:
-    """No penetration at all: g <= 0, lambda >= 0, lambda g = 0 (Signorini).
+    """Rigid contact, no penetration: g <= 0, lambda >= 0, lambda g = 0 (Signorini).
 
-    This is the limit of the penalty law for k to infinity, so the gap alone gives no force. With a
-    residual flexibility (:class:`fenics_crack.Problem`) the force follows from the slow gap s.
-    Otherwise it is balanced in frequency, with truncated series of gap and force:
+    g is the gap and lambda the contact force of a pair. This is the limit of the penalty law for an
+    infinite stiffness, so the gap alone gives no force. If crack faces have no mass, the force
+    follows from the slow gap s = g + R_inf lambda, with their residual flexibility R_inf. If they
+    have mass, truncated Fourier series of gap and force fulfil, with a weight eps,
 
         lambda = eps max(0, g + lambda / eps)
 
@@ -183,7 +191,7 @@ class UnilateralConstraint:
 
     @property
     def stiffness(self) -> float:
-        """Infinite."""
+        """Stiffness of rigid contact: infinite."""
         return np.inf
 
     def force(self, gap: np.ndarray) -> np.ndarray:
@@ -195,7 +203,7 @@ class UnilateralConstraint:
         )
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
-        """Raise InputError, as :meth:`force`."""
+        """Raise InputError: a rigid law has no slope d lambda / d g."""
         return self.force(gap)
 
     def scaled(self, factor: float) -> UnilateralConstraint:
@@ -226,8 +234,8 @@ class CoulombFriction:
         In a solid, whose tangential gaps have two directions: the angle of each pair's sliding
         line, from the first to the second direction (:func:`fenics_crack.slide_along_lines`).
     turning : float or None
-        Sliding across these lines, relative to sliding along them, in the motion that they were
-        chosen for.
+        Ratio of sliding across these lines to sliding along them, in the motion that gave the
+        lines. None: the lines do not come from a motion.
 
     Raises
     ------
@@ -258,15 +266,24 @@ class CoulombFriction:
         return self.law.stiffness
 
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """Return the normal forces lambda_n(g) [N] for normal gaps g [m]."""
+        """Return the normal forces [N] for normal gaps (..., n_pairs) [m]: the same shape.
+
+        InputError: normal contact is rigid, so the forces do not follow from the gaps.
+        """
         return np.asarray(self.law.force(gap))
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
-        """Return the slopes d lambda_n / d g [N/m] for normal gaps g [m]."""
+        """Return the slopes [N/m] of the normal forces for normal gaps (..., n_pairs) [m].
+
+        InputError: normal contact is rigid.
+        """
         return np.asarray(self.law.tangent(gap))
 
     def scaled(self, factor: float) -> CoulombFriction:
-        """Return this law with factor * k and factor * k_t."""
+        """Return this law with normal and tangential stiffness multiplied by a factor.
+
+        The friction coefficient stays.
+        """
         scaled_tangential_stiffness = np.multiply(factor, self.tangential_stiffness)
         return replace(
             self, law=self.law.scaled(factor), tangential_stiffness=scaled_tangential_stiffness
@@ -274,7 +291,7 @@ class CoulombFriction:
 
 
 def friction_of(contact: object) -> CoulombFriction | None:
-    """Return a law's friction; None without friction."""
+    """Return the law itself if it has Coulomb friction, else None."""
     return contact if isinstance(contact, CoulombFriction) else None
 
 
@@ -284,21 +301,24 @@ def friction_coefficient_of(contact: object) -> float | np.ndarray | None:
 
 
 def normal_law(contact: ContactLaw) -> ContactLaw:
-    """Return the law of normal contact alone."""
+    """Return a law without its friction: the law of normal contact."""
     return contact.law if isinstance(contact, CoulombFriction) else contact
 
 
 def with_penalty(contact: ContactLaw, stiffness: float) -> ContactLaw:
-    """Return a law with a penalty stiffness [N/m] for its normal contact."""
+    """Replace a law's normal contact by the penalty law with a stiffness [N/m].
+
+    Friction, if any, stays.
+    """
     penalty = UnilateralPenalty(stiffness)
     return replace(contact, law=penalty) if isinstance(contact, CoulombFriction) else penalty
 
 
 def add_friction_pairs(contact: object, structure: Structure) -> Structure:
-    """Return a structure whose pairs are all gaps on which a law acts.
+    """Add tangential gaps as further pairs if a contact law has friction.
 
-    With friction, the tangential gaps follow the normal ones. Without friction, the structure
-    itself is returned.
+    The tangential gaps then follow the normal ones. Without friction, the structure itself is
+    returned.
     """
     friction = friction_of(contact)
     return structure if friction is None else structure.with_tangential_pairs(friction.direction)
@@ -325,33 +345,39 @@ def spring_compliances(contact: ContactLaw, n_pairs: int) -> np.ndarray:
 def gauss_rule(n_nodes: int) -> tuple[np.ndarray, np.ndarray]:
     """Return nodes and weights of Gauss's rule on 0 to 1: (n_nodes,) each.
 
-    The rule averages contact forces between two gaps.
+    The weights add up to 1: the rule averages contact forces along a line between two gaps.
     """
     nodes, weights = np.polynomial.legendre.leggauss(n_nodes)
     return 0.5 + 0.5 * nodes, 0.5 * weights
 
 
 def contact_energy(contact: ContactLaw, gap: np.ndarray) -> np.ndarray:
-    """Return the contact energy V(g), the integral of lambda from 0: (..., n_pairs) [J]."""
+    """Return the contact energy of gaps g (..., n_pairs) [m]: the same shape [J].
+
+    The energy is the integral of the law's contact force from gap 0 to g.
+    """
     gauss_nodes, gauss_weights = gauss_rule(32)
     forces_at_nodes = contact.force(np.multiply.outer(gauss_nodes, gap))
     return np.asarray(gap * np.tensordot(gauss_weights, forces_at_nodes, 1))
 
 
 def is_rigid(contact: object) -> TypeGuard[UnilateralConstraint]:
-    """Return True if no force follows from the gap: :class:`UnilateralConstraint`."""
+    """Return True for rigid normal contact (:class:`UnilateralConstraint`), also with friction.
+
+    No force follows from the gap then.
+    """
     return isinstance(getattr(contact, "law", contact), UnilateralConstraint)
 
 
 def is_piecewise_linear(contact: object) -> TypeGuard[UnilateralPenalty]:
-    """Return True if lambda = k max(0, g), the penalty law."""
+    """Return True if normal contact follows the penalty law, lambda = k max(0, g)."""
     return isinstance(getattr(contact, "law", contact), UnilateralPenalty)
 
 
 def is_unilateral(contact: object) -> bool:
-    """Return True if every pair is either open or closed.
+    """Return True for the penalty law and for rigid contact, also with friction.
 
-    That is the penalty law or the constraint; exact integrals and flows require it.
+    Every pair is then either open or closed; exact integrals and exact flows require this.
     """
     return is_piecewise_linear(contact) or is_rigid(contact)
 
@@ -382,7 +408,11 @@ def check_law(structure: Structure, contact: Any, *, allows_rigid: bool = False)
 
 
 def _check_law_outputs(law: ContactLaw, n_pairs: int) -> None:
-    """Raise InputError unless a user's law returns valid values for gaps (n, n_pairs)."""
+    """Raise InputError unless a user's law returns valid values for gaps (n, n_pairs).
+
+    Forces and tangents must be finite, with one for each gap, and tangents >= 0. ``scaled(0.5)``
+    must return a law of the same class with half the stiffness.
+    """
     gap = np.outer([-MACHINE_EPSILON, 0.0, MACHINE_EPSILON], np.ones(n_pairs))
     law_name = type(law).__name__
     for method_name in ("force", "tangent"):
@@ -414,7 +444,8 @@ def _check_law_outputs(law: ContactLaw, n_pairs: int) -> None:
 def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
     """Raise InputError unless a law's tangent is the slope of its force.
 
-    The slope is compared along gaps (n, n_pairs). At a kink, any slope between both sides is right.
+    The tangent is compared with differences of the force at gaps (n, n_pairs) [m]. At a kink, any
+    slope between both sides passes. The tolerance is 0.25 % of the slope, plus rounding.
     """
     gap_step = CENTRAL_DIFFERENCE_STEP * float(np.abs(gap).max(initial=0.0))
     forces = [
@@ -445,7 +476,10 @@ def check_slope(law: ContactLaw, gap: np.ndarray) -> None:
 def _checked_positive_number(
     key: str, number: object, *, allows_array: bool = False
 ) -> float | np.ndarray:
-    """Return a number > 0, or an array of them; else raise InputError."""
+    """Return a finite number > 0, or an array of them; else raise InputError.
+
+    ``key`` names the number in the error. Only ``allows_array`` lets an array (n,) pass.
+    """
     number_array = floats_or_nan(number)
     is_all_positive = number_array.size > 0 and np.all(
         np.isfinite(number_array) & (number_array > 0.0)
@@ -461,13 +495,21 @@ def _checked_positive_number(
 class FrictionContactSolver:
     """Solver of contact with friction at successive instants.
 
-    Each pair is open, sticks or slips. The matrices of a combination of these states are kept for
+    Each pair is open, sticks or slips. The matrices for a combination of these states are kept for
     later instants.
+
+    Parameters
+    ----------
+    compliance : (2 n_pairs, 2 n_pairs) [m/N]
+        D = R_inf + diag(1/k, 1/k_t): residual flexibility plus normal and tangential contact
+        springs; normal gaps come first.
+    coefficient : float or (n_pairs,)
+        Friction coefficient mu.
 
     Attributes
     ----------
-    compliance_matrix : (2 n_pairs, 2 n_pairs) [m/N]
-        D = R_inf + diag(1/k, 1/k_t): residual flexibility and contact springs, normal gaps first.
+    compliance_matrix
+        The parameter ``compliance``.
     """
 
     def __init__(self, compliance_matrix: np.ndarray, coefficient: float | np.ndarray) -> None:
@@ -485,14 +527,15 @@ class FrictionContactSolver:
             1, n_gaps // 2, *map(pointer, self._kernel_arrays), max_doubles
         )
         self.handle = attach_destructor(raw_handle, kernel.free_closed_sets)
-        """The kernel's own object."""
+        """Solver object in the C kernel, freed together with this one."""
 
     def solve(
         self, gap: np.ndarray, slider_positions: np.ndarray, max_periods: int = 1
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Find the forces at successive instants, until the slider positions repeat.
+        """Find contact forces instant by instant until the slider positions repeat.
 
-        A slider position is the tangential gap at which the tangential spring is relaxed.
+        A slider position is the tangential gap at which a pair's tangential spring is relaxed. The
+        positions repeat if they are the same as one period before, to 1e-12 of the largest gap.
 
         Parameters
         ----------
@@ -501,7 +544,7 @@ class FrictionContactSolver:
         slider_positions : (n_pairs,) [m]
             Slider positions before the first instant.
         max_periods : int
-            Maximum number of periods.
+            Number of periods after which the forces are returned even if nothing repeats.
 
         Returns
         -------
@@ -510,9 +553,10 @@ class FrictionContactSolver:
         pair_states : (n, n_pairs) int
             0: open, 1: sticks, 2 and 3: slips with growing and with falling tangential gap.
         positions : (n, n_pairs) [m]
-            Slider positions.
+            Slider positions after each instant.
         last_unstuck_instants : (n_pairs,) int
-            Last instant at which the pair did not stick, or 0.
+            Index in the period of the last instant at which each pair did not stick; 0 if the pair
+            always stuck.
 
         Raises
         ------
@@ -544,22 +588,26 @@ class FrictionContactSolver:
 
 
 SETS_MEMORY_FRACTION = 1 / 32
-"""Fraction of the machine's memory for the closed sets of one compliance or flow.
+"""Fraction of the machine's memory in which one solver or flow keeps matrices of closed pairs.
 
-Each of several processes may have some. Finding a set anew takes the time of five pieces of a
-motion.
+Several processes, each with this much, must fit into the memory. A matrix that was not kept takes
+the time of five Taylor pieces of a motion.
 """
 MAX_SMOOTH_LAW_ITERATIONS = 200
-"""Maximum number of iterations for forces that are not piecewise linear in the gaps."""
+"""Maximum number of iterations for contact forces of a smooth law, or by least squares."""
 REGULAR_EIGENVALUE_RATIO: float = kernel.REGULAR_EIGENVALUE_RATIO
-"""Minimum relative eigenvalue of R_inf for which a constraint is solved.
+"""Smallest over largest eigenvalue, 1e-6, above which a compliance counts as regular.
 
-It is relative to the largest eigenvalue. A penalty that replaces a constraint has this softness.
+Rigid contact is solved with a regular residual flexibility alone. A penalty law in place of rigid
+contact has springs of this compliance, relative to the mean residual flexibility of the pairs.
 """
 
 
 def is_regular(matrix: np.ndarray) -> bool:
-    """Return True if a symmetric matrix is positive definite and well scaled."""
+    """Return True if a symmetric matrix is positive definite beyond rounding.
+
+    The smallest eigenvalue must exceed 1e-6 times the largest. A matrix without rows is regular.
+    """
     eigenvalues = np.linalg.eigvalsh(matrix)
     return not len(eigenvalues) or bool(
         eigenvalues[0] > REGULAR_EIGENVALUE_RATIO * eigenvalues[-1] > 0.0
@@ -569,12 +617,12 @@ def is_regular(matrix: np.ndarray) -> bool:
 class ActiveSetSolver:
     """Solver of contact without friction, by sets of closed pairs.
 
-    The inverse of D on each set is kept for later instants.
+    The inverse of the compliance D on each set is kept for later instants.
 
     Attributes
     ----------
     compliance_matrix : (n_pairs, n_pairs) [m/N]
-        D = R_inf + I/k: residual flexibility and contact springs.
+        D = R_inf + diag(1/k): residual flexibility plus contact springs.
     """
 
     def __init__(self, compliance_matrix: np.ndarray) -> None:
@@ -588,7 +636,7 @@ class ActiveSetSolver:
         self.handle = attach_destructor(
             kernel.new_sets(n_pairs, pointer(compliance_matrix), max_inverses), kernel.free_sets
         )
-        """The kernel's own object."""
+        """Solver object in the C kernel, freed together with this one."""
 
     def invert_compliance_on_sets(self, sets: np.ndarray) -> np.ndarray:
         """Invert the compliance D on sets A of closed pairs, with zeros outside A.
@@ -601,6 +649,12 @@ class ActiveSetSolver:
         Returns
         -------
         (m, n_pairs, n_pairs) [N/m]
+            Contact forces of the closed pairs by unit gaps, for each set.
+
+        Raises
+        ------
+        ConvergenceError
+            D is singular on a set.
         """
         is_closed = require_shape(sets, len(sets), len(self.compliance_matrix), kind=bool)
         inverse_matrices = np.empty((*is_closed.shape, is_closed.shape[1]))
@@ -622,14 +676,20 @@ class ActiveSetSolver:
         gap : (n, n_pairs) [m]
             Slow gaps s: gaps without the response to the forces, g = s - R_inf lambda.
         is_closed : (n, n_pairs) bool, optional
-            First guess of the closed pairs.
+            First guess of the closed pairs. Default: pairs with s > 0.
 
         Returns
         -------
         (n, n_pairs) [N]
             Forces.
         (n, n_pairs) bool
-            Closed pairs.
+            True for closed pairs.
+
+        Raises
+        ------
+        ConvergenceError
+            As :func:`solve_complementarity_by_least_squares`, which solves instants at which the
+            sets cycle.
         """
         gap = require_shape(gap, len(gap), len(self.compliance_matrix))
         closed_guess = gap > 0.0 if is_closed is None else np.array(is_closed)
@@ -686,7 +746,8 @@ def solve_complementarity_by_least_squares(
 ) -> np.ndarray:
     """Solve the problem of :func:`solve_complementarity` by non-negative least squares.
 
-    The symmetric part of D is solved directly, and an iteration adds the unsymmetric part.
+    The symmetric part of the matrix D is solved directly. An iteration adds the unsymmetric part,
+    with at most 200 steps.
     """
     import scipy.optimize  # takes a while, and is rarely needed
 
@@ -722,10 +783,10 @@ def solve_complementarity_by_least_squares(
 def forces_and_slopes_of_smooth_law(
     law: ContactLaw, compliance: np.ndarray, gap: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find the pair forces under a law that is not piecewise linear.
+    """Find contact forces under a smooth law, and their derivatives by the gaps.
 
-    The forces satisfy lambda = h(s - D lambda). Newton's method starts from the penalty law's
-    solution.
+    The forces lambda satisfy lambda = h(s - D lambda), with the law's force h of the gap. Newton's
+    method starts from the solution with the penalty law of the same stiffness.
 
     Parameters
     ----------
@@ -764,10 +825,11 @@ def solve_contact_forces_by_newton(
     gap: np.ndarray,
     guess: np.ndarray,
 ) -> np.ndarray:
-    """Find the contact forces lambda = h(s - D lambda) at all instants, by Newton's method.
+    """Solve lambda = h(s - D lambda) for contact forces by Newton's method.
 
-    The forces minimise a convex function. The function's slope along a step shows a step that is
-    too long; such a step is shortened.
+    All instants are solved together; each contact force lambda follows by the law h from the gap s
+    - D lambda. The forces minimise a convex function. A Newton step beyond the minimum, where the
+    function rises, is shortened.
 
     Parameters
     ----------
@@ -789,7 +851,7 @@ def solve_contact_forces_by_newton(
     Raises
     ------
     ConvergenceError
-        Newton's method fails.
+        Newton's method does not converge in 200 iterations, or meets a singular matrix.
     """
 
     def gap_law_force_and_slope(force: np.ndarray, slow_gap: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -856,9 +918,10 @@ def _minimising_step_fraction_by_instant(
     gap: np.ndarray,
     slope_tolerance: np.ndarray,
 ) -> np.ndarray:
-    """Return the fraction of the Newton step that minimises a convex function, by instant.
+    """Find, for each instant, the fraction of a Newton step that minimises a function.
 
-    The slope of a function along its step is bisected.
+    The function is the convex one of :func:`solve_forces`. Bisection finds the zero of the slope
+    along the step.
 
     Parameters
     ----------
@@ -869,7 +932,7 @@ def _minimising_step_fraction_by_instant(
     gap : (n, n_pairs) [m]
         Slow gaps, without the forces.
     slope_tolerance : (n,)
-        Slopes at which bisection ends.
+        Magnitude of the slope [J] at which bisection ends.
 
     Returns
     -------

@@ -35,17 +35,20 @@ MAX_BLOCK_COLUMNS = 16
 MATRIX_TOLERANCE = 1e-10
 """Relative size that counts as zero in a matrix.
 
-It bounds an asymmetry relative to the matrix, an eigenvalue relative to K_ii / M_ii, and a row sum
-of the mass relative to the largest row sum.
+With stiffness K and mass M, it bounds an asymmetry relative to the matrix, a mode's omega^2
+relative to K_ii / M_ii, and a row sum of M relative to the largest row sum.
 """
 MIN_SOLID_ROW_ENTRIES = 40
 """Minimum mean number of entries in a row of a solid's matrix.
 
-Measured: 45 or more in solids, 18 to 32 in planes. Ordering for minimum fill factors plane matrices
-in 0.6 of MUMPS's own time. It makes solid matrices slower to factor, and their factors larger.
+Measured: 45 or more in solids, 18 to 32 in planes. With fewer entries, MUMPS orders for minimum
+fill, and factors plane matrices in 0.6 of the time with its own choice. For solids this order would
+be slower, and the factors larger.
 """
 OPTIONS_PREFIX = "crack_factor_"
+"""Beginning of the names of PETSc options that reach the solvers here."""
 ORDERING_OPTION, PRINT_OPTION = "mat_mumps_icntl_7", "mat_cholmod_print"
+"""PETSc options for the order of elimination in MUMPS, and for messages of CHOLMOD."""
 
 
 def estimate_factor_bytes(n_dofs: float, *, solid: bool) -> float:
@@ -96,7 +99,10 @@ def make_matrix_from_local_rows(rows: Any, comm: MPI.Comm) -> Any:
 
 
 def make_square_petsc_matrix(local_csr_rows: sparse.csr_matrix, comm: MPI.Comm) -> Any:
-    """Make a square PETSc matrix from CSR rows (n_local, n) as they are (collective)."""
+    """Make a square PETSc matrix from the CSR rows (n_local, n) of each rank (collective).
+
+    No diagonal entry is added, unlike in :func:`make_matrix_from_local_rows`.
+    """
     n_local, n_columns = local_csr_rows.shape
     row_and_column_sizes = ((n_local, PETSc.DETERMINE), (n_local, n_columns))
     matrix = PETSc.Mat().createAIJ(
@@ -117,7 +123,10 @@ def local_rows(matrix: Any) -> sparse.csr_matrix:
 
 
 def weighted_sum(matrix: Any, weight: float, added_matrix: Any) -> Any:
-    """Return matrix + weight * added_matrix, for any patterns (collective)."""
+    """Return the PETSc matrix ``matrix + weight * added_matrix`` (collective).
+
+    The patterns of nonzero entries may differ.
+    """
     matrix_sum = matrix.copy()
     matrix_sum.axpy(weight, added_matrix, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
     compact_matrix_sum = matrix_sum.copy()  # factorisations misread the pattern that axpy leaves
@@ -184,7 +193,10 @@ class Factor:
         self.n_negative_pivots = int(self._factor.getMumpsInfog(12)) - self._n_border
 
     def _factorise(self, package_name: str) -> None:
-        """Factor the matrix with one of PETSc's solver packages (collective)."""
+        """Factor the matrix with a package: "mumps", "cholmod" or "umfpack" (collective).
+
+        A PETSc option of the user overrides the same option that is set here.
+        """
         self._pc, self._factor = PETSc.PC().create(self._matrix.comm), PETSc.Mat()
         self._pc.setOptionsPrefix(OPTIONS_PREFIX)
         self._pc.setOperators(self._matrix)
@@ -292,9 +304,9 @@ class Factor:
 
 @contextmanager
 def factored_sum(matrix: Any, weight: float, added_matrix: Any, **options: Any) -> Iterator[Factor]:
-    """Factor the symmetric matrix + weight * added_matrix for a while (collective).
+    """Yield the :class:`Factor` of ``matrix + weight * added_matrix`` (collective).
 
-    Sum and factor are freed at the end of the context.
+    ``options`` are keywords of the factor. Sum and factor are freed at the end of the context.
     """
     matrix_sum = weighted_sum(matrix, weight, added_matrix)
     with Factor(matrix_sum, **options) as factored_matrix:
@@ -305,7 +317,8 @@ def factored_sum(matrix: Any, weight: float, added_matrix: Any, **options: Any) 
 def _make_saddle_point_matrix(matrix: Any, border: sparse.spmatrix) -> Any:
     """Return the saddle-point matrix [[A, s B], [s B^T, 0]] (collective).
 
-    ``border`` is B, and s the size of A. The last rank owns the rows of B^T.
+    ``matrix`` is A, and ``border`` (n_local, m) is B. The scale s, the largest row sum of |A|,
+    keeps both blocks of one size. The last rank owns the rows of B^T.
     """
     comm, n_border = matrix.comm.tompi4py(), border.shape[1]
     border_scale = matrix.norm(PETSc.NormType.INFINITY) or 1.0

@@ -59,15 +59,17 @@ from fenics_crack.scene.fields import MAX_ALLOWED_MAGNITUDE
 
 DIRECTION_NUMBER_BY_DOF_LABEL = {"UX": 1, "UY": 2, "UZ": 3, "ROTX": 4, "ROTY": 5, "ROTZ": 6}
 DIRECTION_NUMBER_BY_DOF_LABEL |= {str(number): number for number in range(1, 10)}
-"""Number of each direction, by Ansys's words and by its digit."""
+"""Number of a direction by its label in files: Ansys's words UX to ROTZ, or a digit 1 to 9."""
 MIN_ENTRY_BYTES_BY_FORMAT = {"coordinate": 4, "array": 2}
-"""Minimum bytes of an entry with the end of its line."""
+"""Minimum bytes of an entry in a Matrix Market file with the end of its line, by layout."""
 MATRIX_LAYOUTS, ENTRY_TYPES = ("coordinate", "array"), ("real", "integer")
+"""Words that the first line of a Matrix Market file may have: sparse or dense, and the entries."""
 TRANSPOSE_SIGN_BY_SYMMETRY = {"symmetric": 1, "skew-symmetric": -1}
 """Factor of an entry below the diagonal to give the one above it."""
 SYMMETRIES = ("general", *TRANSPOSE_SIGN_BY_SYMMETRY)
+"""Words for the symmetry in the first line of a Matrix Market file."""
 _LABEL_PATTERN = re.compile(r"\s*(?:(\d+)\s+)?(\d+)[\s.,]+(\d|[A-Z]+)")
-"""Node and direction of a row: "12.3", or with its number "7 12 UZ"."""
+"""Node and direction of a row: "12.3", or with the number of the row first "7 12 UZ"."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,10 @@ class LabelledMatrix:
 def read_matrix(
     path: Path, matrix_letter: str, labels_path: Path | None = None, n_rows: int | None = None
 ) -> LabelledMatrix:
-    """Read a matrix from a file in any of the module's formats.
+    """Read a matrix from a file of CalculiX, Abaqus or Nastran, or a Matrix Market file.
+
+    The ending selects the format: .sti and .mas CalculiX, .pch and .op4 Nastran. A file .mtx is
+    Abaqus's if it has commas; all other files are Matrix Market files.
 
     Parameters
     ----------
@@ -135,7 +140,8 @@ def read_matrix(
     matrix_letter : str
         "K", "M" or "B": stiffness, mass or damping, if the file holds several.
     labels_path : Path, optional
-        File with node and direction of each row.
+        File with node and direction of each row (:func:`read_labels`). Default: for CalculiX the
+        .dof file beside the matrix. Abaqus's files and .pch have labels themselves.
     n_rows : int, optional
         Expected number of rows in a Matrix Market file without ``labels_path``.
 
@@ -166,9 +172,10 @@ def read_matrix(
 
 
 def read_labels(path: Path) -> np.ndarray:
-    """Read node and direction of each row.
+    """Read node and direction of each matrix row from a file of CalculiX or Ansys.
 
-    Lines before the first label are a heading. Rows with numbers are sorted by them.
+    Lines before the first label are a heading. If lines begin with the numbers of rows, they are
+    sorted by these.
 
     Returns
     -------
@@ -252,7 +259,7 @@ def _make_matrix_from_triangle(
 def _build_labelled_matrix(
     entry_labels: np.ndarray, entries: np.ndarray, *, has_both_triangles: bool
 ) -> LabelledMatrix:
-    """Make a matrix from entries whose rows and columns are nodes with directions.
+    """Make a labelled matrix from entries at nodes and directions.
 
     Parameters
     ----------
@@ -287,7 +294,10 @@ def _build_labelled_matrix(
 
 
 def _read_calculix(path: Path, labels_path: Path) -> LabelledMatrix:
-    """Read a CalculiX matrix; every row must have a diagonal entry."""
+    """Read a CalculiX matrix with the labels of its rows.
+
+    ValueError: an entry lies outside of the labelled rows, or a row has no diagonal entry.
+    """
     labels = read_labels(labels_path)
     entry_table, n = read_number_rows(path, 3, "#"), len(labels)
     indices = entry_table[:, :2]
@@ -307,12 +317,12 @@ def _read_calculix(path: Path, labels_path: Path) -> LabelledMatrix:
 
 
 def _is_abaqus_file(path: Path) -> bool:
-    """Return True if the first data line has five numbers between commas."""
+    """Return True for a matrix of Abaqus: the first data line has four commas."""
     return next((line for _, line in yield_numbered_lines(path, "*")), "").count(",") == 4
 
 
 def _read_abaqus(path: Path) -> LabelledMatrix:
-    """Read an Abaqus matrix without the clamped dofs."""
+    """Read an Abaqus matrix without clamped dofs, which have 1e36 on the diagonal."""
     entry_table = read_number_rows(path, 5, "*", ",")
     labelled_matrix = _build_labelled_matrix(
         entry_table[:, :4].astype(np.int64).reshape(-1, 2, 2),
@@ -331,7 +341,7 @@ def _read_abaqus(path: Path) -> LabelledMatrix:
 
 
 def _read_nastran(path: Path, matrix_letter: str) -> LabelledMatrix:
-    """Read the DMIG matrix whose name begins with ``matrix_letter``."""
+    """Read the DMIG matrix of a Nastran .pch file whose name begins with ``matrix_letter``."""
     entry_labels: list[tuple[int, int, int, int]] = []
     entries: list[float] = []
     is_wanted, column_label, form = False, (0, 0), 6
@@ -371,7 +381,7 @@ def _read_nastran(path: Path, matrix_letter: str) -> LabelledMatrix:
 
 
 def _read_op4(path: Path, matrix_letter: str) -> sparse.csr_matrix:
-    """Read the OUTPUT4 matrix whose name begins with ``matrix_letter``.
+    """Read the matrix of a Nastran .op4 file whose name begins with ``matrix_letter``.
 
     The file has a line for the matrix and a line for each column. The latter gives the first row,
     or 0 if further lines announce strings of numbers without gaps.
@@ -457,12 +467,12 @@ def _read_op4(path: Path, matrix_letter: str) -> sparse.csr_matrix:
 def read_matrix_market(path: Path, n_rows: int | None = None) -> sparse.csr_matrix:
     """Read a real matrix, dense or sparse, from a Matrix Market file.
 
-    The file may be packed (.gz, .bz2).
+    The file may be compressed (.gz, .bz2).
 
     Parameters
     ----------
     n_rows : int, optional
-        Required number of rows.
+        Required number of rows. Default: any.
 
     Raises
     ------
@@ -518,7 +528,7 @@ def format_matrix_market(matrix: sparse.spmatrix) -> str:
 def read_matrix_market_shape(path: Path) -> tuple[int, int]:
     """Read the numbers of rows and columns that a Matrix Market file announces.
 
-    Each sparse column must have room for an entry.
+    A sparse file with more columns than entries is refused.
 
     Raises
     ------
@@ -536,6 +546,8 @@ def _read_header_and_sizes(
     lines: Iterator[str], allowed_bytes: int
 ) -> tuple[tuple[str, str], list[int], int]:
     """Read the header of a Matrix Market file and its line with the sizes.
+
+    ValueError: a line is wrong, or more entries are announced than ``allowed_bytes`` can hold.
 
     Returns
     -------
@@ -564,7 +576,10 @@ def _read_header_and_sizes(
 
 
 def _parse_header(line: str) -> tuple[str, str]:
-    """Return layout and symmetry from the first line of a Matrix Market file."""
+    """Return layout and symmetry from the first line of a Matrix Market file.
+
+    ValueError: the line is wrong, or the entries are not real.
+    """
     words = line.lower().split()
     if len(words) != 5 or words[:2] != ["%%matrixmarket", "matrix"]:
         raise ValueError("it does not begin with %%MatrixMarket matrix")
@@ -624,9 +639,9 @@ def _split_entries_and_positions(
 
 
 def yield_numbered_lines(path: Path, comment: str) -> Iterator[tuple[int, str]]:
-    """Yield number, from 1, and text of each line without comments.
+    """Yield the number, from 1, and the text of each line in a file.
 
-    Empty lines are left out.
+    Text from the character ``comment`` on is cut off, and empty lines are left out.
     """
     with open_lines_and_byte_limit(path, "replace") as (text_file, _):
         for number, line in enumerate(text_file, 1):
@@ -637,7 +652,9 @@ def yield_numbered_lines(path: Path, comment: str) -> Iterator[tuple[int, str]]:
 def read_number_rows(
     path: Path, n_columns: int, comment: str, delimiter: str | None = None
 ) -> np.ndarray:
-    """Read a table of numbers: (n, n_columns).
+    """Read a table of numbers (n, n_columns) from a text file.
+
+    ``comment`` begins a comment. ``delimiter`` separates numbers; None: white space.
 
     Raises
     ------
@@ -666,7 +683,7 @@ def read_number_rows(
 
 
 def floats_or_nan(data: Any) -> np.ndarray:
-    """Convert to an array of floats; nan if that is impossible."""
+    """Convert data to an array of floats; nan for complex or other data without numbers."""
     try:
         return np.asarray(np.nan if np.iscomplexobj(data) else data, dtype=float)
     except (TypeError, ValueError, OverflowError):
@@ -682,7 +699,10 @@ def read_only_array(array: np.ndarray) -> np.ndarray:
 
 
 class ReadOnlyArrays:
-    """Make the arrays among the fields of a frozen dataclass read-only."""
+    """Base of frozen dataclasses whose array fields become read-only.
+
+    An array that can be written is copied.
+    """
 
     def __post_init__(self) -> None:
         for name, field in vars(self).items():
@@ -691,9 +711,9 @@ class ReadOnlyArrays:
 
 
 class AbsentMatrix:
-    """Sizes of a matrix that a prepared structure's file lacks.
+    """Stand-in for a matrix of a structure from a file without matrices.
 
-    Any other use raises InputError.
+    Rank 0 has all rows. Any use but for the sizes raises InputError.
     """
 
     def __init__(self, n_rows: int, rank: int) -> None:
@@ -708,7 +728,7 @@ class AbsentMatrix:
 
     @staticmethod
     def input_error(purpose: str) -> InputError:
-        """Return the error for a purpose that needs matrices or a mesh."""
+        """Return the error for a purpose, named in the message, that needs matrices or a mesh."""
         requirement = (
             f"a structure with matrices, as fc.build_structure(scene) returns, for {purpose}"
         )
@@ -716,7 +736,10 @@ class AbsentMatrix:
 
 
 def expand_to_pairs(name: str, data: Any, n_pairs: int) -> np.ndarray:
-    """Return one finite number per pair, from one for all or one each: (n_pairs,)."""
+    """Return a number for each pair (n_pairs,), from one for all or one for each.
+
+    ``name`` is the key of the InputError if ``data`` have another shape or are not finite.
+    """
     pair_values = floats_or_nan(data)
     if pair_values.shape not in ((), (n_pairs,)) or not np.all(np.isfinite(pair_values)):
         raise InputError(name, data, f"one finite number, or {n_pairs} with one per pair")
@@ -726,7 +749,21 @@ def expand_to_pairs(name: str, data: Any, n_pairs: int) -> np.ndarray:
 def make_petsc_matrix(name: str, data: Any, comm: MPI.Comm, n: int | None = None) -> Any:
     """Make a square PETSc matrix from any matrix (collective).
 
-    Shape and entries are checked.
+    Parameters
+    ----------
+    name : str
+        Key of errors.
+    data : array, sparse matrix, PETSc.Mat, or path of a Matrix Market file
+        A PETSc matrix keeps its ranks; all others must be whole on every rank.
+    comm : MPI.Comm
+        Ranks that share the result.
+    n : int, optional
+        Required number of rows.
+
+    Raises
+    ------
+    InputError
+        The matrix is not square, or an entry cannot be used.
     """
     is_petsc = isinstance(data, PETSc.Mat)
     given_matrix = data if is_petsc else sparse.csr_matrix(_load_matrix(name, data, n))
@@ -745,7 +782,11 @@ def make_petsc_matrix(name: str, data: Any, comm: MPI.Comm, n: int | None = None
 
 
 def _load_matrix(name: str, data: Any, n_rows: int | None) -> Any:
-    """Read a Matrix Market file, or check a matrix in memory."""
+    """Read a Matrix Market file, or check a matrix in memory.
+
+    InputError: the file cannot be read or lacks ``n_rows`` rows, or the matrix is not real or has
+    more than two dimensions.
+    """
     if isinstance(data, str | Path):
         with report_read_errors(name, data, "a Matrix Market file"):
             data = read_matrix_market(Path(data), n_rows)
@@ -786,7 +827,8 @@ def make_whole_csr_matrix(name: str, data: Any, n: int) -> sparse.csr_matrix:
 def _check_entries(name: str, entries: np.ndarray) -> None:
     """Raise InputError unless all entries are finite and well scaled.
 
-    The largest entry must be 0, or so large or small that its powers neither overflow nor vanish.
+    The largest entry must be 0, or from 1e-60 to 1e60 in size: powers then neither overflow nor
+    vanish.
     """
     magnitudes = np.abs(entries)
     if not np.all(np.isfinite(magnitudes)):
@@ -810,8 +852,9 @@ def check_and_distribute_parts(
 ) -> dict[str, Any]:  # fmt: skip
     """Check and distribute the data of :meth:`Structure.from_matrices` (collective).
 
-    The damping is checked elsewhere. ``gaps`` are the matrices B of the normal and B_t of the
-    tangential gaps, or None. ``load_parts`` are the load's parts by the names of their arguments.
+    The damping is not among them. ``gaps`` are the matrices B of the normal and B_t of the
+    tangential gaps, or None. ``load_parts`` are the load's mean, cosine and sine part, in this
+    order, by the names of their arguments.
 
     Returns
     -------
@@ -860,9 +903,10 @@ def check_and_distribute_parts(
 
 
 def _load_rows_from_parts(load_parts: Mapping[str, Any], n: int) -> np.ndarray:
-    """Return a load (2K+1, n) from mean, cosine and sine parts.
+    """Return the coefficients (2K+1, n) of a load from mean, cosine and sine parts.
 
-    Column k of a part is its k-th harmonic.
+    ``load_parts`` has the parts by key, in this order. Column k of a part (n, K) is its k-th
+    harmonic; the mean has one column.
     """
     allowed_columns_by_key = {"force_mean": 1}
     rows_of_parts = [
@@ -882,7 +926,7 @@ def _read_load_columns_as_rows(
 ) -> np.ndarray:
     """Read up to ``allowed_columns`` columns (n, m) as rows (m, n).
 
-    None gives one row of zeros. InputError: the shape is another one.
+    None gives one row of zeros. InputError, with the key ``name``: the shape does not fit.
     """
     columns = sparse.csr_matrix((n, 1)) if data is None else make_whole_csr_matrix(name, data, n)
     if not 1 <= columns.shape[1] <= allowed_columns:
@@ -902,7 +946,9 @@ def add_harmonics_to_load(
     ----------
     load_coefficients : (2K+1, n_local) [N]
     harmonics : dict of int to (cosine, sine)
-        By their orders; each part is (n,) [N] or None.
+        Harmonics to add by their orders, 1 to 100; each part is (n,) [N] or None.
+    mass : PETSc.Mat
+        Mass matrix, whose rows tell the dofs of this rank.
 
     Returns
     -------
@@ -933,7 +979,7 @@ def add_harmonics_to_load(
 def lump_mass(mass: Any) -> Any:
     """Return the diagonal matrix with the row sums of the mass (collective).
 
-    InputError: a row sum is not positive.
+    InputError: a row sum is not above 1e-10 of the largest.
     """
     ones_vector, row_sums = mass.createVecs()
     ones_vector.set(1.0)
@@ -965,7 +1011,7 @@ def add_springs(stiffness: Any, gap: sparse.csr_matrix, spring_stiffnesses: np.n
 
 
 def _check_symmetric(name: str, matrix: Any) -> None:
-    """Raise InputError unless a matrix is symmetric to rounding (collective)."""
+    """Raise InputError unless a matrix is symmetric to 1e-10 of its norm (collective)."""
     matrix_norm = matrix.norm(PETSc.NormType.INFINITY)
     difference = matrix.transpose(PETSc.Mat())
     difference.axpy(-1.0, matrix, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
@@ -976,9 +1022,10 @@ def _check_symmetric(name: str, matrix: Any) -> None:
 
 
 def _check_semidefinite(name: str, matrix: Any, mass: Any) -> None:
-    """Raise InputError if a matrix has a negative eigenvalue beyond rounding (collective).
+    """Raise InputError if a stiffness K has a negative eigenvalue (collective).
 
-    Rigid-body motions have eigenvalues of zero, which pass.
+    Eigenvalues are those of K phi = omega^2 M phi, with the mass M. Zero passes, for rigid-body
+    motions, and so does rounding: -1e-10 times the largest |K_ii| / M_ii.
     """
     diagonal_quotients = matrix.getDiagonal()
     diagonal_quotients.pointwiseDivide(diagonal_quotients, mass.getDiagonal())

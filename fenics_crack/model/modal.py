@@ -35,9 +35,10 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.equations import MACHINE_EPSILON
 
 MAX_DENSE_SIZE = 600
-"""Maximum dofs for a decomposition into all modes, and maximum unknowns for better equations.
+"""Maximum dofs of a structure that is decomposed into all of its modes.
 
-Dense matrices of this size take a part of a second.
+Also the maximum number of unknowns of equations with more harmonics, for an error estimate. Dense
+matrices of this size take a part of a second.
 """
 MODAL_COORDINATES_IN_CACHE = 2**16
 """Number of modal coordinates that are computed together: they fit in a cache."""
@@ -46,7 +47,7 @@ MODAL_COORDINATES_IN_CACHE = 2**16
 def is_small(structure: Structure) -> bool:
     """Return True if a structure can be decomposed into all of its modes.
 
-    It has few dofs on one rank, or it is given by its modes.
+    It has at most 600 dofs on one rank, or it is reduced to modes and massless crack faces.
     """
     has_few_dofs = structure.comm.size == 1 and structure.n_dofs <= MAX_DENSE_SIZE
     return has_few_dofs or structure.light_lips
@@ -65,7 +66,7 @@ class AllModes:
     damping : (n,) or (n, n) [1/s]
         Phi^T C Phi, or its diagonal if it is diagonal.
     gaps_by_mode : (n, n_pairs)
-        Phi^T B.
+        Phi^T B, with the gap matrix B: change of each pair's gap by a unit amplitude of each mode.
     is_unconstrained : bool
         True if the structure can move as a rigid body.
     residual_compliance : (n_pairs, n_pairs) [m/N] or None
@@ -87,13 +88,21 @@ class AllModes:
 
     @property
     def is_ill_conditioned(self) -> bool:
-        """True if rounding of the highest modes may spoil the lowest ones."""
+        """True if rounding of the highest modes may spoil the lowest ones.
+
+        The lowest omega^2 is then below 1e-12 of the highest, and no rigid-body motion is free.
+        """
         return not self.is_unconstrained and bool(self.squares[0] < NEGLIGIBLE * self.squares[-1])
 
     def modal_receptances(
         self, omega: np.ndarray, damping_factor: float = 1.0, is_loaded: np.ndarray | None = None
     ) -> np.ndarray:
         """Return the receptance H, the modal response to unit modal forces.
+
+        With the diagonal matrix Lambda of omega_j^2, the damping C, the mode shapes Phi, and the
+        damping factor d,
+
+            H = (Lambda - omega^2 + i omega d Phi^T C Phi)^-1
 
         Parameters
         ----------
@@ -102,8 +111,9 @@ class AllModes:
         damping_factor : float
             Factor of the damping.
         is_loaded : (m, n) bool, optional
-            Modes that the load drives. An undamped resonance of any other mode is moved away a
-            little: contact keeps the motion of the mode finite.
+            True for modes that the load drives, by default all. At an undamped resonance, any
+            other mode gets the impedance 1.5e-8 (omega_j^2 + omega^2): contact keeps its motion
+            finite.
 
         Returns
         -------
@@ -163,7 +173,7 @@ class AllModes:
         Parameters
         ----------
         min_frequency : float [rad/s]
-            Frequency above which modes answer without inertia; default: none does.
+            Frequency above which modes respond without inertia. Default: infinite, no mode.
 
         Returns
         -------
@@ -183,21 +193,22 @@ class AllModes:
     def _is_fast_mode(self, min_frequency: float) -> np.ndarray:
         """Return True for modes above a frequency [rad/s]: (n,) bool.
 
-        The lowest mode never counts.
+        The lowest mode gets False at any frequency.
         """
         return np.asarray(self.squares > max(min_frequency**2, float(self.squares[0])))
 
     def static_pair_responses(self, min_frequency: float) -> np.ndarray:
-        """Return the quasi-static displacement by unit forces on the pairs [m/N].
+        """Return the quasi-static displacement by unit forces on the pairs.
 
         Parameters
         ----------
         min_frequency : float [rad/s]
-            As of :meth:`static_pair_compliance`.
+            Frequency above which modes respond without inertia.
 
         Returns
         -------
-        (n_dofs, n_pairs)
+        (n_dofs, n_pairs) [m/N]
+            Displacement by these modes and the massless coordinates.
         """
         is_fast_mode = self._is_fast_mode(min_frequency)
         pair_responses: np.ndarray = (
@@ -212,7 +223,8 @@ class AllModes:
     def with_static_modes(self, min_frequency: float | None) -> AllModes:
         """Move modes above a frequency [rad/s] to the quasi-static part, without inertia.
 
-        None: return the modes as they are.
+        The moved modes lose their damping, too. The lowest mode is never moved. With None, or
+        without a higher mode, the object itself is returned.
         """
         if min_frequency is None:
             return self
@@ -242,13 +254,19 @@ class AllModes:
 
     @cached_property
     def shapes_inverse(self) -> np.ndarray:
-        """Phi^-1, which turns displacements into modal coordinates: (n, n_dofs)."""
+        """Inverse of the mode shapes, from displacements to modal coordinates: (n, n_dofs).
+
+        With massless coordinates, this is Phi^T M, with the mode shapes Phi and the mass M.
+        """
         if self.inverse_shapes is not None:
             return self.inverse_shapes
         return np.linalg.inv(self.shapes)
 
     def damping_force(self, modal_velocities: np.ndarray) -> np.ndarray:
-        """Return the modal damping forces Phi^T C Phi q' from modal velocities q' (..., n)."""
+        """Return the modal damping forces Phi^T C Phi q' from modal velocities q' (..., n).
+
+        Phi are the mode shapes and C is the damping matrix. The result has the shape of q'.
+        """
         return (
             modal_velocities * self.damping
             if self.damping.ndim == 1
@@ -258,7 +276,7 @@ class AllModes:
     def modal_response(self, receptance: np.ndarray, modal_force: np.ndarray) -> np.ndarray:
         """Return the modal response H f to modal forces f: (..., n).
 
-        H is the result of :meth:`modal_receptances`.
+        ``receptance`` is H as :meth:`modal_receptances` returns it.
         """
         if self.damping.ndim == 1:
             return receptance * modal_force
@@ -267,8 +285,8 @@ class AllModes:
     def compliance_of_pairs(self, receptance: np.ndarray) -> np.ndarray:
         """Return the compliance B^T Phi H Phi^T B of the pairs: (..., n_pairs, n_pairs) [m/N].
 
-        H is the result of :meth:`modal_receptances`. An entry is the gap change of a pair by a unit
-        force on another.
+        ``receptance`` is H as :meth:`modal_receptances` returns it; Phi are the mode shapes and B
+        is the gap matrix. An entry is the gap change of one pair by a unit force on another.
         """
         if self.damping.ndim == 1:
             return np.matmul(self.gaps_by_mode.T * receptance[..., None, :], self.gaps_by_mode)
@@ -277,7 +295,7 @@ class AllModes:
     def transition_and_force_response(self, h: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the matrices that advance modes over a step under constant pair forces.
 
-        The state z = (q, q') has modal displacements and velocities; freely it moves as z' = A z.
+        The state z = (q, q') has modal displacements and velocities. Without forces z' = A z.
 
         Parameters
         ----------
@@ -329,7 +347,8 @@ class AllModes:
     def steady_modal_amplitudes(self, omega: float, force: np.ndarray) -> np.ndarray:
         """Return the complex amplitudes of the modes under a harmonic load: (n,).
 
-        ``force`` (n,) has the complex modal forces. Modes without load are at rest.
+        ``omega`` [rad/s] is the frequency, and ``force`` (n,) has the complex modal forces. Modes
+        without load are at rest.
 
         Raises
         ------
@@ -359,9 +378,9 @@ class AllModes:
 
 
 def all_modes(structure: Structure) -> AllModes:
-    """Return all modes of a small structure.
+    """Return all modes of a small structure (:func:`is_small`), with its damping.
 
-    They are computed once for the structure and its varied copies.
+    They are computed once for a structure and its varied copies.
     """
     modes, damping_factor = structure.compute_once(_compute_all_modes), structure.damping_factor
     return (
@@ -393,7 +412,7 @@ def _compute_all_modes(structure: Structure) -> AllModes:
 
 
 def _quasi_static_reduction_modes(structure: QuasiStaticReduction) -> AllModes:
-    """Return the modes of a structure with massless crack faces."""
+    """Return the modes of a structure with massless crack faces, and its static part."""
     gap, modal_shapes, squares = structure.gap.toarray(), structure.shapes, structure.omega**2
     flexibility_factor = structure.truncated_flexibility_root
     pair_factor = gap.T @ flexibility_factor  # exact even if L L^T is mostly rounding

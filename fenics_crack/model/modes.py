@@ -35,33 +35,37 @@ from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamp
 from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 
 LIP_STATES = ("open", "tied")
+"""States of the crack faces in natural modes: without contact, or bonded."""
 ROUNDING_ADVICE = (
     "the structure is too slender, or held too weakly, for the rounding of its stiffness; make it "
     "thicker, or the ligament beside a crack wider"
 )
+"""Advice in errors for modes that are lost in rounding."""
 ZERO_TOLERANCE: float = kernel.ZERO_TOLERANCE
-"""Relative size that counts as zero.
+"""Relative size that counts as zero, 1e-14.
 
-For squares of frequencies it is relative to the sum of K_ii phi_i^2; it holds for static responses
-and gaps, too.
+A mode phi has the frequency 0 if omega^2 is at most this times the sum of K_ii phi_i^2, with the
+stiffness K. A static response is compared with the part of the modes, a gap with the largest gap.
 """
 NEGLIGIBLE = ROUNDING
-"""Rounding of solutions with K, relative to the largest.
+"""Rounding error, 1e-12, of solutions with the stiffness, relative to the largest.
 
-It bounds eigenvalues of static compliances, weights of directions in a Gram matrix, and gaps of
-crack faces that the load presses together.
+Smaller relative eigenvalues of compliances and Gram matrices count as zero. So do gaps of crack
+faces that the load presses together.
 """
 MULTIPLE_FREQUENCY_TOLERANCE = math.sqrt(NEGLIGIBLE)
-"""Relative difference of frequencies that count as equal.
+"""Relative difference of frequencies that count as equal, 1e-6.
 
-A search for missing modes takes it for squares of frequencies. In the matching of modes, it weighs
-the order of numbers against the shape.
+In the matching of open and bonded modes, it is also the weight of the modes' order against the
+weight 1 of an equal shape.
 """
 
 
 @dataclass(frozen=True, repr=False)
 class Modes(Tabular):
     """Natural frequencies and mode shapes.
+
+    With the stiffness K and the mass M, the shapes phi_j fulfil
 
         K phi_j = omega_j^2 M phi_j,     phi_i^T M phi_j = delta_ij
 
@@ -91,9 +95,9 @@ class Modes(Tabular):
         return self.structure.function(self.shapes[:, index])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns with a row for every mode.
+        """Return the columns of a table with a row for every mode.
 
-        They are the number of the mode, omega [rad/s] and frequency [Hz].
+        The columns are the number of the mode from 1, omega [rad/s] and frequency [Hz].
         """
         mode_numbers = list(range(1, len(self.omega) + 1))
         return add_frequency_entries({"mode": mode_numbers, "omega": self.omega.tolist()})
@@ -167,7 +171,10 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
 
 
 def count_bonded_modes(structure: Structure) -> int:
-    """Return the number of modes with a bonded crack (collective)."""
+    """Return the number of modes that a structure has with a bonded crack (collective).
+
+    Each independent bond takes one mode away, unless it has residual flexibility.
+    """
     if structure.n_pairs == 0:
         return structure.n_modes
     omega_and_shapes = structure.known_omega_and_shapes(is_bonded=True)
@@ -181,12 +188,12 @@ def count_bonded_modes(structure: Structure) -> int:
 def find_independent_ties(structure: Structure) -> sparse.csc_matrix:
     """Select contact pairs whose bonds are linearly independent (collective).
 
-    Pairs may share nodes. With bonded faces, B^T u = 0 then has redundant rows.
+    Pairs may share nodes. The bonds B^T u = 0 then have redundant rows, which are left out.
 
     Returns
     -------
     (n_local, n_ties)
-        Columns of the pairs' matrix B, rows of this rank.
+        Selected columns of the gap matrix B, with the rows of this rank.
     """
     gap_matrix = sparse.csc_matrix(structure.gap)
     gram_matrix = structure.sum_over_ranks((gap_matrix.T @ gap_matrix).toarray())
@@ -200,15 +207,16 @@ def find_independent_ties(structure: Structure) -> sparse.csc_matrix:
 
 
 def _count_modes_without_ties(structure: Structure, ties: Any) -> int:
-    """Return the number of modes, dofs less ties, if every dof has mass.
+    """Return the number of modes of a structure in which every dof has mass.
 
-    ``ties`` (n_local, n_ties) are the bonds of a bonded crack, or None.
+    This is the number of dofs less the bonds of a bonded crack. ``ties`` (n_local, n_ties) are
+    these bonds; None: the crack is open.
     """
     return structure.n_dofs - (0 if ties is None else int(ties.shape[1]))
 
 
 class StiffnessInverse(Protocol):
-    """Interface of solvers K x = r, such as a :class:`Factor`."""
+    """Interface of solvers K x = r with the stiffness K, such as a :class:`Factor`."""
 
     n_null_pivots: int
     """Dimension of the stiffness's null space."""
@@ -220,7 +228,8 @@ class StiffnessInverse(Protocol):
 class BondedStiffnessInverse:
     """Solver K x = r with a bonded crack, B^T x = 0.
 
-    It takes the factor of the stiffness K and independent columns of the pairs' matrix B:
+    ``factor`` solves with the stiffness K of an open crack. ``ties`` (n_local, n_ties) are
+    independent columns of the gap matrix B (:func:`find_independent_ties`):
 
         x = K^-1 r - K^-1 B S^-1 B^T K^-1 r,        S = B^T K^-1 B
     """
@@ -252,8 +261,19 @@ def solve_modes_with_factor(
 
     Parameters
     ----------
+    stiffness_inverse : StiffnessInverse
+        Factor of the stiffness with an open crack.
+    n_modes : int
+        Number of modes.
     ties : (n_local, n_ties), optional
-        From :func:`find_independent_ties`: bond the crack.
+        Bonds of the crack, from :func:`find_independent_ties`. Default: the crack is open.
+
+    Raises
+    ------
+    InputError
+        The stiffness has a negative eigenvalue.
+    ConvergenceError
+        SLEPc found fewer modes, or the lowest frequency of a clamped mesh is lost in rounding.
     """
     if ties is None and (cached_modes := find_known_modes_or_none(structure, n_modes)) is not None:
         return cached_modes
@@ -315,9 +335,9 @@ def solve_modes_with_factor(
 
 
 def find_known_modes_or_none(structure: Structure, n_modes: int) -> Modes | None:
-    """Return the lowest open modes if no solver is needed, else None.
+    """Return the lowest modes with an open crack if no solver is needed, else None.
 
-    They were computed before, or the structure's coordinates are modes.
+    At least ``n_modes`` were computed before, or the structure is reduced to modes.
     """
     if structure.whole is not structure:  # small and dense
         if (omega_and_shapes := structure.known_omega_and_shapes(is_bonded=False)) is not None:
@@ -331,10 +351,10 @@ def find_known_modes_or_none(structure: Structure, n_modes: int) -> Modes | None
 
 
 def _make_empty_modes_list(structure: Structure) -> list[np.ndarray]:
-    """Return an empty cache for frequencies and shapes with an open crack.
+    """Return an empty cache [omega, shapes] for the modes with an open crack.
 
-    It keeps the largest number of modes requested so far. It does not refer to the structure, which
-    it would keep alive.
+    The cache keeps the largest number of modes requested so far. It does not refer to the
+    structure, so it does not keep the structure alive.
     """
     return []
 
@@ -342,7 +362,10 @@ def _make_empty_modes_list(structure: Structure) -> list[np.ndarray]:
 def _make_eigenvalue_solver(
     structure: Structure, option_prefix: str, n_modes: int, n_krylov_vectors: int
 ) -> Any:
-    """Make SLEPc's solver for the modes K phi = omega^2 M phi."""
+    """Make SLEPc's solver for ``n_modes`` modes K phi = omega^2 M phi (collective).
+
+    ``prefix`` begins the names of PETSc options that reach the solver.
+    """
     eigenvalue_solver = import_slepc().EPS().create(structure.comm)
     eigenvalue_solver.setOptionsPrefix(option_prefix)
     eigenvalue_solver.setOperators(structure.stiffness, structure.mass)
@@ -353,7 +376,7 @@ def _make_eigenvalue_solver(
 
 
 def _run_solver_or_raise(eigenvalue_solver: Any, n_modes: int) -> None:
-    """Run SLEPc's solver; raise ConvergenceError if modes are missing."""
+    """Run SLEPc's solver; raise ConvergenceError if fewer than ``n_modes`` converge."""
     eigenvalue_solver.setFromOptions()
     try:
         eigenvalue_solver.solve()
@@ -377,8 +400,9 @@ def _find_modes_near_zero_omega(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the modes closest to zero frequency, with the inverse of K (collective).
 
-    If the stiffness K is singular, K + s M is factored instead, with a small part s of
-    ``square_scale`` [rad^2/s^2]. ``ties`` bond the crack (:func:`find_independent_ties`).
+    If the stiffness K is singular, K + s M is factored instead, with the mass M and a shift s of
+    1e-6 times ``square_scale`` [rad^2/s^2]. ``ties`` bond the crack
+    (:func:`find_independent_ties`); None: it is open.
 
     Returns
     -------
@@ -402,7 +426,7 @@ def _find_modes_near_zero_omega(
 
 
 def n_krylov_vectors(n_modes: int) -> int:
-    """Return the number of Krylov vectors for some modes.
+    """Return the number of Krylov vectors for a number of modes.
 
     SLEPc's default is twice the number of modes, or 15 more than them if that is larger. For more
     than 150 modes fewer vectors are as quick.
@@ -469,8 +493,8 @@ def _find_modes_near_shift(
 def count_modes_below(structure: Structure, squared_omega: float, ties: Any = None) -> int:
     """Return the number of modes with omega^2 < ``squared_omega`` (collective).
 
-    These are the negative pivots of K - ``squared_omega`` M (Sylvester). ``ties`` is a matrix of
-    constraints that keep contact pairs closed, or None.
+    These are the negative pivots of K - ``squared_omega`` M (Sylvester's law of inertia). ``ties``
+    (n_local, n_ties) bond the crack (:func:`find_independent_ties`); None: it is open.
     """
     with factored_sum(
         structure.stiffness, -squared_omega, structure.mass, border=ties
@@ -479,7 +503,7 @@ def count_modes_below(structure: Structure, squared_omega: float, ties: Any = No
 
 
 def find_largest_natural_omega(structure: Structure) -> float:
-    """Return the largest natural angular frequency [rad/s] (collective)."""
+    """Return the largest natural angular frequency [rad/s], to 1e-6 (collective)."""
     eigenvalue_solver = _make_eigenvalue_solver(structure, "crack_largest_", 1, 30)
     eigenvalue_solver.setWhichEigenpairs(eigenvalue_solver.Which.LARGEST_REAL)
     eigenvalue_solver.setTolerances(1e-6, 1000)
@@ -516,8 +540,8 @@ def orthonormalise_against_basis(
 ) -> np.ndarray:
     """Orthogonalise columns against a basis and each other (collective).
 
-    Columns are scaled to x^T A x = 1. Directions with a negligible eigenvalue of the Gram matrix
-    are left out. The loss is at most 1e-6 of a static response and 1e-12 of a compliance.
+    Columns are scaled to x^T A x = 1 first. Directions with an eigenvalue of the Gram matrix up to
+    1e-12 are left out. The loss is at most 1e-6 of a static response and 1e-12 of a compliance.
 
     Parameters
     ----------
@@ -552,13 +576,14 @@ def orthonormalise_against_basis(
 def _signs_for_positive_largest_component(structure: Structure, shapes: np.ndarray) -> np.ndarray:
     """Return signs that make the largest component of each shape positive.
 
-    A symmetric structure has several equally large components. Then the first by position and
-    direction decides, or without positions the lowest dof. Neither rounding nor the numbering,
+    A symmetric structure has several equally large components, to 1e-6. Then the first by position
+    and direction decides, or without positions the lowest dof. Neither rounding nor the numbering,
     which depends on the number of ranks, may decide.
 
     Returns
     -------
     (count,)
+        1 or -1 for each shape.
     """
     first_dof = structure.first_dof
     n_key_columns = 1 if structure.nodes is None else structure.nodes.points.shape[1] + 1
@@ -590,7 +615,9 @@ def _signs_for_positive_largest_component(structure: Structure, shapes: np.ndarr
 
 @dataclass(frozen=True)
 class DampedModes:
-    """Modes that carry the modal damping C = M Phi diag(damping_rates) Phi^T M.
+    """Modes Phi on which modal damping acts: C = M Phi diag(damping_rates) Phi^T M.
+
+    M is the mass, and C the damping matrix, which is never formed.
 
     Attributes
     ----------
@@ -609,9 +636,10 @@ class DampedModes:
 
 
 def damped_modes(structure: Structure) -> DampedModes | None:
-    """Return the modes that carry the modal damping; None without it (collective).
+    """Return the modes on which modal damping acts (collective).
 
-    They are computed once for a structure and its varied copies.
+    None if the structure has Rayleigh damping, a damping matrix or no damping. The modes are
+    computed once for a structure and its varied copies.
 
     Raises
     ------
@@ -635,7 +663,7 @@ def damped_modes(structure: Structure) -> DampedModes | None:
 
 
 def _compute_damped_modes(structure: Structure) -> DampedModes:
-    """Compute the modes that carry the modal damping (collective)."""
+    """Compute the modes on which modal damping acts, and their damping rates (collective)."""
     modes = solve_modes(structure, count_damped_modes(structure))
     mass_shapes = multiply_columns(structure.mass, modes.shapes)
     damping_rates = structure.damping.rate(modes.omega**2)
@@ -643,7 +671,10 @@ def _compute_damped_modes(structure: Structure) -> DampedModes:
 
 
 def count_damped_modes(structure: Structure) -> int:
-    """Return the number of damped modes; InputError as :func:`damped_modes`."""
+    """Return the number of modes with modal damping.
+
+    InputError: more modes are damped than the structure has, or ratios are missing.
+    """
     damping = structure.damping
     count: int = structure.n_modes if damping.modes is None else damping.modes
     if count > structure.n_modes:
@@ -659,18 +690,20 @@ def count_damped_modes(structure: Structure) -> int:
 
 
 def damped_count_and_max_omega_or_none(structure: Structure) -> tuple[int, float] | None:
-    """Return how many modes are damped, and up to which frequency (collective).
+    """Count the damped modes and find their highest frequency (collective).
 
     If a reduced structure has modal damping as a projected matrix, the modes of the whole structure
-    count.
+    count. Without damping the result is (0, 0.0).
 
     Returns
     -------
     n_damped : int
         Number of damped modes.
     max_frequency : float [rad/s]
-        Highest frequency of a damped mode. The result is None if all higher modes are damped too,
-        or if the damping is a matrix.
+        Highest frequency of a damped mode; all modes above are undamped.
+
+    None is returned instead of both if the highest mode is damped, as with Rayleigh damping, or if
+    the damping is a matrix.
 
     Raises
     ------
@@ -712,11 +745,12 @@ def project_damping_on_modes(
     mode_columns : (n_local, m)
         X, with X^T M X = I and X^T K X = diag(squares).
     squared_omegas : (m,) [rad^2/s^2]
+        Squares of the modes' frequencies.
 
     Returns
     -------
     (m,) or (m, m) [1/s]
-        X^T C X, or the diagonal if coupling terms are only rounding.
+        Diagonal of X^T C X if all other entries are at most 1.5e-8 of the largest, else X^T C X.
     """
     if isinstance(structure.damping, RayleighDamping):
         return structure.damping.rate(squared_omegas)
@@ -747,15 +781,15 @@ def project_damping_on_columns(structure: Structure, columns: np.ndarray) -> np.
 # --- with the crack open and bonded --------------------------------------------------------------
 
 FREQUENCY_KIND_NAMES = ("open", "tied", "bilinear")
-"""Kinds of natural frequencies."""
+"""Kinds of natural frequencies: crack open, crack bonded, and bilinear, between both."""
 
 
 @dataclass(frozen=True, repr=False)
 class BilinearFrequencies(Tabular):
     """Natural frequencies of modes with the crack open, and of the same shapes bonded.
 
-    The open frequencies ascend. The bonded frequencies do not if the bond takes one mode past
-    another.
+    The open frequencies ascend. The bonded frequencies need not: a bond may raise one mode above
+    the next.
 
     Half a natural period with the crack open and half a natural period with the crack bonded make a
     period pi / w_o + pi / w_t. That is the bilinear frequency
@@ -781,7 +815,10 @@ class BilinearFrequencies(Tabular):
 
     @property
     def omega_bilinear(self) -> np.ndarray:
-        """Bilinear frequencies 2 w_o w_b / (w_o + w_b), crack open and bonded: (..., n) [rad/s]."""
+        """Bilinear frequencies 2 w_o w_t / (w_o + w_t): (..., n) [rad/s].
+
+        w_o is a mode's frequency with the crack open, and w_t with the crack bonded.
+        """
         with np.errstate(divide="ignore"):
             return np.asarray(2.0 / (1.0 / self.omega_open + 1.0 / self.omega_tied))
 
@@ -816,7 +853,11 @@ class BilinearFrequencies(Tabular):
         return columns_by_name
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns with a row for every mode."""
+        """Return the columns of a table with a row for every mode.
+
+        The columns are the number of the mode, and omega_open, omega_tied and omega_bilinear
+        [rad/s].
+        """
         columns_by_name: dict[str, Any] = {"mode": list(range(1, len(self.omega_open) + 1))}
         column_names = [f"omega_{kind}" for kind in FREQUENCY_KIND_NAMES]
         return columns_by_name | {name: getattr(self, name).tolist() for name in column_names}
@@ -831,9 +872,9 @@ class BilinearFrequencies(Tabular):
 def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
     """Find up to 6 lowest frequencies with the crack open and bonded (collective).
 
-    Bonded faces slide (:func:`fenics_crack.solve_modes`). A soft contact law lets them part, and
-    resonances then lie lower. The frequencies are computed once for a structure and its varied
-    copies.
+    Bonded faces slide without normal motion (:func:`fenics_crack.solve_modes`). A soft contact law
+    allows normal motion, and resonances then lie lower. The frequencies are computed once for a
+    structure and its varied copies.
 
     Parameters
     ----------
@@ -871,14 +912,15 @@ def _compute_bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
 def solve_bonded_modes(structure: Structure, count: int, factor: Factor | None = None) -> Modes:
     """Find the lowest modes with a bonded crack (collective).
 
-    Missing modes have infinite frequencies and shapes of zero.
+    If the structure has fewer bonded modes than ``count``, the last ones have infinite frequencies
+    and shapes of zero.
 
     Parameters
     ----------
     count : int
         Number of modes.
     factor : Factor, optional
-        Factor of the stiffness.
+        Factor of the stiffness with an open crack. Default: it is computed.
     """
     omega, shapes = np.full(count, np.inf), np.zeros((structure.n_local, count))
     if n_available := min(count, count_bonded_modes(structure)):
@@ -895,11 +937,11 @@ def solve_bonded_modes(structure: Structure, count: int, factor: Factor | None =
 def find_bonded_mode_indices(open_modes: Modes, bonded_modes: Modes) -> np.ndarray:
     """Find the bonded mode with the shape of each open mode (collective).
 
-    Each bonded mode is taken once. As many pairs as possible have an overlap (phi_open^T M
-    phi_tied)^2 above 0.9; all others follow the order of their numbers. A bond that mixes modes
-    leaves less overlap, and then no mode is matched by shape. No tie makes a mode slower
-    (Rayleigh). Modes of one frequency have any shapes of a space, so squares are summed over the
-    space.
+    Each bonded mode is taken at most once. As many modes as possible are matched by shape, with an
+    overlap (phi_open^T M phi_tied)^2 above 0.9. All others follow the order of their numbers. A
+    bonded mode of lower frequency is not matched by shape, because bonds only raise frequencies
+    (Rayleigh). Shapes of equal frequencies, to 1e-6, are arbitrary in their space, so their
+    overlaps are summed.
 
     Parameters
     ----------

@@ -47,11 +47,11 @@ class Nodes(ReadOnlyArrays):
     vtk_type : int
         VTK's number of the cell type; 0: no cells of one kind.
     mesh_dofs : fenics_crack.fem.plate.Dofs or None
-        DOLFINx's mesh and the dofs on it, for later integrals over the mesh. The ranks may share
-        this mesh in another way than a mesh made again. None without DOLFINx's mesh.
+        DOLFINx's mesh and the dofs on it, for later integrals over the mesh. A mesh made again may
+        be shared by the ranks in another way. None without DOLFINx's mesh.
     frames : (m, d, d) or None
-        Matrix of each node that turns its displacements into those in space. None: they already
-        are.
+        Matrix of each node that turns its displacements into the axes x, y (and z). None: they are
+        along these axes already.
     """
 
     points: np.ndarray
@@ -99,7 +99,7 @@ class Nodes(ReadOnlyArrays):
 
 
 def find_node_indices_at(points: np.ndarray, point: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Return the indices of the nodes at a point.
+    """Return the indices of all nodes at a point; empty if there is none.
 
     Parameters
     ----------
@@ -125,9 +125,9 @@ def describe_nearest_node(points: np.ndarray, point: Sequence[float] | np.ndarra
 
 
 def format_point(point: np.ndarray, format_specification: str = ".8g") -> str:
-    """Return a point in words, "(0.1, 0.1)".
+    """Format a point [m] for a message, as "(0.1, 0.1)".
 
-    Its digits identify a node for :func:`find_node_indices_at`.
+    The digits by default suffice to find a node again by :func:`find_node_indices_at`.
     """
     return (
         f"({', '.join(format(x, format_specification) for x in point.round(12) + 0.0)})"  # no "-0"
@@ -136,7 +136,10 @@ def format_point(point: np.ndarray, format_specification: str = ".8g") -> str:
 
 @dataclass(frozen=True, eq=False)
 class Pairs(ReadOnlyArrays):
-    """Places of the contact pairs, crack by crack; the arrays are read-only.
+    """Positions and other mesh data of the contact pairs; the arrays are read-only.
+
+    Pairs follow each other crack by crack. Fields are None if they are not known, as without a
+    mesh.
 
     Attributes
     ----------
@@ -196,8 +199,8 @@ class Coordinates:
     pairs : Pairs
         Positions, areas and cracks of the contact pairs in a mesh.
     watched : (n_local,) or None
-        Factors of a displacement in the watched motion [m]. None: the dof that carries most of the
-        load.
+        The watched displacement [m], for results without a named dof, is the product with u. None:
+        the dof that carries most of the load is watched.
     """
 
     body: Any
@@ -227,12 +230,12 @@ class Coordinates:
 
     @property
     def local_nodes_with_cells_or_none(self) -> Nodes | None:
-        """Nodes with cells, which carry every dof; None without cells."""
+        """Nodes and cells of the mesh to draw; None if the nodes have no cells."""
         return self.nodes if self.nodes is not None and self.nodes.vtk_type else None
 
     @property
     def n_dofs(self) -> int:
-        """Number of degrees of freedom, without clamped ones."""
+        """Number of degrees of freedom on all ranks, without clamped ones."""
         return int(self.body.mass.size[0])
 
     @property
@@ -252,9 +255,9 @@ class Coordinates:
 
     @property
     def watched_pairs(self) -> dict[str, int]:
-        """Index of one pair of each crack, by place: {"the mouth": 0}.
+        """Index of one pair of each crack, by the name of its place: {"the mouth": 0}.
 
-        Without a mesh, the first pair: {"pair 1": 0}.
+        Without a mesh, the first pair: {"pair 1": 0}. Without pairs, empty.
         """
         return self.pairs.places or ({"pair 1": 0} if self.n_pairs else {})
 
@@ -262,7 +265,7 @@ class Coordinates:
     def first_watched_pair(self) -> int:
         """Index of the first crack's pair at the mouth.
 
-        For a crack inside the plate it is the pair in the middle.
+        For a crack inside the plate, the pair in the middle. Without a mesh, the first pair.
         """
         return next(iter(self.watched_pairs.values()))
 
@@ -283,7 +286,7 @@ class Coordinates:
         return int(np.argmax(gather_rows(self.comm, np.abs(self.watched))))
 
     def find_most_loaded_dof(self) -> int:
-        """Return the dof that carries most of the load (collective)."""
+        """Return the dof with the largest entry in any part of the load (collective)."""
         return int(np.argmax(gather_rows(self.comm, np.abs(self.body.force).max(axis=0))))
 
     def describe_pair(self, pair: int) -> str:
@@ -304,7 +307,10 @@ class Coordinates:
         return self
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
-        """Expand displacements (m, n_local) to those of the whole structure."""
+        """Return displacements (m, n_local) of the whole structure; here the argument itself.
+
+        Reduced structures expand their coordinates.
+        """
         return displacement
 
     def function(self, displacement: np.ndarray) -> Any:
@@ -339,13 +345,21 @@ class Coordinates:
         return self.sum_over_ranks((self.gap.T @ displacement.T).T)
 
     def apply_tangential(self, displacement: np.ndarray) -> np.ndarray | None:
-        """Return the tangential gaps B_t^T u on every rank, or None without B_t (collective)."""
+        """Return the tangential gaps B_t^T u on every rank (collective).
+
+        ``displacement`` (m, n_local) [m] has displacements u in its rows. The result is (m,
+        n_tangents) [m]; None if the structure has no tangential gap matrix B_t.
+        """
         if self.tangential is None:
             return None
         return self.sum_over_ranks((self.tangential.T @ displacement.T).T)
 
     def apply_b(self, pair_force: np.ndarray) -> np.ndarray:
-        """Return the forces B lambda on dofs, (m, n_local), from pair forces (m, n_pairs) [N]."""
+        """Return the forces on dofs (m, n_local) from contact forces (m, n_pairs) [N].
+
+        They are B lambda, with the gap matrix B and the contact forces lambda. Contact acts on the
+        structure with the opposite sign, as B lambda stands on the left of the equation of motion.
+        """
         return (self.gap @ pair_force.T).T
 
     def sum_over_ranks(self, array: np.ndarray) -> np.ndarray:
@@ -366,6 +380,7 @@ class Coordinates:
         Parameters
         ----------
         displacement : (m, n_local)
+            Displacements on the dofs of this rank, one in each row.
         dofs : sequence of int or None
             Numbers of dofs through all ranks; None stands for the watched dof. Checked by
             :meth:`as_dof_numbers`, which raises InputError.
@@ -373,6 +388,7 @@ class Coordinates:
         Returns
         -------
         (m, len(dofs))
+            Values at these dofs.
         """
         checked_dofs = self.as_dof_numbers(dofs)
         is_local = (checked_dofs >= self.first_dof) & (checked_dofs < self.first_dof + self.n_local)
@@ -465,15 +481,15 @@ class Clamp:
 
     The motions r are the translations, then the rotations.
 
-    A rigid motion r of the whole mesh stretches nothing, K r = 0, and closes no gap, B^T r = 0.
-    With the displacement u relative to the clamp, Newton's law gives, over all nodes, clamped ones
-    too,
+    A rigid motion r of the whole mesh stretches nothing and closes no gap. With the displacement u
+    relative to the clamp, the mass M, the load f and all nodes, also clamped ones, Newton's law
+    gives
 
         r . R = r^T M (u'' + a u') - r^T f
 
     R are the forces of the clamp. A translation gives their sum, a rotation about the clamp's
-    centre their moment about the centre. The mass term a of Rayleigh damping is a drag from
-    outside. All other damping, modal damping too, acts inside and exerts no force on the whole.
+    centre their moment about the centre. The mass coefficient a [1/s] of Rayleigh damping is a drag
+    from outside. All other damping acts inside and exerts no force on the whole.
 
     Attributes
     ----------
@@ -490,7 +506,7 @@ class Clamp:
     load: np.ndarray
 
     def with_weights(self, load_weights: float | np.ndarray) -> Clamp:
-        """Return the clamp under another load: the present one, weighted.
+        """Return the clamp under the present load multiplied by weights.
 
         Parameters
         ----------
@@ -507,11 +523,12 @@ class Clamp:
         Parameters
         ----------
         waves : (2H+1, n_rigid)
-            Fourier coefficients of r^T M u, with the rigid motions r and the mass matrix M.
+            Fourier coefficients of r^T M u, with the rigid motions r, the mass matrix M and the
+            displacement u.
         omega : float [rad/s]
             Angular frequency of the motion.
         subharmonic : int
-            Frequency of the load relative to the motion.
+            Number of load periods in a period of the motion.
         drag : float [1/s]
             Mass coefficient a of Rayleigh damping.
         phases : (n,) [rad]
@@ -543,7 +560,8 @@ class Clamp:
     ) -> tuple[np.ndarray, ...]:
         """Return forces and moments at the clamp in a recorded motion.
 
-        The results are those of :meth:`reaction_of_waves`.
+        Accelerations are second derivatives of a spline of degree 5 through the record. The
+        results have the shapes of :meth:`reaction_of_waves`.
 
         Parameters
         ----------

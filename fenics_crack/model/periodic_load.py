@@ -34,14 +34,14 @@ def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.nda
         Ascending, in any unit, from the beginning of a period to its end; two equal times are a
         jump.
     values : (n,) or (n, m)
-        The load then, linear in between.
+        Load at these times, linear in between; m columns for several components.
     harmonics : int
-        K.
+        Number K of harmonics, 1 to 100.
 
     Returns
     -------
     coefficients : (2K+1,) or (2K+1, m)
-        Mean, and cosine and sine of each order.
+        Mean, then cosine and sine part of each order 1 to K.
     error : float
         Root mean square of the remaining load, relative to the load without its mean.
 
@@ -116,15 +116,16 @@ def load_harmonics(time: object, values: object, harmonics: int) -> tuple[np.nda
 def read_load_harmonics_and_error(
     key: str, path: str, harmonics: int, dimension: int
 ) -> tuple[np.ndarray, float]:
-    """Read a table of a periodic force, and return its harmonics.
+    """Read a CSV table of a periodic force, and return its harmonics.
 
-    The first line has words; a row has a time and the components of the force [N].
+    The first line has headings. Each further line has a time [s] and ``dimension`` components of
+    the force [N]. ``key`` names the file in errors, and ``harmonics`` is K.
 
     Returns
     -------
     coefficients : (2K+1, dimension) [N]
     error : float
-        As of :func:`load_harmonics`.
+        Error of the truncated series, as :func:`load_harmonics` returns.
 
     Raises
     ------

@@ -40,9 +40,10 @@ from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 class Receptance:
     """Lowest modes at pairs and load, and the other modes' statics.
 
-    The columns of X are unit forces on the pairs, then the nonzero parts of the load. G is the
-    static flexibility of the modes that are not among ``squares``. Every rank has the same arrays,
-    except ``force``.
+    The columns of X are sources: unit forces on the pairs, then the nonzero parts of the load
+    (:func:`pair_and_load_force_matrix`). G is the static flexibility of all modes that are not
+    among ``squares``, a matrix from forces to displacements. Every rank has the same arrays, except
+    ``force``.
 
     Attributes
     ----------
@@ -53,8 +54,8 @@ class Receptance:
     compliance : (n_sources, n_sources)
         S = X^T G X.
     rows : dict of int to ((n_modes,), (n_sources,))
-        By the number of a dof: its row of Phi, and its row of G X. Further dofs are added on
-        request.
+        Displacement of a dof, by the dof's number: in the modes Phi, and static, a row of G X.
+        Further dofs are added on request.
     force : (2K+1, n_local) [N]
         The structure's load f.
     inertia : (n_pairs,) [m s^2/N]
@@ -79,14 +80,15 @@ class Receptance:
     ) -> np.ndarray:
         """Return static responses of the modes beyond the first ``n_kept_modes``.
 
-        They are Y^T G X, the displacements along Y by the forces X.
+        They are Y^T G X, the displacements along columns Y by the unit forces X on pairs and load.
+        G is the static flexibility of these modes.
 
         Parameters
         ----------
         residual_part : (m, n_sources)
-            Y^T G X of the modes beyond all ``n_modes``.
+            Y^T G X with the flexibility G beyond all ``n_modes``.
         modal_displacements : (m, n_modes)
-            Y^T Phi.
+            Y^T Phi, the mode shapes along Y.
 
         Returns
         -------
@@ -99,14 +101,19 @@ class Receptance:
         return np.asarray(residual_part + modal_flexibility @ self.modal[:, truncated_mode_slice].T)
 
     def compliance_beyond(self, n_kept_modes: int) -> np.ndarray:
-        """Return the static compliance S beyond the first modes.
+        """Return the static compliance without the first ``n_kept_modes`` modes.
 
-        In S = X^T G X, G omits the first ``n_kept_modes`` modes. Shape: (n_sources, n_sources).
+        This is S = X^T G X, (n_sources, n_sources). X are the unit forces on pairs and load, and G
+        is the static flexibility of all further modes.
         """
         return self.residual_response(n_kept_modes, self.compliance, self.modal)
 
     def inertia_beyond(self, n_kept_modes: int) -> np.ndarray:
-        """Return the diagonal of B^T G M G B beyond the first modes: (n_pairs,)."""
+        """Return the inertia at the pairs (n_pairs,) without the first ``n_kept_modes`` modes.
+
+        This is the diagonal of B^T G M G B, with the gap matrix B, the mass M, and the static
+        flexibility G of all further modes. Its sum measures the truncation error at low frequency.
+        """
         modal_flexibility = (
             self.modal[: len(self.inertia), n_kept_modes:] / self.squares[n_kept_modes:]
         )
@@ -114,9 +121,10 @@ class Receptance:
 
 
 def receptance(structure: Structure, n_modes: int) -> Receptance:
-    """Return the receptance of a structure before it was varied (collective).
+    """Return the receptance of a structure with at least ``n_modes`` modes (collective).
 
-    It has at least ``n_modes`` modes, and is kept for later requests.
+    Load, clearance and damping are those before the structure was varied. The receptance is kept
+    for later requests.
 
     Raises
     ------
@@ -152,9 +160,9 @@ def make_empty_receptance_list(structure: Structure) -> list[Receptance]:
 
 
 def make_empty_shared_receptance_list(structure: Structure) -> list[Receptance]:
-    """Return an empty cache for structures with the same matrices and any load.
+    """Return an empty cache, shared by structures with the same matrices and any load.
 
-    It keeps the last receptance of any such structure.
+    It keeps the receptance that was computed last.
     """
     return []
 
@@ -164,7 +172,8 @@ def _convert_receptance_to_load(
 ) -> Receptance | None:
     """Convert a receptance with another load to the structure's load (collective).
 
-    None: the structure's load is no linear combination of the other load's parts.
+    Returns None if the structure's load is no linear combination of the other load's parts, to
+    1e-12, or if only one of both has tangential pairs.
     """
     known_load_coefficients = known_receptance.force
     new_load_rows = structure.force[find_loaded_row_mask(structure)]
@@ -212,16 +221,17 @@ def _convert_receptance_to_load(
 def check_has_matrices(structure: Structure, result_name: str) -> None:
     """Raise InputError if a structure from a file lacks its matrices.
 
-    ``result_name`` names what they are needed for.
+    ``result_name`` stands in the message: the result that needs the matrices.
     """
     if not structure.has_matrices:
         raise AbsentMatrix.input_error(result_name)
 
 
 def pair_and_load_force_matrix(structure: Structure) -> sparse.csr_matrix:
-    """Return the forces of pairs and load as columns X = [B, B_t, f] (collective).
+    """Return unit forces on pairs and load as columns X = [B, B_t, f] (collective).
 
-    The shape is (n_local, n_sources). f has the nonzero parts of the load.
+    B has the normal gaps, B_t the tangential gaps (if any), and f the nonzero parts of the load.
+    The shape is (n_local, n_sources).
     """
     nonzero_load_rows = structure.force[find_loaded_row_mask(structure)]
     pair_forces = [structure.gap] + ([] if structure.tangential is None else [structure.tangential])
@@ -245,7 +255,10 @@ def find_loaded_row_mask(
 def _extend_receptance(
     structure: Structure, known_receptance: Receptance | None, n_modes: int
 ) -> Receptance:
-    """Make a receptance with ``n_modes`` modes, from one with fewer modes or none (collective)."""
+    """Make a receptance with ``n_modes`` modes (collective).
+
+    ``known_receptance`` with fewer modes saves its static solutions. None: they are computed.
+    """
     begin_stage("factorisation of the stiffness")
     with Factor(structure.stiffness, definite=True) as factored_stiffness:
         modes = solve_modes_with_factor(factored_stiffness, structure, n_modes)
@@ -311,16 +324,23 @@ def _extend_receptance(
 def modal_and_static_displacement_rows(
     structure: Structure, n_modes: int, dofs: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return displacements of dofs by the modes and by all other modes' statics (collective).
+    """Return displacements of dofs in the lowest modes, and static ones without them (collective).
 
     Later requests for the same dofs take them from the receptance.
+
+    Parameters
+    ----------
+    n_modes : int
+        Number of modes.
+    dofs : (m,) int
+        Numbers of the dofs.
 
     Returns
     -------
     (m, n_modes)
         Displacements of the dofs in the mass-normalised modes.
     (m, n_sources)
-        Static displacements by the unit forces X, without these modes.
+        Static displacements by unit forces on pairs and load, without these modes.
     """
     known_receptance, structure = receptance(structure, n_modes), structure.original
     requested_dofs = [int(dof) for dof in dofs]
@@ -349,14 +369,16 @@ def expand_residual_response(
 ) -> np.ndarray:
     """Return the static displacements G X c by forces, without some modes (collective).
 
+    G is the static flexibility without these modes, and X are unit forces on pairs and load.
+
     Parameters
     ----------
     shapes : (n_local, n_modes)
-        Mass-normalised modes without which G is taken.
+        Mass-normalised modes that G omits.
     squares : (n_modes,) [rad^2/s^2]
         Squares of their frequencies.
     amplitudes : (m, n_sources)
-        Amplitudes c of the forces X of pairs and load (:func:`pair_and_load_force_matrix`).
+        Amplitudes c of the forces X (:func:`pair_and_load_force_matrix`).
 
     Returns
     -------
@@ -381,7 +403,17 @@ def _store_dof_rows(
     flexibility: ResidualFlexibility,
     stiffness_factor_or_none: Factor | None = None,
 ) -> None:
-    """Store displacements of some dofs under unit loads in ``rows`` (collective)."""
+    """Add displacements of dofs to ``rows`` of a receptance (collective).
+
+    Parameters
+    ----------
+    dofs : (m,) int
+        Numbers of the dofs.
+    flexibility : ResidualFlexibility
+        Static flexibility without the modes of the receptance.
+    factor : Factor, optional
+        Factor of the stiffness. Default: it is computed.
+    """
     dofs_from_first_owned = dofs - structure.first_dof
     indices_of_owned_dofs = np.flatnonzero(
         (dofs_from_first_owned >= 0) & (dofs_from_first_owned < structure.n_local)
@@ -412,9 +444,9 @@ def _store_dof_rows(
 
 
 def _loaded_dofs(structure: Structure) -> np.ndarray:
-    """Return the dofs under the load, to watch the effect of the load (collective).
+    """Return the loaded dofs, whose displacements a receptance stores at once (collective).
 
-    If there are more than MAX_BLOCK_COLUMNS of them, return the watched dof alone.
+    If there are more than 16 (MAX_BLOCK_COLUMNS), return the watched dof alone.
     """
     owned_dofs = np.flatnonzero(np.any(structure.force != 0.0, axis=0)) + structure.first_dof
     dofs = gather_rows(structure.comm, owned_dofs)
@@ -424,10 +456,10 @@ def _loaded_dofs(structure: Structure) -> np.ndarray:
 class ResidualFlexibility:
     """Static flexibility G = K^-1 - Phi Lambda^-1 Phi^T without some modes Phi.
 
-    G maps forces to displacements; Lambda holds the squares of the modes' frequencies. A force f
-    first loses its part on the modes, r = f - M Phi Phi^T f. The displacement x = K^-1 r then loses
-    its part, too: x - Phi Phi^T M x. No digits cancel. If the structure can move as a rigid body,
-    these motions are among the modes.
+    G maps forces to displacements, with the stiffness K and the squares Lambda of the modes'
+    frequencies. A force f first loses its part on the modes, r = f - M Phi Phi^T f, with the mass
+    M. The displacement x = K^-1 r then loses its part, too: x - Phi Phi^T M x. No digits cancel. If
+    the structure can move as a rigid body, these motions are among the modes.
 
     Attributes
     ----------
@@ -455,7 +487,7 @@ class ResidualFlexibility:
     def solve(self, stiffness_factor: Factor, forces: np.ndarray) -> np.ndarray:
         """Return displacements G f by forces f, both (m, n_local) (collective).
 
-        ``stiffness_factor`` solves with the stiffness K.
+        G is the static flexibility without the modes. ``stiffness_factor`` solves with the stiffness.
         """
         structure, mode_shapes = self.structure, self.shapes
         modal_forces = structure.sum_over_ranks(forces @ mode_shapes)
@@ -470,11 +502,15 @@ class ResidualFlexibility:
     def projected_compliance_and_inertia(
         self, stiffness_factor: Factor, force_columns: sparse.spmatrix
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return displacements along forces Y by the forces X (collective).
+        """Return static displacements along forces Y by the forces X (collective).
+
+        G is the static flexibility without the modes, X are the ``sources``, and M is the mass.
 
         Parameters
         ----------
-        force_columns : (n_local, m)
+        factor : Factor
+            Factor of the stiffness.
+        columns : (n_local, m)
             Y, sparse forces.
 
         Returns
@@ -515,14 +551,16 @@ class ResidualFlexibility:
         return projected_compliance, inertia_diagonal
 
     def compliance_and_inertia(self, stiffness_factor: Factor) -> tuple[np.ndarray, np.ndarray]:
-        """Return the compliance of pairs and load, and its inertia (collective).
+        """Return the static compliance of the sources X without the modes (collective).
+
+        G is the static flexibility without the modes, and M is the mass.
 
         Returns
         -------
         (n_sources, n_sources)
-            S, symmetric.
+            S = X^T G X, symmetric.
         (n_sources,)
-            Diagonal of X^T G M G X, the change of S's diagonal by w^2.
+            Diagonal of X^T G M G X, the derivative of the dynamic compliance's diagonal by w^2.
         """
         unsymmetric_compliance, inertia_diagonal = self.projected_compliance_and_inertia(
             stiffness_factor, self.sources

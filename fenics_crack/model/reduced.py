@@ -52,8 +52,8 @@ MASS_REMEDY = "reduce it with method = 'free_interface', or use integrate_expone
 class ReducedBody(Body):
     """Constant data of a reduced structure (:class:`Body`).
 
-    ``source`` is the structure that was reduced. ``error_share_removed_by_larger_reduction`` is
-    its attribute ``share``; :class:`ReducedStructure` explains all other fields.
+    ``source`` is the structure that was reduced. ``error_share_removed_by_larger_reduction`` is the
+    its attribute ``share`` of :class:`ReducedStructure`, which explains all other fields.
     """
 
     source: Structure
@@ -69,10 +69,11 @@ def _make_body_fields(
     gap: np.ndarray, tangential_gap: np.ndarray | None, force: np.ndarray,
     massless_stiffness: np.ndarray,
 ) -> dict[str, Any]:  # fmt: skip
-    """Return the fields of a :class:`ReducedBody` by name.
+    """Return the fields of a :class:`ReducedBody` by name, but for basis and reference.
 
     The modal coordinates have mass 1 and stiffness ``squared_frequencies``. The coordinates without
-    mass, if any, have the stiffness ``massless_stiffness``.
+    mass, if any, follow, with the stiffness ``massless_stiffness``. A damping matrix is that of the
+    modes. ``gap``, ``tangential_gap`` and ``force`` are in all coordinates.
     """
     n_modes, n_massless = len(squared_frequencies), len(massless_stiffness)
     if isinstance(damping, np.ndarray):
@@ -107,8 +108,9 @@ class ReducedStructure(Structure):
     reference : ReducedStructure or None
         Reduction to a larger basis, to estimate the reduction error.
     share : float
-        Share of the truncation error that the reference removes: three quarters or more with static
-        shapes of the next order, at most a half with twice the modes.
+        Assumed share of the truncation error that the reference removes. It is 0.75 with static
+        shapes of the next order, and at most 0.5 with twice the modes (1 with all modes). The error
+        estimate is divided by the share.
     """
 
     body: ReducedBody
@@ -148,7 +150,10 @@ class ReducedStructure(Structure):
 
     @cached_property
     def reference(self) -> ReducedStructure | None:
-        """Reduction to a larger basis, under the same load, clearance and damping factor."""
+        """Reduction to a larger basis, under the same load, clearance and damping factor.
+
+        None if the structure was reduced without a reference.
+        """
         return self.body.reference and self._apply_setting(self.body.reference)
 
     def damped(self, damping: DampingRule | None) -> Self:
@@ -160,16 +165,21 @@ class ReducedStructure(Structure):
         )
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
-        """Return displacements u = T q, (m, whole.n_local), from coordinates q (m, n_dofs)."""
+        """Return displacements (m, whole.n_local) of the whole structure.
+
+        They are u = T q, with the basis T and the coordinates q, ``displacement`` (m, n_dofs).
+        """
         return self._source.expand(displacement @ self.basis.T)
 
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:
-        """Return displacements at dofs of the whole structure (collective).
+        """Return displacements at dofs of the whole structure: (m, len(dofs)) (collective).
 
         Parameters
         ----------
         displacement : (m, n_dofs)
-            Coordinates.
+            Coordinates q of the basis.
+        dofs : sequence of int or None
+            Numbers of dofs; None stands for the watched dof.
         """
         return displacement @ self._source.values_at(self.basis.T, dofs)
 
@@ -198,7 +208,10 @@ class QuasiStaticReduction(ReducedStructure):
 
     @property
     def residual_flexibility(self) -> np.ndarray:
-        """Static displacement by unit forces, without the modes: (n_dofs, n_dofs) [m/N]."""
+        """Static flexibility of the truncated part: (n_dofs, n_dofs) [m/N].
+
+        This is the displacement of the coordinates by unit forces on them, without the modes.
+        """
         return self.truncated_flexibility_root @ self.truncated_flexibility_root.T
 
     @property
@@ -210,7 +223,8 @@ class QuasiStaticReduction(ReducedStructure):
     def modal_damping(self) -> np.ndarray:
         """Modal damping matrix Phi^T C Phi [1/s], before the damping factor.
 
-        A diagonal matrix is given as its diagonal, (n_modes,), any other as (n_modes, n_modes).
+        Modal and Rayleigh damping, or none, give the diagonal (n_modes,); a damping matrix C gives
+        (n_modes, n_modes).
         """
         damping = self.body.damping
         if isinstance(damping, DampingRule):
@@ -243,13 +257,14 @@ class MasslessStructure(QuasiStaticReduction):
 
     Phi are the lowest modes with an open crack, and Lambda holds the squares of their frequencies.
     G is the static flexibility of all other modes, under the load f and the contact forces lambda.
-    The coordinates are the amplitudes q of the modes and, without mass, the amplitudes c of unit
-    forces X = [B, B_t, f] on pairs and load: u = Phi q + G X c.
+    K is the stiffness. The coordinates are the amplitudes q of the modes and, without mass, the
+    amplitudes c of unit forces X = [B, B_t, f] on normal pairs, tangential pairs and load: u = Phi
+    q + G X c.
 
     Attributes
     ----------
     root : (n_dofs - n_modes, r)
-        Root W of the inverse W W^T of S = X^T G X, with W^T S W = I.
+        Root W of the pseudoinverse W W^T of the compliance S = X^T G X, with W^T S W = I.
     """
 
     body: MasslessBody
@@ -275,14 +290,16 @@ class MasslessStructure(QuasiStaticReduction):
             Structure to reduce.
         squares : (n_modes,) [rad^2/s^2]
             Lambda, the squares of the modes' frequencies.
-        modal_pairs : (n_modes, n_pairs or 2 n_pairs)
-            Phi^T [B, B_t], the modes' gaps at the pairs.
+        damping : DampingRule, (n_modes, n_modes) [1/s] or None
+            Modal or Rayleigh damping, or the damping matrix of the modes.
+        modal_pairs : (n_modes, n_pairs or more)
+            Phi^T [B, B_t], the modes' normal and tangential gaps.
         force : (2K+1, n_dofs)
             Load on all coordinates.
         compliance : (n_sources, n_sources)
             S = X^T G X, the static compliance of pairs and load without the modes.
         reference, share
-            As of :class:`ReducedStructure`.
+            Attributes of :class:`ReducedStructure`.
         """
         if isinstance(damping, DampingRule):
             damping = damping.for_modes(len(squares))
@@ -308,16 +325,20 @@ class MasslessStructure(QuasiStaticReduction):
 
     @property
     def flexibility(self) -> np.ndarray:
-        """Inverse of the compliance S, a matrix of n_dofs - n_modes rows and columns.
+        """Inverse of the static compliance S of pairs and load without the modes.
 
-        S is the stiffness of the massless coordinates. If the unit forces depend on each other, the
-        pseudoinverse is returned.
+        The matrix has n_dofs - n_modes rows and columns. S is at the same time the stiffness of the
+        massless coordinates, which this matrix inverts. If the unit forces depend on each other,
+        the pseudoinverse is returned.
         """
         return self.root @ self.root.T
 
     @property
     def truncated_flexibility_root(self) -> np.ndarray:  # type: ignore[override]
-        """Root L in the coordinates: ``root`` for the massless ones, zero for the modes."""
+        """Root L of the truncated part's flexibility L L^T in the coordinates: (n_dofs, r).
+
+        L is zero for the modes, and ``root`` for the massless coordinates.
+        """
         return np.vstack([np.zeros((self.n_modes, self.root.shape[1])), self.root])
 
     def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
@@ -327,9 +348,16 @@ class MasslessStructure(QuasiStaticReduction):
 
             (Lambda + b R_inf^-1 b^T) q = w^2 q,      b = Phi^T B,      lambda = R_inf^-1 b^T q
 
-        Here q are amplitudes of the open modes with the squares Lambda of their frequencies. A
-        bonded pair acts as a spring with the residual flexibility R_inf; without flexibility it
-        holds b^T q = 0. Linearly dependent pairs are one bond.
+        Here q are amplitudes of the open modes Phi, and Lambda holds the squares of their
+        frequencies. b has their gaps, and lambda are the bond forces. A bonded pair acts as a
+        spring with the residual flexibility R_inf; without flexibility it holds b^T q = 0. Linearly
+        dependent pairs are one bond.
+
+        Returns
+        -------
+        omega : (m,) [rad/s]
+        shapes : (n_dofs, m)
+            In the coordinates: modal, then massless amplitudes.
         """
         if not is_bonded:
             return super().known_omega_and_shapes(is_bonded=False)
@@ -366,14 +394,18 @@ class MasslessStructure(QuasiStaticReduction):
     def compliance(self) -> np.ndarray:
         """Static compliance S = X^T G X of pairs and load, without the modes.
 
-        It has n_dofs - n_modes rows and columns.
+        X are unit forces on pairs and load, and G is the static flexibility of the truncated modes.
+        S has n_dofs - n_modes rows and columns.
         """
         massless_range = range(self.n_modes, self.n_dofs)
         return np.asarray(self.stiffness.getValues(massless_range, massless_range))
 
     @property
     def residual_compliance(self) -> np.ndarray:
-        """Residual flexibility R_inf = B^T G B of the pairs: (n_pairs, n_pairs) [m/N]."""
+        """Residual flexibility R_inf = B^T G B of the pairs: (n_pairs, n_pairs) [m/N].
+
+        B is the gap matrix, and G is the static flexibility of the truncated modes.
+        """
         pair_factor = self.gap[self.n_modes :].T @ self.root
         return np.asarray(pair_factor @ pair_factor.T)
 
@@ -388,6 +420,7 @@ class MasslessStructure(QuasiStaticReduction):
         ----------
         displacement : (m, n_dofs)
             Amplitudes q of the modes Phi, then amplitudes c of the unit forces X on pairs and load.
+            G is the static flexibility of the truncated modes.
 
         Returns
         -------
@@ -396,7 +429,7 @@ class MasslessStructure(QuasiStaticReduction):
         return self._source.expand(self._expand_to_source(displacement))
 
     def _expand_to_source(self, displacement: np.ndarray) -> np.ndarray:
-        """Expand coordinates to the structure that was reduced (collective)."""
+        """Expand coordinates (m, n_dofs) to the structure that was reduced (collective)."""
         modal_amplitudes, static_amplitudes = np.split(displacement, [self.n_modes], axis=1)
         return modal_amplitudes @ self.basis.T + expand_residual_response(
             self._source, self.basis, self.omega**2, static_amplitudes
@@ -443,7 +476,8 @@ def as_massless_structure_or_none(structure: Structure | None) -> MasslessStruct
 def _root_of_pseudoinverse(compliance: np.ndarray) -> np.ndarray:
     """Return a root W of the pseudoinverse W W^T of a compliance C.
 
-    It has W^T C W = I. Loads and pairs have other units, so C is scaled to a unit diagonal first.
+    It has W^T C W = I. Loads and pairs have different units, so C is scaled to a unit diagonal
+    first. Eigenvalues up to 1e-12 of the largest count as zero.
     """
     diagonal_roots = np.sqrt(np.maximum(np.diag(compliance), 0.0))
     unit_diagonal_scale = np.divide(

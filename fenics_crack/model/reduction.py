@@ -55,8 +55,13 @@ from fenics_crack.model.reduced import MasslessStructure, ReducedStructure, chec
 from fenics_crack.model.structure import DampingRule, ModalDamping, RayleighDamping, Structure
 
 REDUCTION_METHODS = ("massless", "free_interface")
+"""Methods of :func:`reduce_structure`: crack faces without mass, or with mass."""
 MIN_REFERENCE_ERROR_SHARE = 0.1
-"""Minimum share of a reference; a smaller one shows nothing of the truncated part."""
+"""Minimum share of the truncation error that a reference is taken to remove.
+
+The error estimate is divided by the share. A reference with a smaller share tells nothing about the
+truncated modes.
+"""
 DEFAULT_MODES_OF_LARGE_STRUCTURE = 50
 """Default number of modes for a large structure whose modes are all damped."""
 
@@ -71,13 +76,13 @@ def reduce_structure(
     """Reduce a structure to a few coordinates (collective).
 
     The displacement is sought as u = T q. T holds the lowest modes with an open crack, and a second
-    part that depends on the method. With "massless", the truncated part answers quasi-statically,
+    part that depends on the method. With "massless", the truncated part responds quasi-statically,
     so crack faces have no mass (:class:`MasslessStructure`): best for contact on many pairs. With
-    "free_interface", it is the static response to each pair's force and to the load.
+    "free_interface", the second part is the static response to each pair's force and to the load.
 
     If one ratio damps all modes, it damps all coordinates: these are the modes of the reduced
     structure. Rayleigh damping keeps its coefficients. Any other damping is projected. With
-    ``massless`` all kept modes are damped, those beyond the damped ones with the last ratio.
+    "massless", modal damping by several ratios gives the last ratio to further kept modes.
 
     Parameters
     ----------
@@ -89,8 +94,9 @@ def reduce_structure(
     method : "massless" or "free_interface"
         Second part of T.
     reference : bool or int
-        Keep the reference, too, which estimates the reduction error: twice the modes, or more
-        static shapes. With "massless" it may be the number of modes of the reference.
+        Also keep a larger reduction, the reference, to estimate the reduction error. It has twice
+        the modes ("massless"), or further static shapes. With "massless", a number is the number of
+        modes in the reference.
 
     Returns
     -------
@@ -172,11 +178,13 @@ def _reduce_massless(
 ) -> MasslessStructure:
     """Reduce a structure to ``n_kept`` modes and crack faces without mass.
 
-    The reference, which estimates the error, has twice the modes or ten more, but at most n_dofs -
-    n_pairs: each pair then keeps a static part. If this limit leaves a pair more than half of its
-    residual flexibility, the reference has all modes. A number in ``reference_choice`` is the
-    number of modes instead; False omits the reference. The reference's ``share`` is measured by the
-    inertia of the truncated modes.
+    The reference, which estimates the error, has twice the modes, or ten more if that is larger. At
+    most it has n_dofs - n_pairs modes, so that each pair keeps a static part. If this limit leaves
+    a pair more than half of its residual flexibility, the reference has all modes. A number in
+    ``reference_choice`` is the number of modes instead; False omits the reference. The ``share`` of
+    the truncation error that the reference removes is measured by the inertia of truncated modes.
+
+    InputError: ``n_kept`` modes leave out a rigid-body motion.
     """
     original = structure.original
     n_doubled, max_reference = n_kept + max(n_kept, 10), original.n_dofs - original.n_pairs
@@ -245,7 +253,9 @@ def _reduce_massless(
 def _is_residual_flexibility_rounding(
     compliance_diagonal: np.ndarray, modal_sources: np.ndarray, squared_omegas: np.ndarray
 ) -> np.ndarray:
-    """Return True for forces whose residual flexibility is only rounding.
+    """Return True for forces whose residual flexibility is only rounding: (n_sources,) bool.
+
+    It is then at most 1e-14 of the modes' compliance.
 
     Parameters
     ----------
@@ -264,10 +274,10 @@ def _is_residual_flexibility_rounding(
 
 
 def _uniform_damping_rule_or_none(structure: Structure) -> DampingRule | None:
-    """Return one damping rule for all modes, or None.
+    """Return the damping rule if one rule holds for all modes, else None.
 
-    It is one ratio, or Rayleigh's coefficients, and holds for the modes of the reduced structure,
-    too. InputError: there are too many ratios.
+    The rule is one ratio, or Rayleigh's coefficients. It also holds for the modes of the reduced
+    structure. InputError: more than 600 dofs have a ratio for each mode.
     """
     damping = structure.damping
     if isinstance(damping, RayleighDamping):
@@ -292,8 +302,8 @@ def _regular_stiffness_factor(
 ) -> Iterator[Factor]:
     """Yield a factor of the stiffness, shifted if it is singular.
 
-    ``is_held`` is True if K is regular. Otherwise K + s M is factored, with one of the lowest
-    eigenvalues s = omega^2.
+    ``factor`` is the factor of the stiffness K, and is yielded if K is regular (``is_held``).
+    Otherwise K + s M is factored, with the mass M and the shift s = omega^2 of the tenth mode.
     """
     if is_held:
         yield stiffness_factor
@@ -318,8 +328,8 @@ def _reduce_to_vectors(
 ) -> ReducedStructure:
     """Reduce a structure to the span of modes and other displacement vectors.
 
-    The basis is made M-orthonormal and K-diagonal. ``squared_omegas`` are the squares of the modes'
-    frequencies; ``displacement_vectors`` are (n_local, m).
+    The basis is made M-orthonormal and K-diagonal, with mass M and stiffness K. ``squared_omegas`` are the
+    squares of the modes' frequencies; ``displacement_vectors`` are (n_local, m).
     """
     displacement_vectors = orthonormalise_against_basis(
         structure, structure.mass, mode_shapes, displacement_vectors
@@ -338,10 +348,11 @@ def _reduce_to_vectors(
 def _reduce_damping(
     structure: Structure, basis: np.ndarray, squared_omegas: np.ndarray
 ) -> DampingRule | np.ndarray | None:
-    """Return the reduced damping T^T C T, as a rule or matrix.
+    """Return the reduced damping T^T C T as a rule or matrix; None without damping.
 
-    Rayleigh's coefficients stay, since T^T M T = I and T^T K T = diag(squares). One ratio for all
-    modes stays, too. Otherwise a diagonal matrix becomes one ratio per coordinate.
+    T is the basis, with T^T M T = I and T^T K T = diag(squares). Rayleigh's coefficients and one
+    ratio for all modes stay. Any other damping is projected. A diagonal matrix becomes one ratio
+    for each coordinate, unless it damps a rigid-body motion.
     """
     if structure.damping is None:
         return None

@@ -58,6 +58,8 @@ N_BASIS_SPEEDS = 3
 class Rotation:
     """Stiffness and load that rotation adds to a structure.
 
+    At the speed W, the stiffness K at rest becomes K + W^2 (K_1 + K_2) + W^4 K_3.
+
     Attributes
     ----------
     at_rest : Structure
@@ -65,7 +67,7 @@ class Rotation:
     rotation_stiffness : PETSc.Mat
         K_1 = K_g - M_y, stress stiffening less spin softening at 1 rad/s: (n, n) [kg].
     displaced_shape_stiffness_terms : tuple of PETSc.Mat
-        K_2 [kg] and K_3 [kg s^2], due to the displaced shape.
+        K_2 [kg] and K_3 [kg s^2], stiffness due to the displaced shape at 1 rad/s.
     force : (n_local,) [kg m]
         Centrifugal load f_c at 1 rad/s.
     speed : float
@@ -109,6 +111,8 @@ class Rotation:
     def static_shape_and_motion_stiffness(self, speed: float) -> tuple[Any, Any]:
         """Return the stiffness for the static shape and for motion (collective).
 
+        W is ``speed`` [rad/s], K the stiffness at rest, and K_1 the ``rotation_stiffness``.
+
         Returns
         -------
         PETSc.Mat
@@ -128,7 +132,7 @@ class Rotation:
         return static_shape_stiffness, motion_stiffness
 
     def with_changed_rest_structure(self, change: Callable[[Structure], Structure]) -> Rotation:
-        """Return these terms of rotation about a changed structure at rest."""
+        """Return the same terms of rotation, with ``change`` applied to the structure at rest."""
         return replace(self, at_rest=change(self.at_rest))
 
 
@@ -139,8 +143,9 @@ def static_displacement_and_forces(
 
         K u + B lambda = f,        0 <= lambda,    B^T u <= g0,    lambda^T (B^T u - g0) = 0
 
-    The forces solve a small problem on the crack faces, with their compliance B^T K^-1 B. If the
-    load opens all pairs, there are none.
+    Contact is rigid, with the stiffness K and the gap matrix B. The contact forces lambda solve a
+    small problem on the crack faces, with their compliance B^T K^-1 B. If the load opens all pairs,
+    they are zero.
 
     Parameters
     ----------
@@ -179,10 +184,10 @@ def static_displacement_and_forces(
 
 
 def describe_unstable_speed(structure: Structure, speed: float) -> str:
-    """Describe the allowed speeds, after a speed [rad/s] at which K(W) is unstable (collective).
+    """Return the error text for a speed [rad/s] at which the structure is unstable (collective).
 
-    A solid may be stable by the Coriolis force, which is left out. The size is reported because a
-    mesh in mm is unstable.
+    The stiffness is then not positive definite. A solid may still be stable by the Coriolis force,
+    which is left out. The text reports the size of the mesh, because a mesh in mm is unstable.
     """
     subject, problem = "the plate", f"is unstable at {speed / RAD_PER_S_PER_RPM:.6g} rpm"
     if structure.nodes is not None:
@@ -201,8 +206,8 @@ def relative_coriolis_shifts(modes: Modes, rotation_vector: np.ndarray) -> np.nd
         q'' + G q' + Lambda q = 0,      G = 2 Phi^T M (W x Phi)
 
     Phi are the mode shapes, q their amplitudes, and Lambda the squares of their frequencies. W x
-    Phi turns the displacement vector of each node. With x = (Lambda^1/2 q, q') the matrix of x' = A
-    x is skew. A plate has no shifts: the force is normal to it.
+    Phi is the cross product for each node's displacement. With x = (Lambda^1/2 q, q') the matrix of
+    x' = A x is skew. A plate has no shifts: it cannot move in the direction of the force.
 
     Parameters
     ----------
@@ -258,7 +263,8 @@ class RitzProjection:
     centrifugal_load : (n,)
         Centrifugal load V^T f_c at 1 rad/s.
     mass, gap, tangential
-        The mass as a PETSc matrix, and gaps V^T B and V^T B_t (or None).
+        The mass as a PETSc matrix, and the gap matrices V^T B (normal) and V^T B_t (tangential, or
+        None).
     n_modes_with_mass : int
         Number of modes with mass in a :class:`RunUpStructure`.
     """
@@ -283,12 +289,19 @@ class RitzProjection:
 
         Parameters
         ----------
+        structure : Structure
+            Rotating structure; the projected stiffness is I at its own speed.
         start, stop : float [rad/s]
             Ends of the range.
         modes : int
-            Number of modes with an open crack at each of a few speeds.
+            Number of modes with an open crack at each of three speeds: both ends and the middle.
         n_bonded : int
             Number of modes with a bonded crack at each of these speeds.
+
+        Raises
+        ------
+        InputError
+            The structure is unstable at a speed.
         """
         rotation = structure.rotation
         basis: np.ndarray = np.zeros((structure.n_local, 0))
@@ -351,14 +364,14 @@ class RitzProjection:
         )
 
     def stiffness_and_load(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return stiffness and load at a speed [rad/s].
+        """Return stiffness and load at a speed W [rad/s], in the coordinates of the basis V.
 
         Returns
         -------
-        (n, n) [N/m]
-            V^T K(W) V.
-        (2K+1, n) [N]
-            V^T f, with the mean load due to rotation.
+        (n, n)
+            Stiffness V^T K(W) V.
+        (2K+1, n)
+            Load V^T f, with the mean load due to rotation.
         """
         K_1_term, K_2_term, K_3_term = speed**2 * self.stiffness_terms_K_1_K_2_K_3
         stiffness = self.rest_stiffness + K_1_term + K_2_term + speed**2 * K_3_term
@@ -380,7 +393,11 @@ class RitzProjection:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RunUpBody(ReducedBody):
-    """Constant data of a :class:`RunUpStructure`; ``dense_stiffness`` is V^T K(W) V, (n, n)."""
+    """Constant data of a :class:`RunUpStructure`, which explains most fields.
+
+    ``ritz`` is the projection for all speeds. ``dense_stiffness`` (n, n) is the stiffness V^T K(W)
+    V at the speed W, with the basis V.
+    """
 
     speed: float
     shapes: np.ndarray
@@ -402,7 +419,8 @@ class RunUpStructure(QuasiStaticReduction):
     shapes : (n_dofs, n_modes)
         Mode shapes Phi in the coordinates, mass-normalised.
     truncated_flexibility_root : (n_dofs, n_dofs - n_modes)
-        Root L of the other modes' flexibility, K^-1 - Phi Lambda^-1 Phi^T = L L^T.
+        Root L of the other modes' flexibility, K^-1 - Phi Lambda^-1 Phi^T = L L^T. K is the
+        stiffness, and Lambda holds the squares of the modes' frequencies.
     """
 
     body: RunUpBody
@@ -439,9 +457,9 @@ class RunUpStructure(QuasiStaticReduction):
 
     @shared_property
     def stiffness(self) -> Any:
-        """Stiffness V^T K(W) V in the coordinates, as a PETSc matrix.
+        """Stiffness in the coordinates at this speed, as a PETSc matrix (n_dofs, n_dofs).
 
-        Curves over the speed make many structures, and never need this matrix.
+        It is made on request: curves over the speed make many structures, and never need it.
         """
         return make_matrix_from_local_rows(self.body.dense_stiffness, MPI.COMM_SELF)
 
@@ -465,12 +483,12 @@ class RunUpStructure(QuasiStaticReduction):
 
         With an open crack, a frequency w of the mode phi at the speed W has
 
-            d ln w / d ln W = phi^T dK/d(ln W) phi / (2 w^2)
+            d ln w / d ln W = phi^T dK/d(ln W) phi / (2 w^2),      K: stiffness
 
         Parameters
         ----------
         omega : float [rad/s]
-            The nearest natural frequency is taken.
+            Frequency; the nearest natural frequency w is taken.
         """
         K_1_term, K_2_term, K_3_term = self.speed**2 * self.body.ritz.stiffness_terms_K_1_K_2_K_3
         nearest_mode_index = int(np.abs(self.omega - omega).argmin())
@@ -497,7 +515,7 @@ def run_up_structure(structure: Structure, start: float, stop: float, modes: int
     Parameters
     ----------
     structure : Structure
-        The whole one, with its rotation.
+        Rotating structure with all dofs, not reduced.
     start, stop : float
         Ends of the range [rad/s].
     modes : int

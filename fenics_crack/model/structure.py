@@ -102,12 +102,12 @@ class ModalDamping:
         return ModalDamping(tuple(ratio + ratio[-1:] * (n_modes - len(ratio))))
 
     def rate(self, squares: np.ndarray) -> np.ndarray:
-        """Return the modal damping rates 2 xi omega [1/s] of the damped modes.
+        """Return the modal damping rates 2 xi omega of the damped modes: (n,) [1/s].
 
         Parameters
         ----------
         squares : (n,) [rad^2/s^2]
-            omega^2.
+            omega^2 of these modes. With one ratio for each mode, n must be the number of ratios.
         """
         return np.asarray(2.0 * np.asarray(self.ratio) * np.sqrt(np.maximum(squares, 0.0)))
 
@@ -207,15 +207,17 @@ class RayleighDamping:
     def rate(self, squares: np.ndarray) -> np.ndarray:
         """Return the modal damping rates 2 xi omega = a + b omega^2: (n,) [1/s].
 
+        xi is the damping ratio, and a and b are the coefficients of C = a M + b K.
+
         Parameters
         ----------
         squares : (n,) [rad^2/s^2]
-            omega^2.
+            omega^2, the squares of the modes' frequencies.
         """
         return self.mass + self.stiffness * squares
 
     def matrix(self, mass: Any, stiffness: Any) -> Any:
-        """Return the PETSc matrix C = a M + b K (collective)."""
+        """Return the damping matrix C = a M + b K from mass M and stiffness K (collective)."""
         mass_term = mass.copy()
         mass_term.scale(self.mass)
         total = weighted_sum(mass_term, self.stiffness, stiffness)
@@ -227,18 +229,18 @@ class RayleighDamping:
 
 
 DampingRule = ModalDamping | RayleighDamping
-"""Damping that follows from mass and stiffness."""
+"""Damping that follows from mass and stiffness, without a damping matrix of its own."""
 
 
 UNCOPIED_FIELD_NAMES = {"rotation", "result_cache", "matrix_cache"}
-"""Attributes that a body with other matrices does not take over."""
+"""Attributes of a body that are not copied to a body with other matrices."""
 Result = TypeVar("Result")
 
 
 def shared_property(compute: Callable[[Any], Any]) -> Any:
     """Make a property that is computed once for a structure and its varied copies.
 
-    ``compute`` gets :attr:`Structure.original`.
+    ``compute`` is a function of the structure. It is called with :attr:`Structure.original`.
     """
     return property(lambda structure: structure.compute_once(compute), doc=compute.__doc__)
 
@@ -298,9 +300,9 @@ class Structure(Coordinates):
 
     @cached_property
     def force(self) -> np.ndarray:  # type: ignore[override]
-        """Rows of the load, mean, cosines and sines to harmonic K: (2K+1, n_local) [N].
+        """Rows of the load: mean, then cosine and sine part to harmonic K: (2K+1, n_local) [N].
 
-        They have the factor by which the load was varied.
+        Factors by which the load was varied are included.
         """
         body_force = self.body.force
         return (
@@ -311,9 +313,10 @@ class Structure(Coordinates):
 
     @cached_property
     def clearance(self) -> np.ndarray:
-        """Clearance g0 of every pair, with what was added by varying it: (n_pairs,) [m].
+        """Clearance g0 of every pair: (n_pairs,) [m].
 
-        Tangential gaps, behind the normal ones, get no addition.
+        Clearance added by varying the structure is included. If tangential gaps follow the normal
+        ones as pairs, a clearance for each normal pair leaves them alone.
         """
         clearance, added_clearance = self.body.clearance.copy(), self.setting.added_clearance
         clearance[: np.size(added_clearance) if np.ndim(added_clearance) else None] += (
@@ -330,7 +333,8 @@ class Structure(Coordinates):
     def damping(self) -> Any:
         """ModalDamping, RayleighDamping, the matrix C [N s/m], or None (collective).
 
-        A varied copy computes it at the first request, since many copies never need it.
+        The damping factor is included. A varied copy scales the matrix at the first request, since
+        many copies never need it.
         """
         body_damping = self.body.damping
         if body_damping is None or self.damping_factor == 1.0:
@@ -343,12 +347,15 @@ class Structure(Coordinates):
 
     @cached_property
     def clamp(self) -> Clamp | None:
-        """Clamp that gives the reaction to the load; None without a clamped mesh."""
+        """Inertia and load of the mesh for the reaction at the clamp; None without a mesh."""
         return self.body.clamp and self.body.clamp.with_weights(self.setting.load_weights)
 
     @cached_property
     def rotation(self) -> Any:
-        """Stiffness terms of rotation with load, clearance and damping as here; None without."""
+        """Terms that rotation adds to stiffness and load; None at rest.
+
+        The structure at rest has the same load factors, added clearance and damping factor.
+        """
         return self.body.rotation and self.body.rotation.with_changed_rest_structure(
             self._apply_setting
         )
@@ -360,7 +367,10 @@ class Structure(Coordinates):
 
     @property
     def has_matrices(self) -> bool:
-        """False for a structure from a file of a prepared structure."""
+        """True unless the structure comes from a file of a prepared structure.
+
+        Such a file has modes and static responses, but no mass and stiffness.
+        """
         return not isinstance(self.stiffness, AbsentMatrix)
 
     def compute_once(
@@ -406,7 +416,10 @@ class Structure(Coordinates):
         return new_structure
 
     def _apply_setting(self, structure: AnyStructure) -> AnyStructure:
-        """Return another structure, varied by the setting of this one, too."""
+        """Return another structure, also varied by this structure's setting.
+
+        Factors of load and damping multiply, clearances add.
+        """
         return (
             structure
             if self.setting is DEFAULT_SETTING
@@ -414,9 +427,9 @@ class Structure(Coordinates):
         )
 
     def gap_of(self, displacement: np.ndarray) -> np.ndarray:
-        """Return the gaps' Fourier coefficients on every rank (collective).
+        """Return the Fourier coefficients of the pairs' gaps on every rank (collective).
 
-        The gaps are g = B^T u - g0.
+        The gaps are g = B^T u - g0, with the gap matrix B and the clearance g0.
 
         Parameters
         ----------
@@ -432,7 +445,9 @@ class Structure(Coordinates):
         return gap
 
     def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return the modes of a reduced structure that need no solver, here None.
+        """Return the modes of a reduced structure that need no solver; else None.
+
+        A structure that is not reduced has none.
 
         Parameters
         ----------
@@ -460,27 +475,39 @@ class Structure(Coordinates):
 
     @property
     def watched_sector_index(self) -> int:
-        """Place of the sector whose blade is watched, from 0."""
+        """Index, from 0, of the sector with the watched dof; 0 unless it is a bladed disk."""
         return 0
 
     def dof_of(self, blade: int, dof: int) -> int:
-        """Return the structure's dof for a dof of a sector, numbered from 1."""
+        """Return the structure's dof for a dof of the sector ``blade``, numbered from 1.
+
+        Any structure but a bladed disk is its only sector, so the dof itself is returned.
+        """
         return dof
 
     def blade_of(self, dof: int) -> tuple[int, int]:
-        """Return the sector's number, from 1, and its dof for a dof of the structure."""
+        """Return the sector's number, from 1, and its dof for a dof of the structure.
+
+        Any structure but a bladed disk is its only sector, number 1.
+        """
         return 1, dof
 
     def structure_in_few_coordinates(self) -> Structure:
-        """Return a wheel in the coordinates in which it is solved, or itself (collective)."""
+        """Return a bladed disk in the few coordinates in which it is solved (collective).
+
+        Any other structure is returned itself.
+        """
         return self
 
     def iterate_sector_displacements(self, displacement: np.ndarray) -> Iterator[np.ndarray]:
-        """Yield the displacement of each sector, from coordinates (m, n_local)."""
+        """Yield the displacement (m, n) of each sector, from coordinates (m, n_local).
+
+        Any structure but a bladed disk is its only sector.
+        """
         yield displacement
 
     def watched_sector_load_rows(self, structure: Structure, rows: slice) -> np.ndarray:
-        """Return rows of the load on the watched sector.
+        """Return rows of the load on the sector with the watched dof.
 
         Parameters
         ----------
@@ -507,7 +534,7 @@ class Structure(Coordinates):
         return None if isinstance(damping, DampingRule) else damping
 
     def lumped(self) -> Structure:
-        """Return this structure with the row sums of M as a diagonal mass.
+        """Return this structure with the row sums of the mass as a diagonal mass.
 
         Modal damping then belongs to the modes with this mass, and Rayleigh damping to this mass.
 
@@ -526,8 +553,8 @@ class Structure(Coordinates):
     def tied(self, stiffness: float | np.ndarray) -> Structure:
         """Return this structure with every pair connected by a spring k [N/m].
 
-        The stiffness becomes K + B diag(k) B^T, without contact pairs. Modal damping follows the
-        new modes, Rayleigh damping the new stiffness.
+        The stiffness K becomes K + B diag(k) B^T, with the gap matrix B; no contact pairs are left.
+        Modal damping follows the new modes, Rayleigh damping the new stiffness.
 
         Parameters
         ----------
@@ -584,13 +611,14 @@ class Structure(Coordinates):
     def with_tangents(self) -> Structure:
         """Return this structure with the tangential gaps of a solid's pairs.
 
-        B_t is (n_local, 2 n_pairs): all pairs along their first directions, then along their second
-        directions. The structure itself is returned if it has tangents, or none are known.
+        The matrix ``tangential`` is then (n_local, 2 n_pairs): all pairs along their first
+        directions, then along their second. The structure itself is returned if it has tangential
+        gaps already, or if its mesh gives none.
 
         Raises
         ------
         InputError
-            It was reduced without tangents.
+            The structure was reduced without tangential gaps.
         """
         if self.tangential is not None or self.pairs.tangential_gap_matrix is None:
             return self
@@ -613,7 +641,8 @@ class Structure(Coordinates):
         Raises
         ------
         InputError
-            It has no tangents, or two directions a pair without ``direction``.
+            The structure has no tangential gaps. Or ``direction`` is missing for a solid, or given
+            for a plate.
         """
         if self.tangential is None:
             requirement = "a structure with tangents, as structure.with_tangents() of a solid"
@@ -634,13 +663,14 @@ class Structure(Coordinates):
         return direction_and_structure_cache[0][1]._in_setting(self.setting)
 
     def with_places(self, nodes: Nodes | None, pairs: Pairs) -> Structure:
-        """Return this structure with positions and other mesh data of its nodes and pairs."""
+        """Return this structure with given positions and other mesh data of nodes and pairs."""
         return self._plain_structure_with_changes(nodes=nodes, pairs=pairs)
 
     def damped(self, damping: DampingRule | None) -> Self:
-        """Return this structure with another modal or Rayleigh damping, or none.
+        """Return this structure with another modal or Rayleigh damping, or none (None).
 
-        In a reduced structure, it damps the reduced coordinates or modes.
+        The damping factor becomes 1. In a reduced structure, the damping holds for the modes of the
+        reduction.
         """
         if not isinstance(damping, DampingRule | None):
             raise InputError("damping", damping, "a ModalDamping, a RayleighDamping or None")
@@ -655,7 +685,10 @@ class Structure(Coordinates):
         return self._in_setting(setting, damping=new_damping, rotation=rotation)
 
     def watching(self, dof: int) -> Self:
-        """Return this structure with another watched dof, for results without a named dof."""
+        """Return this structure with another watched dof, for results without a named dof.
+
+        ``dof`` is a number in the whole structure; InputError if there is no such dof.
+        """
         checked_dof = int(self.whole.as_dof_numbers([dof])[0])
         return self._in_setting(replace(self.setting, watched_dof=checked_dof))
 
@@ -706,7 +739,10 @@ class Structure(Coordinates):
         )
 
     def _plain_structure_with_changes(self, **changes: Any) -> Structure:
-        """Return a plain Structure with changed fields of the body."""
+        """Return a plain Structure with changed fields of the body.
+
+        Load, clearance and damping are the present ones. Rotation and cached results are dropped.
+        """
         copied_names = [
             body_field.name
             for body_field in fields(Body)
@@ -778,7 +814,11 @@ class Structure(Coordinates):
 
 
 def _is_mean_kept(load_weights: np.ndarray) -> bool:
-    """Return True if load weights leave the mean load alone."""
+    """Return True if load weights keep the mean load.
+
+    ``load_weights`` is a factor, 1 in this case, or a matrix (2K+1, 2K+1) for the load's rows. Its
+    first row and column must then be those of I.
+    """
     if load_weights.ndim == 0:
         return bool(load_weights == 1.0)
     return bool(
@@ -789,7 +829,7 @@ def _is_mean_kept(load_weights: np.ndarray) -> bool:
 
 
 def _add_tangents(structure: Structure) -> Structure:
-    """Return a structure with the mesh's tangential gaps, also at rest."""
+    """Return a structure with the mesh's tangential gaps, also in its structure at rest."""
     return _change_with_rotation(
         structure,
         lambda source: source._in_setting(
@@ -801,14 +841,17 @@ def _add_tangents(structure: Structure) -> Structure:
 def _make_empty_tangential_pairs_cache(
     structure: Structure,
 ) -> list[tuple[np.ndarray | None, Structure]]:
-    """Return an empty cache of :meth:`Structure.with_tangential_pairs`: direction and result."""
+    """Return an empty cache for the last (direction, result) of tangential pairs.
+
+    :meth:`Structure.with_tangential_pairs` fills it.
+    """
     return []
 
 
 def _add_tangential_pairs(structure: Structure, direction: np.ndarray | None) -> Structure:
-    """Return a structure with tangential gaps behind the normal ones in B.
+    """Return a structure with tangential gaps as pairs behind the normal ones.
 
-    ``direction`` is that of :meth:`Structure.with_tangential_pairs`.
+    ``direction`` (n_pairs,) [rad] is the angle of each pair's sliding line in a solid, else None.
     """
     tangential_gap_matrix: Any = structure.tangential
     if direction is not None:
@@ -827,6 +870,6 @@ def _add_tangential_pairs(structure: Structure, direction: np.ndarray | None) ->
 def _change_with_rotation(
     structure: Structure, change: Callable[[Structure], Structure]
 ) -> Structure:
-    """Change a structure, and with rotation also its structure at rest."""
+    """Apply ``change`` to a structure, and with rotation also to its structure at rest."""
     rotation = structure.rotation and structure.rotation.with_changed_rest_structure(change)
     return change(structure)._in_setting(DEFAULT_SETTING, rotation=rotation)

@@ -28,9 +28,9 @@ from fenics_crack.motion.shooting import FlowOrbitEquations
 from fenics_crack.numerics.equations import MAX_LOCATION_RESIDUAL
 
 MAX_SETTLED_CHANGE = 1e-3
-"""Maximum relative change of a settled motion, from one return to the next."""
+"""Maximum change of a settled motion's state from one return to the next, relative to the state."""
 MAX_GROWTH_PERIODS = 35
-"""Maximum periods over which the growth of a disturbance is measured."""
+"""Maximum number of periods over which the growth of a disturbance is measured."""
 IRREGULAR_TOTAL_GROWTH = 1e3
 """Minimum disturbance growth in an irregular motion, over the last two thirds of the periods. Next
 to a stable orbit the growth is at most the condition number of the multipliers' eigenvectors."""
@@ -50,11 +50,11 @@ class Attractor:
     periods : int
         Number of load periods that were integrated.
     orbits : FlowOrbitEquations
-        Flow, load frequency and period, as equations z(T) = z(0).
+        Flow, load frequency and period T, as equations z(T) = z(0) of the state z at phase zero.
     last : (flow.state_size,)
-        Last state, in the scaled unknowns x of ``orbits``.
+        Last state, in the scaled unknowns of ``orbits``.
     growth : float
-        Growth of a small disturbance in one period of an irregular motion; else nan.
+        Factor by which a small disturbance grows in a period of an irregular motion; else nan.
     """
 
     orbit: PeriodicOrbit | None
@@ -70,13 +70,14 @@ class Attractor:
     def amplitudes(self, dof: int | None = None) -> np.ndarray:
         """Return half the peak-to-peak displacement in each period: (n,) [m] (collective).
 
-        The n periods belong to the orbit. A motion that does not settle gets 100 further periods.
-        Each period is sampled at 512 instants if there are several.
+        A period is the period of ``orbits``. If the motion settles, n is the number of these
+        periods in the orbit's period; otherwise n = 100 further periods are integrated. With n > 1,
+        each period is sampled at 512 instants.
 
         Parameters
         ----------
         dof : int, optional
-            Default: the watched dof.
+            Number of a dof. Default: the watched dof.
 
         Raises
         ------
@@ -103,18 +104,25 @@ class Attractor:
 def find_attractor(
     orbit_equations: FlowOrbitEquations, start_unknown: np.ndarray, max_periods: int | None = None
 ) -> Attractor:
-    """Return the exact motion after many periods from a start.
+    """Integrate a motion until it settles to a stable periodic orbit.
 
-    The motion is integrated until it settles.
+    A motion settles if its state returns to 1e-3 after 1 to 8 periods, and Newton's method finds a
+    stable orbit near.
 
     Parameters
     ----------
     orbit_equations : FlowOrbitEquations
         Flow, load frequency and period.
     start_unknown : (flow.state_size,)
-        State at phase zero, in the scaled unknowns x of ``orbits``.
+        State at phase zero, in the scaled unknowns of ``orbit_equations``.
     max_periods : int, optional
-        Default: a quarter of ``SearchOptions.period_budget``, for any number of modes.
+        Maximum number of periods, at least 9. Default: 1000, a quarter of
+        ``SearchOptions.period_budget``.
+
+    Returns
+    -------
+    Attractor
+        Without an orbit if the motion does not settle.
     """
     max_periods = SearchOptions.period_budget // 4 if max_periods is None else max_periods
     max_periods = max(MAX_RETURN_PERIODS + 1, max_periods)
@@ -173,22 +181,26 @@ def find_attractor(
 def find_irregular_motion(
     flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int = 1
 ) -> Attractor | None:
-    """Return the motion from a state if a small disturbance of it grows.
+    """Return the motion from a state if a small disturbance grows.
 
     The disturbance v_i after i periods is followed from a random v_0: v_{i+1} = M_i v_i, with the
     derivative M_i of the flow over period i. The mean growth in a period is exp(lambda T), with the
-    first Lyapunov exponent lambda and the period T.
+    first Lyapunov exponent lambda and the period T. Up to 35 periods are integrated.
 
     Parameters
     ----------
+    omega : float
+        Load frequency [rad/s].
     state : (flow.state_size,)
         State of the motion at phase zero.
+    subharmonic : int
+        Number of load periods in a period T.
 
     Returns
     -------
     Attractor or None
-        The irregular motion with the growth. None if the disturbance grows less than a
-        thousandfold, or if the motion cannot be integrated.
+        The irregular motion with its growth. None if the disturbance grows less than a thousandfold
+        over the last two thirds of the integrated periods.
 
     Notes
     -----

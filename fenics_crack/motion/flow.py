@@ -49,14 +49,17 @@ from fenics_crack.numerics.fourier import fourier_basis_for
 
 @dataclass(frozen=True)
 class Budget:
-    """Limits on the work for integrating a motion.
+    """Limits on the work of integrating a motion.
+
+    Beyond a limit, the integration raises ConvergenceError.
 
     Attributes
     ----------
     allowed_pieces : int
-        Maximum pieces of the motion, each with a Taylor series.
+        Maximum number of Taylor pieces: parts of the motion with one Taylor series each.
     allowed_event_intervals : int
-        Maximum intervals between events: pairs open, close, stick or slip.
+        Maximum number of intervals between events. At an event, a pair opens, closes, sticks or
+        slips.
     """
 
     allowed_pieces: int = 100_000
@@ -64,14 +67,15 @@ class Budget:
 
 
 class BudgetError(ConvergenceError):
-    """A motion needs more Taylor pieces than its budget."""
+    """A motion needs more Taylor pieces than :class:`Budget` allows."""
 
 
 def exact_flow_or_none(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
-    """Return the exact flow of a structure, if there is one.
+    """Return the exact flow of a structure and a contact law, or None.
 
     None for a smooth law, for a large structure, and for rigid contact with a singular residual
-    flexibility.
+    flexibility, as on faces with mass. A structure is small enough with at most 600 dofs on one
+    rank, or reduced to modes and massless faces.
     """
     return (
         ContactFlow(structure, contact)
@@ -86,20 +90,20 @@ def exact_flow_or_error(structure: Structure, contact: ContactLaw) -> ContactFlo
     Raises
     ------
     InputError
-        There is no exact flow.
+        The law is smooth, the structure is too large, or rigid contact acts on faces with mass.
     """
     check_has_exact_flow(structure, contact)
     return ContactFlow(structure, contact)
 
 
 def check_has_exact_flow(structure: Structure, contact: ContactLaw) -> None:
-    """Raise InputError if a structure and a law lack an exact flow."""
+    """Raise InputError if a structure and a contact law have no exact flow."""
     if input_error := _exact_flow_input_error_or_none(structure, contact):
         raise input_error
 
 
 def _exact_flow_input_error_or_none(structure: Structure, contact: ContactLaw) -> InputError | None:
-    """Return why a structure and a contact law have no exact flow. None if they have one."""
+    """Return the error of a structure and a contact law without exact flow, else None."""
     check_law(structure, contact, allows_rigid=True)
     if not is_unilateral(contact):
         return InputError("contact", contact, "UnilateralPenalty or UnilateralConstraint")
@@ -121,32 +125,34 @@ class Flow:
     """Flow of a small structure: motion from a state under the structure's load.
 
     A state has ``state_size`` entries: modal displacements q and velocities q', with friction also
-    h for each pair. h is the tangential gap less the tangential spring's deformation, constant
-    while a pair sticks. Contact rows are the pairs' normal gaps; with friction tangential gaps
-    follow (n_rows = 2 n_pairs, else n_pairs).
+    the slider position h of each pair. h is the tangential gap less the tangential spring's
+    deformation, constant while a pair sticks. Contact rows are the pairs' normal gaps; with
+    friction tangential gaps follow (n_rows = 2 n_pairs, else n_pairs).
 
     Attributes
     ----------
     structure : Structure
+        Small structure (:func:`fenics_crack.model.modal.is_small`).
     contact : ContactLaw
+        Law of all its pairs.
     friction_law : CoulombFriction or None
-        Friction in the contact law.
+        The contact law if it has friction, else None.
     clearance : (n_rows,) [m]
-        g0 of the rows; 0 for tangents.
+        Clearance of each contact row; 0 for tangential rows.
     modal_model : AllModes
-        Moving modes; their gaps are those of the contact rows.
+        Modes with mass; ``modal_model.gaps_by_mode`` has a column for each contact row.
     n_modes, state_size : int
         Number of modes, and of entries in a state.
     residual_flexibility : (n_rows, n_rows) [m/N]
-        R_inf.
+        R_inf: gap change by unit contact forces through the massless coordinates; 0 without these.
     softness : (n_rows,) [m/N]
-        1 / kappa; 0 for rigid contact.
+        1 / kappa, compliance of the contact springs; 0 for rigid contact.
     compliance : (n_rows, n_rows) [m/N]
-        R_inf + I/kappa.
+        R_inf + diag(1 / kappa).
     modal_load : (2K+1, n_modes)
-        Load f of the modes: mean, then cosine and sine of each order up to K.
+        Load of the modes: mean, then cosine and sine part of each order up to K.
     load_gap : (2K+1, n_rows) [m]
-        Gaps l by the load at coordinates without mass, less the clearance.
+        Gaps by the load on massless coordinates, less the clearance; rows as in ``modal_load``.
     """
 
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
@@ -176,8 +182,9 @@ class Flow:
     ) -> np.ndarray:
         """Return the states (..., state_size) of displacements and velocities (..., n_dofs).
 
-        ``sticking_places`` (..., n_pairs) [m] are the sticking pairs' gaps h. Default: the
-        tangential gaps without contact forces.
+        With friction, ``sticking_places`` (..., n_pairs) [m] are the slider positions h: tangential
+        gaps less the deformation of the tangential springs. Default: the tangential gaps under the
+        mean load without contact forces.
         """
         dof_to_mode_matrix, n_pairs = self.modal_model.shapes_inverse.T, self.structure.n_pairs
         state_parts = [displacement @ dof_to_mode_matrix, velocity @ dof_to_mode_matrix]
@@ -202,12 +209,13 @@ class Flow:
         Parameters
         ----------
         states : (n, state_size)
+            States of the flow at n instants.
         force : (n, n_rows) [N]
-            Contact forces.
+            Contact forces at these instants, normal and with friction then tangential.
         phase : (n,) [rad]
-            Phases of the load.
+            Phases of the load at these instants.
         dofs : array or slice
-            Default: all dofs of the structure.
+            Numbers of dofs to return. Default: all.
         """
         return self.combine_displacement(
             states[:, : self.n_modes], force, fourier_basis_for(self.modal_load, phase), dofs
@@ -228,13 +236,15 @@ class Flow:
         Parameters
         ----------
         modal_displacement : (n, n_modes)
+            Amplitudes of the modes with mass.
         force : (n, n_rows) [N]
-            Contact forces.
+            Contact forces, normal and with friction then tangential.
         load_basis : (n, 2K+1)
             Basis functions of the load: 1, cosine and sine of each order.
         dofs : array or slice
+            Numbers of dofs to return. Default: all.
         rows : (m, n_dofs), optional
-            Factors; return products of rows with the displacement instead: (n, m).
+            Factors; return products of these rows with the displacement instead: (n, m).
         """
         modal_model = self.modal_model
 
@@ -271,7 +281,7 @@ class ContactFlow(Flow):
         self.rate_bound = _upper_bound_of_rates(
             float(np.linalg.eigvalsh(closed_stiffness_matrix)[-1]), modal_model.damping
         )
-        """Upper bound of oscillation and decay rates, for any set of closed pairs [1/s]."""
+        """Upper bound of all modes' oscillation and decay rates, for any closed pairs [1/s]."""
         self.open_rate_bound = _upper_bound_of_rates(
             float(modal_model.squares.max()), modal_model.damping
         )
@@ -294,16 +304,16 @@ class ContactFlow(Flow):
         self.handle = attach_destructor(
             kernel.new_flow(flow_parts_struct.address), kernel.free_flow
         )
-        """The kernel's flow."""
+        """Flow object in the C kernel, freed together with this one."""
         self._track_buffer_length = 0
 
     @cached_property
     def critical_friction_coefficient(self) -> float:
         """Return the smallest friction coefficient without unique contact forces.
 
-        The matrix A(mu) from forces to gaps is then singular, on closed pairs' normals and stuck
-        pairs' tangents. Roots mu are sought in 400 random states of the pairs; without a root the
-        result is infinite. With the rows D_rows of the compliance R_inf + I/kappa,
+        The matrix A(mu) from contact forces to gaps is then singular, on closed pairs' normal rows
+        and stuck pairs' tangential rows. Roots mu are sought in 400 random states of the pairs;
+        without a root the result is infinite. With these rows D_rows of ``compliance``,
 
             A = D_rows (E_0 + mu E_1).
 
@@ -333,7 +343,8 @@ class ContactFlow(Flow):
     def rest_state(self) -> np.ndarray:
         """Return the state of rest under the mean load: (state_size,).
 
-        The state has no rigid-body motion, and no tangential forces.
+        Normal contact forces are in equilibrium. Rigid-body displacement and tangential forces are
+        zero.
         """
         modal_model, n_pairs = self.modal_model, self.structure.n_pairs
         mode_flexibilities = np.zeros_like(modal_model.squares)
@@ -369,9 +380,9 @@ class ContactFlow(Flow):
         return np.concatenate(state_parts)
 
     def estimate_taylor_pieces(self, duration: float) -> float:
-        """Return the number of Taylor pieces in a motion without events.
+        """Return the number of Taylor pieces in a motion of ``duration`` [s] without events.
 
-        The motion lasts ``duration`` [s].
+        A piece is as long as the fastest possible mode takes to turn by 10 rad.
         """
         return float(self.rate_bound * duration / kernel.MAX_PIECE_ANGLE)
 
@@ -379,7 +390,8 @@ class ContactFlow(Flow):
         """Return the weights w of a state z for the energy norm |w z|: (state_size,).
 
         Velocities have weight 1, and modal displacements the mode's frequency [rad/s], at least
-        ``base_omega``.
+        ``base_omega``. With friction, slider positions have the root of the stiffness of a single
+        sticking pair.
         """
         energy_weights = np.ones(self.state_size)
         np.sqrt(
@@ -393,8 +405,9 @@ class ContactFlow(Flow):
     def amplitude_weights(self, base_omega: float) -> np.ndarray:
         """Return the weights w of a state z for the amplitude norm |w z|: (state_size,).
 
-        Energy weights are divided by the mode's frequency, at least ``base_omega``, so modal
-        displacements have weight 1. For h the divisor is the first mode's.
+        Energy weights are divided by the mode's frequency [rad/s], at least ``base_omega``, so
+        modal displacements have weight 1. For slider positions, with friction, the divisor is the
+        first mode's frequency.
         """
         weights = self.energy_weights(base_omega)
         mode_rates = weights[: self.n_modes]
@@ -416,18 +429,20 @@ class ContactFlow(Flow):
         Parameters
         ----------
         state : (state_size,)
+            State at the start.
         omega : float
             Load frequency [rad/s].
         duration, start : float [s]
             Length of the motion, and time at its start: the load's phase is ``omega`` times time.
         instants : (n,) [s], optional
-            Ascending times of samples, between start and end.
+            Ascending times of samples, between start and end. Default: no samples.
         budget : Budget, optional
+            Default: 100,000 Taylor pieces and 20,000 intervals between events.
 
         Raises
         ------
         ConvergenceError
-            The motion exceeds its budget, or is not finite.
+            The motion exceeds its budget or is not finite, or contact forces are not unique.
         """
         end_state = np.array(state, dtype=float).reshape(self.state_size)
         instants = np.zeros(0) if instants is None else as_doubles(instants)
@@ -462,6 +477,8 @@ class ContactFlow(Flow):
         ----------
         states : (n, state_size)
             States at the starts of the parts; the first part begins at time zero.
+        omega, period : float
+            Load frequency [rad/s], and length of the period [s].
 
         Returns
         -------
@@ -491,10 +508,10 @@ class ContactFlow(Flow):
     def _make_motion_struct_and_track_copier(
         self, budget: Budget | None, **members: Any
     ) -> tuple[Struct, Callable[[int], dict[str, np.ndarray]]]:
-        """Return the C struct ``flow_motion``, and a function to copy the track.
+        """Return the kernel's struct ``flow_motion``, and a function to copy the track.
 
-        The function takes the number of intervals between events, and returns a :class:`Track`'s
-        arrays by name.
+        ``members`` are further fields of the struct by name. The function takes the number of
+        intervals between events, and returns a :class:`Track`'s arrays by name.
         """
         budget = budget or Budget()
         if self._track_buffer_length < budget.allowed_event_intervals:
@@ -539,10 +556,10 @@ class Track:
         States of the pairs: 0 open, 1 closed; with friction 1 sticking, 2 and 3 slipping.
     lengths : (n,) [s]
         Durations of the intervals.
-    causes, is_first, ratios : (n,)
-        With friction, the ends of intervals. ``causes``: index of the force or gap function at zero
-        (-1: none); ``is_first``: 1 for the first zero at an instant; ``ratios``: ratio of rates
-        (``kernel/flow.h``).
+    causes, is_first, ratios : (n,) or None
+        Ends of intervals with friction; None without. ``causes``: index of the force or gap
+        function at zero (-1: none). ``is_first``: 1 for the first zero at an instant. ``ratios``:
+        rate of the pair's tangential gap over the rate of this function (``kernel/flow.h``).
     """
 
     flow: ContactFlow
@@ -557,7 +574,8 @@ class Track:
     def mean_time_share(self, is_selected: np.ndarray) -> float:
         """Return the fraction of time in which pairs are in selected states.
 
-        ``is_selected`` is (n, n_pairs) bool. The result is the mean over the pairs.
+        ``is_selected`` (n, n_pairs) is True for selected states in each interval. The result is the
+        mean over the pairs.
         """
         return float(self.lengths @ is_selected.mean(axis=1) / self.lengths.sum())
 
@@ -579,15 +597,16 @@ class Track:
     def derivative_by_softness(
         self, start_state: np.ndarray, softness_rate: np.ndarray
     ) -> np.ndarray:
-        """Return the derivative of the end state by a structural parameter: (state_size,).
+        """Return the derivative of the end state by a stiffness parameter: (state_size,).
 
         The state at the start does not change with the parameter.
 
         Parameters
         ----------
         start_state : (state_size,)
+            State at the start of the track.
         softness_rate : (n_rows,)
-            Derivative of 1 / kappa of each contact row by the parameter.
+            Derivative by the parameter of each contact spring's compliance 1 / kappa [m/N].
         """
         end_state_derivative = np.empty(self.flow.state_size)
         checked_softness_rate = require_shape(softness_rate, *self.flow.softness.shape)
@@ -599,7 +618,10 @@ class Track:
         return end_state_derivative
 
     def __matmul__(self, start_change: np.ndarray) -> np.ndarray:
-        """Return the end state's change for a change (state_size,) of the start state."""
+        """Return the end state's change for a small change (state_size,) of the start state.
+
+        The change is multiplied by the flow's derivative over the track, without forming it.
+        """
         interval_counts = np.array([len(self.lengths)], dtype=np.intc)
         return np.asarray(
             self.carry_changes(start_change, np.zeros((1, self.flow.state_size)), interval_counts)[
@@ -625,7 +647,7 @@ class Track:
 
         Returns
         -------
-        (n + 1, size)
+        (n + 1, state_size)
             d at the start of each part, and at the end.
         """
         state_changes = np.empty((len(interval_counts) + 1, self.flow.state_size))
@@ -641,15 +663,19 @@ class Track:
 
 @dataclass(frozen=True)
 class Samples:
-    """A motion at instants.
+    """A motion at n instants.
 
     Attributes
     ----------
+    flow : ContactFlow
+    omega : float
+        Load frequency [rad/s].
     time : (n,) [s]
+        Instants; the phase of the load is ``omega`` times time.
     states : (n, 2 n_modes)
-        q and q'.
+        Modal displacements q and velocities q'.
     pair_states : (n, n_pairs) int
-        States of the pairs as in :class:`Track`.
+        States of the pairs: 0 open, 1 closed; with friction 1 sticking, 2 and 3 slipping.
     """
 
     flow: ContactFlow
@@ -663,19 +689,25 @@ class Samples:
 
     @property
     def is_closed(self) -> np.ndarray:
-        """Return True for closed pairs: (n, n_pairs) bool."""
+        """Return True for closed pairs at each instant: (n, n_pairs) bool."""
         return self.pair_states > 0
 
     @cached_property
     def forces(self) -> np.ndarray:
-        """Return normal contact forces, with friction then friction forces: (n, n_rows) [N]."""
+        """Return contact forces: (n, n_rows) [N].
+
+        Normal forces come first. With friction, friction forces follow (n_rows = 2 n_pairs).
+        """
         if self.flow.friction_law:
             return self.forces_and_openings[:, : len(self.flow.softness)]
         return np.where(self.is_closed, np.maximum(self.forces_and_openings, 0.0), 0.0)
 
     @cached_property
     def gaps(self) -> np.ndarray:
-        """Return normal gaps, with friction then tangential gaps: (n, n_rows) [m]."""
+        """Return gaps, positive for penetration: (n, n_rows) [m].
+
+        Normal gaps come first. With friction, tangential gaps follow (n_rows = 2 n_pairs).
+        """
         spring_gaps = self.forces * self.flow.softness
         if self.flow.friction_law:
             return self.forces_and_openings[:, len(self.flow.softness) :] + spring_gaps
@@ -683,15 +715,19 @@ class Samples:
 
     @property
     def sticking_places(self) -> np.ndarray:
-        """Return tangential gaps h of sticking pairs: (n, n_pairs) [m].
+        """Return the slider positions h of friction: (n, n_pairs) [m].
 
-        If a pair does not stick, h follows the motion. Without friction: (n, 0).
+        h is the tangential gap less the tangential spring's deformation, and is constant while the
+        pair sticks. Without friction: (n, 0).
         """
         return self.forces_and_openings[:, len(self.flow.softness) + self.flow.structure.n_pairs :]
 
     @property
     def whole_states(self) -> np.ndarray:
-        """Return the flow's states: q, q' and, with friction, h of all pairs: (n, state_size)."""
+        """Return the flow's states at the instants: (n, state_size).
+
+        Modal displacements and velocities, and with friction the slider positions of all pairs.
+        """
         return np.hstack([self.states, self.sticking_places])
 
     @property
@@ -717,7 +753,7 @@ class Samples:
 
 
 class IntegratedMotion(NamedTuple):
-    """A motion that has been integrated.
+    """Result of integrating a motion.
 
     Attributes
     ----------
@@ -726,7 +762,9 @@ class IntegratedMotion(NamedTuple):
     n_events, n_taylor_pieces : int
         Number of events (a pair opens, closes, sticks or slips), and of Taylor pieces.
     track : Track
+        States of the pairs between events.
     samples : Samples
+        Motion at the requested instants.
     """
 
     state: np.ndarray
@@ -740,7 +778,7 @@ def _upper_bound_of_rates(max_square: float, damping: np.ndarray) -> float:
     """Return an upper bound of oscillation and decay rates [1/s].
 
     Roots s of s^2 + c s + k = 0 have no larger |s| for all k <= ``max_square`` [1/s^2] and all
-    Rayleigh quotients c of the damping [1/s].
+    Rayleigh quotients c of ``damping`` [1/s], a matrix (n, n) or its diagonal (n,).
     """
     max_damping_rate = float(np.linalg.norm(damping, 2 if damping.ndim == 2 else np.inf))
     if damping.ndim == 2 and not np.allclose(damping, damping.T):  # c is complex
@@ -751,8 +789,9 @@ def _upper_bound_of_rates(max_square: float, damping: np.ndarray) -> float:
 
 
 def _check_integration_outcome(outcome: int, n_events: int) -> None:
-    """Raise the error for a failure code of the kernel's integration.
+    """Raise the error for a failure code ``outcome`` of the kernel's integration.
 
+    BudgetError: too many Taylor pieces. ConvergenceError: too many intervals, or no finite motion.
     ``n_events`` is the number of events before the failure, for the message.
     """
     if outcome == kernel.FLOW_DONE:

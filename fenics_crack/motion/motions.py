@@ -46,8 +46,8 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.extremes import RecordFunction, find_maximum_values
 
 SLIP_FORCE_RATIO = 1.0 - 1e-6
-"""Minimum friction force of a slipping pair, over the friction limit. Orbits are accurate to
-1e-6."""
+"""Minimum friction force of a slipping pair, over the limit mu times the normal force. Orbits are
+accurate to 1e-6."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -97,9 +97,9 @@ class Indicators(Observables, Tabular):
     frequency = hertz_property()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return numbers by name, or columns along a curve.
+        """Return the indicators by name: numbers, or columns along a curve.
 
-        Friction indicators are included if any is known.
+        Friction indicators that are nan everywhere are left out.
         """
         columns_by_name = {
             indicator_field.name: np.asarray(getattr(self, indicator_field.name))
@@ -123,10 +123,10 @@ class Indicators(Observables, Tabular):
 
 @dataclass(frozen=True)
 class Record:
-    """A motion over its period, or over several load periods.
+    """A motion over its period, or over several load periods, at n instants.
 
-    Contents: m products of rows of factors with the displacement, and the crack faces' gaps and
-    contact forces.
+    A record has m observed displacements, and the crack faces' gaps and contact forces. Each
+    observed displacement is the product of a row of factors with all dofs.
 
     Attributes
     ----------
@@ -137,7 +137,7 @@ class Record:
     time : (n,) [s]
         Equally spaced.
     coefficients : (2H+1, m)
-        Fourier coefficients of the products over the period, or over the last period.
+        Fourier coefficients a0, a1, b1, ... of the products over the (last) period.
     row_products : (n, m)
         Products at the n instants. For a row that selects a dof: its displacement [m].
     gaps, forces : (n, n_rows) [m], [N]
@@ -145,9 +145,10 @@ class Record:
     structure : Structure
         Structure at the parameter of the curve.
     friction_coefficient : float or (n_pairs,), optional
+        mu; None without friction.
     evaluate_at_period_fractions : callable, optional
-        Callable from positions in the period, 0 to 1, to products, gaps and forces. Extremes are
-        then exact to rounding.
+        Function from positions in the period, 0 to 1, to products, gaps and forces. Extremes are
+        then exact to rounding. None: extremes are interpolated between instants.
     instants_per_load_period : int
         Instants in a load period, for a record of several periods; 0 for a periodic motion.
     exact_number_by_name : dict of str to float
@@ -180,12 +181,15 @@ class Record:
     def n_pairs(self) -> int:
         """Return the number of contact pairs in the record.
 
-        0 if the record has no gaps because the crack faces' numbers are known already.
+        0 if ``gaps`` has no columns, because the crack faces' numbers are known already.
         """
         return self.gaps.shape[1] // (1 if self.friction_coefficient is None else 2)
 
     def last_periods(self, periods: int) -> Record:
-        """Return the record of the last load periods, if it has several."""
+        """Cut the record to the last load periods.
+
+        The record of a periodic motion is returned unchanged.
+        """
         if not self.instants_per_load_period:
             return self
         last_instants_slice = slice(-periods * self.instants_per_load_period, None)
@@ -199,7 +203,7 @@ class Record:
         )
 
     def select_rows(self, rows: slice) -> Record:
-        """Return the record with some of its m products of rows with the displacement."""
+        """Keep a slice of the m observed displacements in the record."""
         evaluate_all = self.evaluate_at_period_fractions
         evaluate = evaluate_all and (
             lambda period_fractions: (
@@ -216,7 +220,10 @@ class Record:
 
     @cached_property
     def is_pair_in_crack(self) -> np.ndarray:
-        """Return True for the pairs of each crack: (n_pairs, n_cracks)."""
+        """Return True for the pairs of each crack: (n_pairs, n_cracks) bool.
+
+        Without a mesh, all pairs belong to a single crack.
+        """
         cracks = self.structure.pairs.cracks
         crack_of_pair = np.zeros(self.n_pairs, dtype=int) if cracks is None else cracks
         return crack_of_pair[:, None] == np.unique(crack_of_pair)
@@ -225,9 +232,9 @@ class Record:
     def row_and_face_maxima(self) -> np.ndarray:
         """Return the maxima over time in the record: (2 m,) or (2 m + 4,).
 
-        First the maxima of the m products of rows with the displacement, then of the negative
-        products. With contact pairs four maxima follow: opening, penetration [m], contact force of
-        a pair and of a crack [N].
+        First the maxima of the m observed displacements, then of their negatives. With contact
+        pairs four maxima follow: opening, penetration [m], contact force of a pair and of a crack
+        [N].
         """
         n_pairs = self.n_pairs
         evaluate = self.evaluate_at_period_fractions
@@ -255,18 +262,24 @@ class Record:
 
 
 class Harmonics:
-    """Harmonics of a displacement.
+    """Harmonics of an observed displacement.
 
     U_j is the amplitude at j times the load's frequency.
 
-    Attributes
+    Parameters
     ----------
     coefficients : (2H+1,) [m]
-        Fourier coefficients of the displacement.
+        Fourier coefficients a0, a1, b1, ... over the motion's period.
+    subharmonic : int
+        Number of load periods in the motion's period.
+
+    Attributes
+    ----------
     mean, amplitude_at_load_frequency : float [m]
-        a0 and U_1; nan if U_1 is 0.
+        a0, and U_1 (nan if 0).
     largest_order, ratio_largest : float
-        Order k of the largest harmonic above the load's, and U_k / U_1.
+        Order k of the largest harmonic above the load's, and U_k / U_1. Both are nan without such a
+        harmonic; the order also if U_k is below 1e-12 of the largest coefficient.
     """
 
     def __init__(self, coefficients: np.ndarray, subharmonic: int) -> None:
@@ -290,24 +303,27 @@ class Harmonics:
     def harmonic(self, multiple: float) -> float:
         """Return the amplitude U_j [m] at j = ``multiple`` times the load's frequency.
 
-        Without this harmonic: nan.
+        nan if the motion has no such harmonic, or too few harmonics.
         """
         order = multiple * self._subharmonic
         has_harmonic = order == int(order) and order <= len(self._amplitudes)
         return float(self._amplitudes[int(order) - 1]) if has_harmonic else math.nan
 
     def ratio(self, multiple: float) -> float:
-        """Return U_j / U_1, relative to the amplitude at the load's frequency."""
+        """Return U_j / U_1, with j = ``multiple``; nan without either.
+
+        U_1 is the amplitude at the load's frequency, U_j at j times this frequency.
+        """
         return self.harmonic(multiple) / self.amplitude_at_load_frequency
 
 
 class PointDisplacement(Harmonics):
-    """Displacement of a point: a product in a record.
+    """An observed displacement of a record, with index ``row``.
 
     Attributes
     ----------
     displacement : (n,) [m]
-        At the instants of the record.
+        Values at the record's instants.
     amplitude : float [m]
         Half the peak-to-peak displacement.
     """
@@ -326,12 +342,15 @@ class CrackFaces:
     Attributes
     ----------
     gap, force : (n, n_pairs) [m], [N]
+        Normal gaps and contact forces.
     gap_and_force_maxima : (4,)
         Largest opening and penetration [m], largest contact force of a pair and of a crack [N].
     is_slipping_at_instants, is_sticking_at_instants : (n, n_pairs) bool
         With friction: True if a pair slips or sticks, in the last load period.
     losses : (n_pairs,) [J]
-        With friction: loss in the last load period.
+        With friction: energy lost in the last load period.
+
+    A periodic motion counts as a whole, with all load periods.
     """
 
     def __init__(self, record: Record) -> None:
@@ -352,9 +371,12 @@ def is_slipping(
 ) -> np.ndarray:
     """Return True for slipping pairs: (n, n_pairs) bool.
 
+    A closed pair slips if the friction force reaches mu times the normal force, less 1e-6.
+
     Parameters
     ----------
     friction_coefficient : float or (n_pairs,)
+        mu.
     normal_force, friction_force : (n, n_pairs) [N]
     """
     return np.asarray(
@@ -364,7 +386,7 @@ def is_slipping(
 
 
 def friction_losses(tangential_gap: np.ndarray, friction_force: np.ndarray) -> np.ndarray:
-    """Return the energy lost by friction of each pair in a period: (n_pairs,) [J].
+    """Return the energy lost by friction at each pair in a period: (n_pairs,) [J].
 
     The trapezoidal rule integrates friction force times the rate of the tangential gap.
 
@@ -380,10 +402,10 @@ def friction_losses(tangential_gap: np.ndarray, friction_force: np.ndarray) -> n
 
 
 def dof_selection_rows(structure: Structure, dofs: Sequence[int | None]) -> np.ndarray:
-    """Return the rows that select displacements of dofs: (m, n_local) (collective).
+    """Return rows (m, n_local) of factors that pick displacements at dofs (collective).
 
-    Rows multiply the coordinates of the structure, and products are summed over ranks. Dofs belong
-    to the whole structure.
+    A row times the coordinates of the structure, summed over ranks, is the displacement at a dof.
+    ``dofs`` are m numbers in the whole structure; None stands for the watched dof.
     """
     if not dofs:
         return np.zeros((0, structure.n_local))
@@ -412,13 +434,14 @@ class ExtraRows(NamedTuple):
 
 
 class ObservedDisplacement(NamedTuple):
-    """An observed displacement.
+    """Result of observing a displacement.
 
     Attributes
     ----------
     indicators : Indicators
+        Crack indicators from this displacement.
     real_fourier_coefficients : (2H+1,) [m], or (n, 2H+1) along a curve
-        Rows a0, a1, b1, ....
+        Coefficients a0, a1, b1, ....
     """
 
     indicators: Indicators
@@ -432,7 +455,10 @@ class ObservedDisplacement(NamedTuple):
     records="yield_records_of_row_products",
 )
 class ObservedMotion:
-    """A motion, or many along a curve, with numbers from its records."""
+    """Base of solutions, orbits, time histories and curves, with numbers from records.
+
+    A subclass defines ``records``.
+    """
 
     structure: Structure
 
@@ -468,9 +494,10 @@ class ObservedMotion:
 
     @property
     def face_indicators(self) -> dict[str, Any]:
-        """Return openings, forces and shares of the crack faces by name (collective).
+        """Return openings, forces and shares at the crack faces by name (collective).
 
-        Names follow :class:`Indicators`. Numbers that are nan everywhere are left out.
+        Names follow :class:`Indicators`; a curve has arrays (n,). Numbers that are nan everywhere
+        are left out.
         """
         if not self._face_number_dicts:
             self.observe_rows(np.zeros((0, self.structure.n_local)))
@@ -486,9 +513,16 @@ class ObservedMotion:
     def observe_dofs(
         self, dofs: Sequence[int | None], places: Sequence[ExtraRows] = ()
     ) -> tuple[list[ObservedDisplacement], dict[str, Any]]:
-        """Observe displacements of dofs and numbers at places (collective).
+        """Observe displacements at dofs, and further numbers from extra rows (collective).
 
-        The motion is formed once for everything new.
+        The motion is formed once for all dofs that were not observed before, and for all rows.
+
+        Parameters
+        ----------
+        dofs : sequence of int or None
+            Numbers of dofs; None stands for the watched dof.
+        places : sequence of ExtraRows
+            Rows to observe, with functions from their record to numbers.
 
         Returns
         -------
@@ -519,13 +553,14 @@ class ObservedMotion:
     def observe_rows(
         self, rows: np.ndarray, places: Sequence[ExtraRows] = ()
     ) -> tuple[list[ObservedDisplacement], dict[str, Any]]:
-        """Observe products of rows and numbers at places in one pass (collective).
+        """Observe products of rows with the displacement in one pass (collective).
 
         Parameters
         ----------
         rows : (m, n_local)
             Factors of the displacement.
         places : sequence of ExtraRows
+            Further rows, with functions from their record to numbers.
 
         Returns
         -------
@@ -578,7 +613,10 @@ class ObservedMotion:
     def _gather_over_curve_points_by_name(
         self, dicts_of_numbers_by_name: Sequence[Mapping[str, float]]
     ) -> dict[str, Any]:
-        """Gather each named number over all records: a float, on a curve (n,)."""
+        """Gather each named number over all records: a float, or on a curve (n,).
+
+        The dictionaries have the same names, one dictionary for each record.
+        """
         return {
             name: self._gather_over_curve_points(
                 [number_by_name[name] for number_by_name in dicts_of_numbers_by_name]
@@ -598,7 +636,10 @@ class ObservedMotion:
 
     @cached_property
     def _face_number_dicts(self) -> list[dict[str, float]]:
-        """Return what :meth:`face_indicators` has of each record, observed at the first request."""
+        """Return the crack faces' numbers by name, one dictionary for each record.
+
+        The list is empty before the first observation.
+        """
         return []
 
 

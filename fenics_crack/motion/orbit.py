@@ -65,22 +65,23 @@ from fenics_crack.numerics.fourier import fourier_basis_for, fourier_coefficient
 from fenics_crack.numerics.newton import FORCING_TERM, change_relative_to_motion, gmres
 
 MAX_SEARCH_PERIODS = 20
-"""Maximum periods that a search integrates."""
+"""Maximum number of periods that Newton's method integrates in one search for an orbit."""
 MIN_NEWTON_DAMPING = 1e-3
-"""Minimum damping factor of a Newton step."""
+"""Minimum factor by which a Newton step is shortened; the search ends below."""
 MAX_SEARCH_PIECES = 20_000
-"""Maximum Taylor pieces of a search: about a second, with many pairs. If M is formed and a period
-of a slow load has many pieces, the maximum is larger."""
+"""Maximum Taylor pieces in a search: about a second, with many pairs. With up to 120 modes the
+maximum is larger if 20 periods without events need more, unless the load is too slow."""
 MAX_MODES_FOR_MONODROMY = 120
-"""Maximum modes with a formed M."""
+"""Maximum modes for which the monodromy matrix M is formed; more modes use GMRES."""
 MAX_GMRES_PRODUCTS = 60
-"""Maximum products with M in a solution by GMRES."""
+"""Maximum products with the monodromy matrix in a solution by GMRES."""
 COMPARED_STEP_GMRES_TOLERANCE = 0.25
-"""Relative residual of GMRES for a step that is only compared with another step."""
+"""Relative residual of GMRES for a Newton step whose length alone is needed, as a test."""
 MULTIPLIER_TOLERANCE = 1e-6
-"""Accuracy of Floquet multipliers. A smaller ||mu| - 1| is inconclusive."""
+"""Accuracy of Floquet multipliers mu. A smaller distance ||mu| - 1| does not tell the stability.
+Orbits must also close to this relative accuracy."""
 INSTANTS_PER_BLOCK = 2048
-"""Instants with sines and cosines in memory together."""
+"""Number of instants with sines and cosines in memory together."""
 INSTANTS_PER_PERIOD = 512
 """Instants per period in the samples of an orbit."""
 OBSERVED_HARMONICS = 40
@@ -90,12 +91,12 @@ OBSERVED_HARMONICS = 40
 
 
 IMinusMSolver = Callable[[np.ndarray, float], np.ndarray]
-"""Callable from b and a relative residual to (I - M)^-1 b, with the monodromy matrix M. If M is
-formed the solution is exact."""
+"""Function from a vector b and a relative residual to (I - M)^-1 b, with the monodromy matrix M. If
+M is formed, the solution is exact and the residual has no effect."""
 
 
 class Prediction(NamedTuple):
-    """Result of a Newton step from a solution's states Z to Z + d.
+    """Result of one Newton step from a solution's states Z to Z + d, towards an orbit.
 
     Attributes
     ----------
@@ -141,9 +142,9 @@ class PeriodicOrbit(ObservedMotion, Described):
         Motion over the period.
     state : (flow.state_size,)
         State z at phase zero of the load: modal displacements q and velocities q', with friction
-        also the sticking pairs' tangential gaps h.
+        also the pairs' slider positions h.
     flows : int
-        Number of periods integrated in the search.
+        Number of periods integrated by Newton's method.
     """
 
     flow: ContactFlow
@@ -172,7 +173,10 @@ class PeriodicOrbit(ObservedMotion, Described):
 
     @property
     def monodromy(self) -> np.ndarray:
-        """Return the monodromy matrix M = dz(T) / dz(0): (flow.state_size, flow.state_size)."""
+        """Return the monodromy matrix M = dz(T) / dz(0): (flow.state_size, flow.state_size).
+
+        z is the state, and T the period.
+        """
         return self.motion.track.derivative_of_end_state
 
     @cached_property
@@ -184,32 +188,36 @@ class PeriodicOrbit(ObservedMotion, Described):
     def residual(self) -> float:
         """Return the state's relative change in a period, ``|z(T) - z(0)| / |z(0)|``.
 
-        The norm is the energy norm.
+        The norm is the energy norm; z is the state and T the period. Without motion, the change is
+        absolute.
         """
         state_change = self.motion.state - self.state
         return self.energy_norm(state_change) / (self.energy_norm(self.state) or 1.0)
 
     def energy_norm(self, state_change: np.ndarray) -> float:
-        """Return the energy norm of a state's change (flow.state_size,)."""
+        """Return the energy norm of a state's change (flow.state_size,).
+
+        The square is about twice the kinetic and elastic energy in the change.
+        """
         return float(
             np.linalg.norm(self.flow.energy_weights(self.omega / self.subharmonic) * state_change)
         )
 
     @cached_property
     def i_minus_m_solver(self) -> IMinusMSolver:
-        """Return the function b to (I - M)^-1 b.
+        """Return the function from b to (I - M)^-1 b, with the monodromy matrix M.
 
-        M is the monodromy matrix. Raises LinAlgError if I - M is singular.
+        Raises LinAlgError if I - M is singular.
         """
         energy_weights = self.flow.energy_weights(self.omega / self.subharmonic)
         return _make_i_minus_m_solver(self.flow, self.motion.track, energy_weights)
 
     def samples(self, time: np.ndarray) -> Samples:
-        """Return the motion at ascending times of the period [s]."""
+        """Return the motion at ascending times [s] between 0 and the period."""
         return self.flow.advance(self.state, self.omega, self.period, instants=time).samples
 
     def _samples_array_at(self, time: np.ndarray, samples_attribute: str) -> np.ndarray:
-        """Return an array of :class:`Samples`, by the attribute's name, at any times [s]."""
+        """Return an attribute of :class:`Samples`, by name, at any times [s]: (len(time), ...)."""
         sample_times, sample_index_of_time = np.unique(
             np.mod(time, self.period), return_inverse=True
         )
@@ -268,9 +276,16 @@ class PeriodicOrbit(ObservedMotion, Described):
     ) -> Iterator[Record]:
         """Yield the record of the motion over a period.
 
-        ``rows`` (m, n_dofs) are factors of the displacement. Between instants the motion is, on
-        each piece of the period, the polynomial through Gauss nodes. With a given number of
-        ``instants`` (default: 512) the record has no exact duty cycles and friction loss.
+        Between instants the motion is, on each piece of the period, the polynomial through Gauss
+        nodes.
+
+        Parameters
+        ----------
+        rows : (m, n_dofs)
+            Factors of the displacement.
+        instants : int, optional
+            Number of instants. Default: 512, and the record also has the exact closed, stick and
+            slip shares and the friction loss.
         """
         gauss_samples, piece_lengths = self._gauss_samples_and_lengths(
             len(self.flow.modal_load) // 2 * self.omega
@@ -322,7 +337,8 @@ class PeriodicOrbit(ObservedMotion, Described):
     def coefficients(self, harmonics: int) -> RealFourierCoefficients:
         """Return Fourier coefficients of gaps, contact forces and displacements.
 
-        Gauss quadrature integrates each piece of the period. Within a piece no pair changes state.
+        ``harmonics`` is the highest order H, relative to the period. Gauss quadrature integrates
+        each piece of the period. Within a piece no pair changes state.
         """
         gauss_samples = self._gauss_samples_and_lengths(harmonics * self.omega / self.subharmonic)[
             0
@@ -351,7 +367,7 @@ class PeriodicOrbit(ObservedMotion, Described):
     def product_coefficients(self, rows: np.ndarray, harmonics: int) -> np.ndarray:
         """Return Fourier coefficients of rows times the displacement: (2H+1, m).
 
-        ``rows`` (m, n_dofs) are factors of the displacement.
+        ``rows`` (m, n_dofs) are factors of the displacement, and ``harmonics`` is H.
         """
         gauss_samples = self._gauss_samples_and_lengths(harmonics * self.omega / self.subharmonic)[
             0
@@ -387,13 +403,14 @@ class PeriodicOrbit(ObservedMotion, Described):
         """Return the motion at Gauss nodes in all pieces of the period.
 
         Within a piece no pair opens, closes, sticks or slips, and waves up to ``max_wave_omega``
-        [rad/s] turn by a small angle. The samples for the highest frequency so far are kept.
+        [rad/s] turn by at most 10 rad. The samples for the highest frequency so far are kept.
 
         Returns
         -------
         samples : Samples
             Motion at all nodes, in order of time.
         piece_lengths : (n_pieces,) [s]
+            Durations of the pieces; each has 20 nodes.
         """
         if not self._gauss_sample_cache or self._gauss_sample_cache[-1][0] < max_wave_omega:
             track, flow = self.motion.track, self.flow
@@ -415,15 +432,18 @@ class PeriodicOrbit(ObservedMotion, Described):
 
     @cached_property
     def _gauss_sample_cache(self) -> list[tuple[float, Samples, np.ndarray]]:
-        """Return a list with the last (highest frequency [rad/s], samples, piece lengths [s])."""
+        """Return the cache for samples at Gauss nodes, empty at first.
+
+        Its only entry is (highest frequency [rad/s], samples, piece lengths [s]).
+        """
         return []
 
     @cached_property
     def work(self) -> Work:
         """Return the work of load, damping and friction in the period.
 
-        It is exact: Gauss quadrature on each piece, with derivatives of the polynomials through the
-        nodes.
+        Gauss quadrature on each piece, with derivatives of the polynomials through the nodes, is
+        exact to rounding.
         """
         flow = self.flow
         gauss_samples, piece_lengths = self._gauss_samples_and_lengths(
@@ -482,7 +502,7 @@ class PeriodicOrbit(ObservedMotion, Described):
     def stuck(self) -> np.ndarray:
         """Return the indices (k,) of pairs that always stick; none without friction.
 
-        Tangential gaps of these pairs follow from earlier motion, not from the orbit, and have no
+        Slider positions of these pairs follow from earlier motion, not from the orbit. They have no
         part in the multipliers.
         """
         pair_states = self.motion.track.sets
@@ -494,7 +514,11 @@ class PeriodicOrbit(ObservedMotion, Described):
     # --- shown ------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """Return multiplier, gap extremes [m], events, residual and iterations by name."""
+        """Return the numbers of the orbit by name.
+
+        These are the largest multiplier's modulus, opening and penetration [m] (0 without pairs),
+        and the numbers of events and iterations. The residual is relative.
+        """
         face_number_by_name = {"opening": 0.0, "penetration": 0.0} | self.face_indicators
         return {
             "multiplier": float(abs(self.multipliers[0])),
@@ -534,13 +558,14 @@ class Work(NamedTuple):
 
 @lru_cache
 def gauss_legendre_rule() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the Gauss rule for a piece of the period.
+    """Return the Gauss rule for a piece of the period, with n = 20 nodes.
 
     Returns
     -------
     nodes : (n,)
         Positions in the piece, from -1 to 1.
     gauss_weights : (n,)
+        Weights with the sum 2.
     differentiation : (n, n)
         Matrix from values at the nodes to derivatives at the nodes.
     """
@@ -563,7 +588,9 @@ class RealFourierCoefficients(NamedTuple):
     gap : (2H+1, n_rows) [m]
         Gaps of all rows; with friction tangential gaps follow the normal gaps.
     force : (2H+1, n_rows) [N]
+        Contact forces in the same order.
     displacement : (2H+1, n_dofs) [m]
+        Displacement at all dofs.
     """
 
     gap: np.ndarray
@@ -575,7 +602,7 @@ class RealFourierCoefficients(NamedTuple):
 class MotionInEqualParts(PeriodicOrbit):
     """A motion in equal parts of a period, with the interface of an orbit.
 
-    The state may jump from part to part.
+    The state may jump from part to part: the motion only approximates an orbit.
 
     Attributes
     ----------
@@ -586,7 +613,7 @@ class MotionInEqualParts(PeriodicOrbit):
     starts: np.ndarray
 
     def samples(self, time: np.ndarray) -> Samples:
-        """Return the motion at ascending times of the period [s]."""
+        """Return the motion at ascending times [s] between 0 and the period."""
         part_duration = self.period / len(self.starts)
         start_times = part_duration * np.arange(len(self.starts) + 1)
         times_by_part = np.split(time, np.searchsorted(time, start_times[1:-1]))
@@ -619,13 +646,13 @@ def is_orbit_search_affordable(
     subharmonic: int = 1,
     n_periods: int = MAX_SEARCH_PERIODS + MAX_GMRES_PRODUCTS,
 ) -> bool:
-    """Return True if a search for an orbit is fast.
+    """Return True if a search for an orbit is affordable.
 
-    M is the monodromy matrix, formed for up to 120 modes. Two cases are affordable:
+    Two cases are affordable:
 
-    - M is formed, and the load is not too slow.
-    - M is not formed, crack faces have no mass, and ``n_periods`` periods without events fit into
-      the budget of Taylor pieces.
+    - The flow has up to 120 modes, and the load is not too slow (:func:`is_load_too_slow`).
+    - The flow has more modes, crack faces have no mass, and ``n_periods`` periods without events
+      need at most 20,000 Taylor pieces.
 
     Large models are not tried if crack faces have mass, and bounce: Newton's method fails from
     harmonic-balance solutions.
@@ -637,9 +664,9 @@ def is_orbit_search_affordable(
 
 
 def is_load_too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
-    """Return True if two periods exceed the budget of a small model.
+    """Return True if two periods need more than 100,000 Taylor pieces.
 
-    Events are not counted. For a large model the result is False.
+    Events are not counted. With more than 120 modes the result is False.
     """
     pieces_per_period = flow.estimate_taylor_pieces(2.0 * np.pi * subharmonic / omega)
     return (
@@ -654,13 +681,15 @@ def predict_orbit(
 
     Parameters
     ----------
+    omega : float
+        Load frequency [rad/s].
     states : (n, flow.state_size)
-        States of a solution at equal parts of the period.
+        States of a solution at the starts of n equal parts of the period.
 
     Returns
     -------
     Prediction or None
-        None if the motion cannot be integrated.
+        None if the motion cannot be integrated, or if the equations are singular.
     """
     energy_weights = flow.energy_weights(omega / subharmonic)
     try:
@@ -689,7 +718,10 @@ def predict_orbit(
 def predict_motion(
     flow: ContactFlow, omega: float, prediction: Prediction, subharmonic: int
 ) -> MotionInEqualParts | None:
-    """Return the motion from a prediction's states; None if integration fails."""
+    """Integrate the motion from a prediction's states; None if integration fails.
+
+    The motion has jumps between the equal parts.
+    """
     with suppress(ConvergenceError):
         period = 2.0 * np.pi * subharmonic / omega
         end_states, track, _ = flow.integrate_parts(prediction.states, omega, period)
@@ -703,10 +735,10 @@ def predict_motion(
 def _make_i_minus_m_solver(
     flow: ContactFlow, track: Track, energy_weights: np.ndarray
 ) -> IMinusMSolver:
-    """Return the function b to (I - M)^-1 b for a track.
+    """Return the function from b to (I - M)^-1 b for a track.
 
-    M is the monodromy matrix. Models with more than 120 modes use GMRES, in the norm with the given
-    ``energy_weights``.
+    M is the monodromy matrix along the track. With more than 120 modes GMRES solves, in the norm
+    with the given ``energy_weights`` (flow.state_size,). LinAlgError: I - M is singular.
     """
     if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
         i_minus_m_factors = factorise_transpose(
@@ -741,17 +773,21 @@ def find_orbit(
 ) -> PeriodicOrbit | None:
     """Search for an orbit from a state by Newton's method.
 
-    The search fails if Newton's method does not converge, or if the motions exceed the budget:
-    Taylor pieces for all motions together, intervals for each. An orbit must close to 1e-6.
+    The search fails after 20 periods, or if its motions need more Taylor pieces than its budget,
+    20,000 or more for a slow load. An orbit must close to 1e-6.
 
     Parameters
     ----------
+    omega : float
+        Load frequency [rad/s].
     state : (flow.state_size,)
         Guess at phase zero.
+    subharmonic : int
+        Number of load periods in the orbit's period.
     solve_i_minus_m : IMinusMSolver, optional
         Returns (I - M)^-1 b for the first steps, with the monodromy matrix M of a nearby motion.
     step_tolerance : float
-        Maximum relative Newton step at the orbit. If M is not formed, it is ROOT_TOLERANCE.
+        Maximum relative Newton step at the orbit. With more than 120 modes: 1.5e-8 in any case.
     failure_reasons : list of str, optional
         Extended by the reason if the budget of pieces ends the search.
 
@@ -789,9 +825,12 @@ class _NewtonOrbitSearch:
 
     Attributes
     ----------
+    state : (flow.state_size,)
+        Current state at phase zero.
     n_integrated_periods : int
+        Number of periods integrated so far.
     allowed_taylor_pieces : int
-        Maximum Taylor pieces of all periods.
+        Maximum Taylor pieces in all periods together.
     """
 
     def __init__(
@@ -812,16 +851,17 @@ class _NewtonOrbitSearch:
         self.state, self.n_integrated_periods = state, 0
 
     def energy_norm(self, state_change: np.ndarray) -> float:
-        """Return the energy norm of a state change."""
+        """Return the energy norm of a state's change (flow.state_size,)."""
         weighted_change = self._weights * state_change
         return math.sqrt(weighted_change @ weighted_change)
 
     def leads_to_orbit(self, solve_i_minus_m: IMinusMSolver | None, step_tolerance: float) -> bool:
         """Take Newton steps and return True if an orbit is reached.
 
-        ``solve_i_minus_m`` belongs to a nearby motion, or is None. A step is accepted if
-        |simplified step| <= (1 - damping / 4) |step|. The next damping factor follows from the
-        nonlinearity |simplified step - (1 - damping) step|.
+        ``solve_i_minus_m`` belongs to a nearby motion, or is None. The simplified step is the next
+        Newton step with the same monodromy matrix. A step times a damping factor d is accepted if
+        |simplified step| <= (1 - d / 4) |step|. The next factor follows from the nonlinearity
+        |simplified step - (1 - d) step|.
         """
         forms_monodromy = self._flow.n_modes <= MAX_MODES_FOR_MONODROMY
         min_damping_factor = MIN_NEWTON_DAMPING if forms_monodromy else 0.1
@@ -889,7 +929,7 @@ class _NewtonOrbitSearch:
         return float(change @ step_times_squared_weights / (step @ step_times_squared_weights))
 
     def _integrate_period(self, state: np.ndarray) -> IntegratedMotion:
-        """Integrate a period from a state, on the remaining budget."""
+        """Integrate a period from a state, with the remaining Taylor pieces as budget."""
         self.n_integrated_periods += 1
         budget = Budget(allowed_pieces=self._remaining_pieces)
         motion = self._flow.advance(state, self._omega, self._period, budget=budget)
@@ -909,7 +949,10 @@ def orbit_through_state(
 
 
 def is_same_orbit_in_phase(orbit: PeriodicOrbit, other_orbit: PeriodicOrbit) -> bool:
-    """Return True if two orbits agree to 1e-6 of their size in the energy norm."""
+    """Return True if two orbits' states agree to 1e-6, relative, in the energy norm.
+
+    An orbit with the same motion, but shifted in time, counts as another orbit.
+    """
     energy_distance = orbit.energy_norm(orbit.state - other_orbit.state)
     return energy_distance <= MULTIPLIER_TOLERANCE * orbit.energy_norm(orbit.state)
 
@@ -917,7 +960,8 @@ def is_same_orbit_in_phase(orbit: PeriodicOrbit, other_orbit: PeriodicOrbit) -> 
 def eigenvalues(matrix: np.ndarray) -> np.ndarray:
     """Return the eigenvalues of a monodromy matrix in descending modulus.
 
-    LAPACK is called directly: for small matrices that takes a tenth of NumPy's time.
+    LAPACK is called directly: for small matrices that takes a tenth of NumPy's time. LinAlgError:
+    the matrix is not finite, or LAPACK does not converge.
     """
     if not np.isfinite(matrix).all():
         raise np.linalg.LinAlgError("the monodromy matrix is not finite")

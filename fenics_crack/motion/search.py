@@ -52,14 +52,13 @@ from fenics_crack.numerics.newton import point_on_path, solve_in_plane
 from fenics_crack.numerics.path import HOMOTOPY_OPTIONS, Path, Target
 
 SEGMENTS_PER_PERIOD = 32
-"""Multiple-shooting segments per period."""
+"""Number of equal parts of the period in multiple shooting."""
 SEGMENT_START_SLICE = slice(None, None, INSTANTS_PER_PERIOD // SEGMENTS_PER_PERIOD)
-"""Samples of an orbit at which its segments begin."""
+"""Every 16th of an orbit's 512 samples: the starts of 32 equal parts."""
 MIN_PIECES_CHARGED_PER_PERIOD = 200
-"""Taylor pieces that a search's budget counts for one period. A period with fewer pieces counts as
-one."""
+"""Minimum number of Taylor pieces that a search's budget counts for a period."""
 MAX_RETURN_PERIODS = 8
-"""Maximum number of periods after which a motion may return."""
+"""Maximum number of periods after which a motion is compared with an earlier state."""
 
 
 class SearchOptions:
@@ -70,10 +69,10 @@ class SearchOptions:
     guess_harmonic_counts : tuple of int
         Numbers of harmonics in the harmonic-balance solutions for guesses.
     period_budget : int
-        Budget in periods of the flow after Newton's method failed from all guesses. Half of them
-        are for the path, a quarter for the motion, and the rest for orbits near close returns. A
-        period has 200 Taylor pieces and 12 modes; other sizes count by time, proportional to pieces
-        and to the square of the modes. The budget lasts about a second. With friction three
+        Budget after Newton's method failed from all guesses, in periods with 200 Taylor pieces and
+        12 modes. Other periods count by time, in proportion to the pieces and to the square of the
+        modes. Half of the budget is for the homotopy path, a quarter to follow the motion, and a
+        quarter for orbits near close returns. The budget lasts about a second. With friction three
         quarters are allowed, for one to three seconds.
     """
 
@@ -82,7 +81,10 @@ class SearchOptions:
 
     @classmethod
     def piece_budget(cls, flow: ContactFlow) -> int:
-        """Return the search's budget on a flow, in pieces with a Taylor series."""
+        """Return the search's budget on a flow, as a number of Taylor pieces.
+
+        800,000 up to 12 modes without friction, three quarters with friction; less with more modes.
+        """
         n_periods = (0.75 if flow.friction_law else 1.0) * cls.period_budget
         return int(
             MIN_PIECES_CHARGED_PER_PERIOD * n_periods * min(1.0, (24.0 / flow.state_size) ** 2)
@@ -90,18 +92,22 @@ class SearchOptions:
 
     @classmethod
     def max_periods(cls, flow: ContactFlow) -> int:
-        """Return the maximum number of periods for integrating a motion."""
+        """Return the maximum number of periods for following a motion, at least 60.
+
+        They take a quarter of the search's budget.
+        """
         return max(cls.piece_budget(flow) // (4 * MIN_PIECES_CHARGED_PER_PERIOD), 60)
 
 
 class StartStrategy(NamedTuple):
-    """Start for a search, by a name that the progress line prints.
+    """Way to begin a search.
 
     Attributes
     ----------
     name : str
+        Text for the progress line.
     generate_candidates : callable
-        Returns guesses, or orbits, made on demand.
+        Function from a search task to guesses or orbits, made on demand.
     """
 
     name: str
@@ -116,9 +122,9 @@ class OrbitSearchResult(NamedTuple):
     orbit : PeriodicOrbit or None
         A stable orbit if the search met one, else the first orbit.
     other_orbits : tuple of PeriodicOrbit
-        Further orbits.
+        Further orbits of the same start.
     outcome_text : str
-        How the orbit was found, or why the attempts failed and how the motion behaves.
+        Name of the start that led to the orbit; without orbit, why the last two attempts failed.
     """
 
     orbit: PeriodicOrbit | None
@@ -139,16 +145,22 @@ def search_orbit(
 
     Parameters
     ----------
+    omega : float
+        Load frequency [rad/s].
     state_guesses : iterable of (n, flow.state_size)
-        States at equal parts of the period, from phase zero on.
+        Guesses, each with states at n equal parts of the period, from phase zero on.
+    subharmonic : int
+        Number of load periods in the orbit's period.
     prefer_stable : bool
-        Continue after an unstable orbit. A stable orbit then comes first.
+        Continue after an unstable orbit. A stable orbit then comes first. No effect with more than
+        120 modes.
     start_strategies : iterable of StartStrategy
-        Some of :data:`ORBIT_STARTS_BY_NAME`; default: all.
+        Starts to try in order, from :data:`ORBIT_STARTS_BY_NAME`. Default: all.
 
     Returns
     -------
     OrbitSearchResult
+        Without an orbit if all starts fail.
     """
     prefer_stable = prefer_stable and flow.n_modes <= MAX_MODES_FOR_MONODROMY
     search_task = _SearchTask(flow, omega, state_guesses, subharmonic, prefer_stable)
@@ -163,10 +175,12 @@ def search_orbit(
 
 @dataclass(frozen=True)
 class _SearchTask:
-    """Arguments and notes for the starts of an orbit search.
+    """Arguments of :func:`search_orbit`, with notes that the starts leave.
 
     Attributes
     ----------
+    flow, omega, state_guesses, subharmonic, prefer_stable
+        Arguments of :func:`search_orbit`.
     tried_states : list of (n, flow.state_size)
         Guesses that led to no orbit.
     failure_reasons : list of str
@@ -184,7 +198,10 @@ class _SearchTask:
     def find_orbit(
         self, state: np.ndarray, solve_i_minus_m: IMinusMSolver | None = None
     ) -> PeriodicOrbit | None:
-        """Search for an orbit by Newton's method."""
+        """Search for an orbit by Newton's method from a state; None if the search fails.
+
+        ``solve_i_minus_m`` returns (I - M)^-1 b for the first steps, with the monodromy matrix M.
+        """
         return find_orbit(
             self.flow, self.omega, state, subharmonic=self.subharmonic,
             solve_i_minus_m=solve_i_minus_m, failure_reasons=self.failure_reasons,
@@ -192,7 +209,10 @@ class _SearchTask:
 
     @property
     def orbit_equations(self) -> FlowOrbitEquations:
-        """Return orbit equations next to the last guess, or to rest."""
+        """Return orbit equations with the last guess at phase zero as start.
+
+        Without guesses the start is a state of zero.
+        """
         start_state = (
             self.tried_states[-1][0] if self.tried_states else np.zeros(self.flow.state_size)
         )
@@ -200,7 +220,10 @@ class _SearchTask:
 
 
 def _find_orbits_from_guesses(search_task: _SearchTask) -> list[PeriodicOrbit]:
-    """Find orbits up to the first, or up to the first stable orbit, and sort by stability."""
+    """Find orbits by Newton's method from the guesses, up to the first stable orbit.
+
+    Without ``task.prefer_stable`` the first orbit is enough. Stable orbits come first.
+    """
     found_orbits = list[PeriodicOrbit]()
     for guessed_states in search_task.state_guesses:
         search_task.tried_states.append(guessed_states)
@@ -215,7 +238,10 @@ def _find_orbits_from_guesses(search_task: _SearchTask) -> list[PeriodicOrbit]:
 
 
 def _find_orbit_after_multiple_shooting_step(search_task: _SearchTask) -> Iterable[PeriodicOrbit]:
-    """Find the first orbit after a Newton step for a whole guess."""
+    """Find an orbit by Newton's method after one step for all parts of a guess.
+
+    The result has the first orbit from any guess, or is empty.
+    """
     prediction_iterator = (
         predict_orbit(search_task.flow, search_task.omega, guessed_states, search_task.subharmonic)
         for guessed_states in search_task.tried_states
@@ -253,7 +279,10 @@ def series_states_at_period_parts(
 
 
 class _HomotopyPoint(DenseLinearisation):
-    """Residual and Jacobian of :class:`Homotopy` at a point (x, p)."""
+    """Residual and Jacobian of :class:`Homotopy` at unknowns x and a parameter p.
+
+    ``start_unknown`` is the guess, in the unknowns x.
+    """
 
     def __init__(
         self, orbit_point: OrbitPoint, parameter: float, start_unknown: np.ndarray
@@ -270,12 +299,19 @@ class _HomotopyPoint(DenseLinearisation):
 
     @cached_property
     def jacobian(self) -> np.ndarray:
-        """Return p M - I, with the monodromy matrix M in the unknowns x: (n, n)."""
+        """Return the derivative of the residual by the unknowns: p M - I, (n, n).
+
+        p is the parameter, and M the monodromy matrix in the unknowns.
+        """
         monodromy = self._orbit_point.monodromy
         return self._parameter * monodromy - np.eye(len(monodromy))
 
     @property
     def by_parameter(self) -> np.ndarray:
+        """Return the derivative of the residual by the parameter p: z(T) - a, (n,).
+
+        z(T) is the state after a period, and a the guess, both in the unknowns.
+        """
         return self._end_state_minus_guess
 
 
@@ -291,7 +327,7 @@ class Homotopy:
     Attributes
     ----------
     remaining_pieces : int
-        Taylor pieces left in the budget.
+        Taylor pieces left from ``taylor_piece_budget``; a period counts for at least 200.
     """
 
     def __init__(self, orbit_equations: FlowOrbitEquations, taylor_piece_budget: int) -> None:
@@ -314,7 +350,10 @@ class Homotopy:
 
 
 def _find_orbit_along_path(search_task: _SearchTask) -> Iterator[PeriodicOrbit]:
-    """Find the orbit to which a path leads from the last guess."""
+    """Follow the path of :class:`Homotopy` from the last guess to an orbit.
+
+    Yields nothing without a guess, with more than 120 modes, or if the path ends before.
+    """
     if not search_task.tried_states or search_task.flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return
     orbit_equations = search_task.orbit_equations
@@ -347,7 +386,11 @@ def _find_orbit_along_path(search_task: _SearchTask) -> Iterator[PeriodicOrbit]:
 
 
 def _find_orbit_along_motion(search_task: _SearchTask) -> Iterator[PeriodicOrbit]:
-    """Find an orbit to which the motion settles, or which the motion passes."""
+    """Follow the motion from the last guess, and find an orbit near.
+
+    Newton's method starts from the last state, then from states that return most closely after a
+    period. Yields nothing if all fail within a quarter of the search's budget.
+    """
     orbit_equations = search_task.orbit_equations
     remaining_pieces = SearchOptions.piece_budget(search_task.flow) // 4
     state_iterator = yield_states_after_periods(
@@ -393,8 +436,8 @@ def yield_states_after_periods(
 ) -> Iterator[np.ndarray]:
     """Yield a motion's state, in scaled unknowns x, after each period.
 
-    The motion ends after ``max_periods`` periods, at a failure, or at 200 Taylor pieces times
-    ``max_periods``.
+    ``state`` is the start, in scaled unknowns. The motion ends after ``max_periods`` periods, after
+    200 Taylor pieces times ``max_periods``, or if integration fails.
     """
     remaining_pieces = MIN_PIECES_CHARGED_PER_PERIOD * max_periods
     with suppress(ConvergenceError):  # pairs may chatter without end
@@ -409,7 +452,7 @@ def yield_states_after_periods(
 def describe_closest_return(
     states_at_periods: np.ndarray, subharmonic: int, motion_name: str = "the exact motion"
 ) -> str:
-    """Return words on a motion's closest return to an earlier state.
+    """Describe in words a motion's closest return to a state 1 to 8 periods before.
 
     Parameters
     ----------
@@ -418,7 +461,7 @@ def describe_closest_return(
     subharmonic : int
         Load periods between two states.
     motion_name : str
-        Subject of the sentence.
+        Subject of the sentence, such as "it".
     """
     closest_relative_distances = []
     for n_return_periods in range(1, min(MAX_RETURN_PERIODS, len(states_at_periods) - 1) + 1):

@@ -32,12 +32,17 @@ from fenics_crack.numerics.newton import PathPoint
 
 @dataclass(eq=False, repr=False)
 class OrbitPoint(DenseLinearisation):
-    """Equations F(x, p) = 0 of periodic orbits at scaled states x.
+    """Equations F(x, p) = 0 of periodic orbits, evaluated at one point.
+
+    x are the scaled states at phase zero, and p is the parameter. F is the scaled change of the
+    state in a period.
 
     Attributes
     ----------
+    unknown, residual : (n,)
+        x, and F.
     make_monodromy, make_parameter_derivative : callable
-        Return the monodromy matrix S M S^-1 in the unknowns x, and dF/dp.
+        Compute the monodromy matrix in the unknowns x (n, n), and dF/dp (n,).
     n_events, n_taylor_pieces : int
         Number of the contact pairs' events in the period, and of Taylor pieces.
     """
@@ -51,16 +56,20 @@ class OrbitPoint(DenseLinearisation):
 
     @cached_property
     def monodromy(self) -> np.ndarray:
-        """Return the monodromy matrix M in the scaled unknowns x, S M S^-1: (n, n)."""
+        """Return the monodromy matrix in the scaled unknowns: S M S^-1, (n, n).
+
+        S is the diagonal scale, and M the monodromy matrix of states.
+        """
         return self.make_monodromy()
 
     @cached_property
     def jacobian(self) -> np.ndarray:
-        """Return dF/dx = S M S^-1 - I: (n, n)."""
+        """Return dF/dx, the monodromy matrix in the unknowns x less I: (n, n)."""
         return self.monodromy - np.eye(len(self.monodromy))
 
     @cached_property
     def by_parameter(self) -> np.ndarray:
+        """Return dF/dp, the derivative of the residual by the parameter: (n,)."""
         return self.make_parameter_derivative()
 
     @property
@@ -71,12 +80,14 @@ class OrbitPoint(DenseLinearisation):
 class ShootingEquations(Equations):
     """Equations F = S (z(T) - z(0)) = 0 of periodic orbits, in the kernel.
 
-    T is the period. The unknowns x = S z(0) - x_0 - p x_1 are the scaled state at phase zero less
-    an offset linear in p. dF/dx and dF/dp are exact (``kernel/shooting.h``).
+    z is the state, T the period, and p the parameter. The unknowns x = S z(0) - x_0 - p x_1 are the
+    state at phase zero, scaled by S, less an offset linear in p. dF/dx and dF/dp are exact
+    (``kernel/shooting.h``).
 
     Parameters
     ----------
     flow : ContactFlow
+        Flow with the load frequency given by p.
     scale : (flow.state_size,)
         Diagonal of the scale S.
     omega : (float, float)
@@ -86,7 +97,7 @@ class ShootingEquations(Equations):
     **arrays
         Quantities dependent on p. The kernel then changes load or damping of the flow itself.
 
-        - ``force``, ``gap``: load of the flow at p = 0, (2K+1, n_modes) and (2K+1, n_rows).
+        - ``force``, ``gap``: load at p = 0 on modes (2K+1, n_modes) and gaps (2K+1, n_rows).
         - ``force_rate``, ``gap_rate``: derivatives of the load by p.
         - ``damping``, ``damping_rate``: damping at p = 0 and its derivative, each with
           ``n_damping`` entries. Make the flow with the largest damping: the Taylor pieces'
@@ -114,7 +125,7 @@ class ShootingEquations(Equations):
         self.function_table = kernel.equations_of_shooting(self._kernel_point_pointer)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
-        """Return F, dF/dx and dF/dp at unknowns x and a parameter p.
+        """Evaluate F at unknowns x and a parameter p; derivatives follow on request.
 
         Raises
         ------
@@ -125,7 +136,10 @@ class ShootingEquations(Equations):
         return self.linearise_evaluated(unknown, parameter)
 
     def unknown_after_period(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
-        """Return the unknowns x + F after a period from x."""
+        """Return the unknowns x + F after a period from unknowns x, at a parameter p.
+
+        ConvergenceError: the motion exceeds its budget, or is not finite.
+        """
         self._integrate_period_in_kernel(unknown, parameter)
         return unknown + self._residual()
 
@@ -135,7 +149,11 @@ class ShootingEquations(Equations):
         return int(kernel.count_pieces(self._kernel_point_pointer))
 
     def _integrate_period_in_kernel(self, unknown: np.ndarray, parameter: float) -> None:
-        """Integrate the motion over a period from x, at a parameter p."""
+        """Integrate the motion over a period from unknowns x, at a parameter p.
+
+        The kernel keeps the result. ConvergenceError: the motion exceeds its budget, or is not
+        finite.
+        """
         assert unknown.shape == self.shape
         unknown_pointer = pointer(np.ascontiguousarray(unknown, dtype=float))
         if not self.has_found_solution(
@@ -144,7 +162,7 @@ class ShootingEquations(Equations):
             raise ConvergenceError("orbits: the motion over a period cannot be followed")
 
     def _residual(self) -> np.ndarray:
-        """Return F, (n,), at the point evaluated last."""
+        """Return the scaled change F of the state in a period (n,), at the last point."""
         residual = np.empty(self.shape)
         self.function_table.residual(self.function_table, pointer(residual))
         return residual
@@ -185,24 +203,23 @@ class ShootingEquations(Equations):
 
 
 class FlowOrbitEquations(ShootingEquations):
-    """Equations of periodic orbits over the load frequency w, p = w / w_0.
+    """Equations of periodic orbits over the load frequency w = p w_0, with the parameter p.
 
-    The unknowns x are the state z at phase zero times a diagonal scale S.
-
-    The scale S measures states by amplitude: displacements have weight 1, velocities have the
-    weight 1 / frequency of the mode. S is divided by the size of a nearby state z_0: |S z_0| = 1.
+    The unknowns x are the state z at phase zero times a diagonal scale S. The scale measures states
+    by amplitude: displacements have weight 1, velocities have the weight 1 / frequency of the mode.
+    S is divided by the size of a nearby state z_0, the parameter ``state``: |S z_0| = 1.
 
     Attributes
     ----------
     flow : ContactFlow
     omega : float
-        w_0 of the load [rad/s].
+        Load frequency w_0 at p = 1 [rad/s].
     subharmonic : int
         Load periods in the orbit's period.
     state_factors : (flow.state_size,)
         Diagonal of S.
     start_unknown : (flow.state_size,)
-        Unknowns x of the nearby state.
+        Unknowns x = S z_0 of the nearby state.
     """
 
     def __init__(
@@ -214,14 +231,14 @@ class FlowOrbitEquations(ShootingEquations):
         self.omega, self.start_unknown = omega, scale * state
 
     def state(self, unknown: np.ndarray) -> np.ndarray:
-        """Return the state z = S^-1 x from the unknowns x: (flow.state_size,)."""
+        """Return the state z = S^-1 x from unknowns x, with the scale S: (flow.state_size,)."""
         return np.asarray(unknown / self.state_factors)
 
     def unknown(self, state: np.ndarray) -> np.ndarray:
-        """Return the unknowns x = S z from a state z: (flow.state_size,)."""
+        """Return the unknowns x = S z from a state z, with the scale S: (flow.state_size,)."""
         return np.asarray(self.state_factors * state)
 
     def orbit(self, point: PathPoint) -> PeriodicOrbit:
-        """Return the orbit at a solution (x, p) of the equations."""
+        """Return the orbit at a solution: unknowns x, parameter p (load frequency p w_0)."""
         omega, state = point.parameter * self.omega, self.state(point.unknown)
         return orbit_through_state(self.flow, omega, state, self.subharmonic, point.iterations)
