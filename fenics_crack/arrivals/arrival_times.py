@@ -66,7 +66,7 @@ class ArrivalTimes(Tabular):
     tip_radius : float [m]
         Radius R.
     first : int
-        Number of the first revolution.
+        First revolution's number.
 
     Raises
     ------
@@ -194,14 +194,14 @@ class ArrivalTimes(Tabular):
         )
 
     def check_places(self, angle_deviation: float) -> None:
-        """Check the arrivals against the angles of the probes.
+        """Check the arrivals against the probes' angles.
 
         Medians over the revolutions are compared; a shift common to all probes is allowed.
 
         Parameters
         ----------
         angle_deviation : float [rad]
-            Standard deviation of the probes' angles; only checked to be >= 0.
+            Probe angles' standard deviation; only checked to be >= 0.
 
         Raises
         ------
@@ -800,7 +800,7 @@ def _read_mark_times(
     column_by_heading : dict of str to (rows,)
         Columns by heading.
     revolution_numbers : (rows,)
-        Number of the revolution for each row.
+        Revolution number for each row.
     """
     all_revolution_numbers = np.arange(revolution_numbers[0], revolution_numbers[-1] + 1)
     for heading, row_values in column_by_heading.items():
@@ -849,9 +849,9 @@ def _read_arrival_angles(
     column : (rows,)
         Angles, or times of arrival; nan for a missed passage.
     revolution_numbers : (rows,)
-        Number of the revolution for each row.
+        Revolution number for each row.
     marks : (revolutions + 1,) [s]
-        Times of the marks.
+        Mark times.
     """
     if "[s]" not in heading:
         angles = column * _find_unit_factor(path, heading, RAD_BY_ANGLE_UNIT)
@@ -881,13 +881,13 @@ def _build_arrivals(
     angles : (revolutions, probes) [rad]
         Rotor angles from the mark to the arrival; nan for a missed passage. Changed in place.
     marks : (revolutions + 1,) [s]
-        Times of the marks.
+        Mark times.
     tip_radius : float [m]
-        Radius of the blade tip.
+        Blade tip radius.
     given_probe_angles : (probes,) [rad] or None
         Angles of the probes; None: medians of the arrivals.
     first_revolution : int
-        Number of the first revolution.
+        First revolution's number.
     """
     for column in angles.T:  # a blade at the mark is seen before it and after it
         column -= RAD_PER_TURN * np.round((column - column[np.isfinite(column)][0]) / RAD_PER_TURN)

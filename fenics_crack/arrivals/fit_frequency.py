@@ -78,7 +78,7 @@ def fit_frequency(
     harmonics : int
         Number K.
     angle_deviation : float [rad]
-        Standard deviation of the probes' angles, the same in every revolution.
+        Probe angles' standard deviation, the same in every revolution.
 
     Returns
     -------
@@ -131,7 +131,7 @@ def find_lines_and_residuals(
     max_order: float,
     max_lines: int = 3,
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
-    """Find significant vibrations of constant frequency, beside constants.
+    """Find significant vibrations with constant frequency, beside constants.
 
     The constants absorb everything synchronous.
 
@@ -273,7 +273,7 @@ class _FrequencySearch:
         omega : float [rad/s]
             Frequency.
         weights : (n,)
-            Weights of the arrivals.
+            Arrival weights.
         values, times : (n,) [m], (n,) [s]
             Displacements, and their times.
 

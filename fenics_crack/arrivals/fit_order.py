@@ -106,7 +106,7 @@ def fit_order(
     subharmonic : int
         For 2, the response has twice the load's period, and harmonics 1/2, 1, ..., K/2.
     angle_deviation : float [rad]
-        Standard deviation of the probes' angles, the same in every revolution.
+        Probe angles' standard deviation, the same in every revolution.
 
     Returns
     -------
@@ -256,7 +256,7 @@ class _OrderFit:
     coefficients : (2K+1,) [m]
         a0, a1, b1, ....
     covariance : (2K+1, 2K+1) [m^2]
-        Covariance of the coefficients.
+        Covariance for the coefficients.
     sum_of_squares : float
         Sum of squared residuals, in variances.
     residual_per_error : (g,)
@@ -286,7 +286,7 @@ class _Sample:
     freedom_within_groups : int
         Degrees of freedom of this covariance, from arrivals within groups.
     tip_radius : float [m]
-        Radius of the blade tip.
+        Blade tip radius.
 
     Attributes
     ----------
@@ -382,7 +382,7 @@ class _Sample:
     def list_costs_and_fits_by_omitted_size(
         self, fit: _OrderFit, omitted_sizes: np.ndarray
     ) -> tuple[np.ndarray, list[_OrderFit]]:
-        """Repeat a fit for several sizes of the omitted harmonics.
+        """Repeat a fit for several sizes of omitted harmonics.
 
         ``omitted_sizes`` (n,) [m] are standard deviations.
 
@@ -467,9 +467,9 @@ class _Sample:
         costs : (n,)
             Restricted -2 log likelihoods.
         coefficients : (n, 2K+1) [m]
-            Coefficients of the fitted harmonics.
+            Coefficients for the fitted harmonics.
         covariances : (n, 2K+1, 2K+1) [m^2]
-            Covariances of these coefficients.
+            Covariances for these coefficients.
         residual_square_sums : (n,)
             Sums of squared residuals and omitted coefficients, in variances.
         """
@@ -523,7 +523,7 @@ class _Sample:
         ratio : float
             Estimated over assumed variance; inf without degrees of freedom.
         chance : float
-            Probability of residuals as large; nan without a test.
+            Probability that residuals are as large; nan without a test.
         freedom : float
             Degrees of freedom of the estimate; inf for a significant misfit (probability below
             0.01).
@@ -557,7 +557,7 @@ class ProbeMeans(_Sample):
         Largest candidate. Vibrations without an order are sought up to one order above this or
         above the default orders.
     angle_deviation : float [rad]
-        Standard deviation of the probes' angles.
+        Probe angles' standard deviation.
     line_displacement_changes : (revolutions, probes) [m]
         Displacements by :meth:`compute_displacement_changes_by_lines`, which are subtracted.
 
@@ -627,8 +627,7 @@ class ProbeMeans(_Sample):
     ) -> np.ndarray:
         """Return how the lines change an order's displacements: (revolutions, probes) [m].
 
-        Lines are the vibrations of constant frequency in :attr:`lines`; ``fit`` is the order. Lines
-        move the blade tip along the order's wave. The wave becomes smaller, and further lines
+        Lines, in :attr:`lines`, have a constant frequency; ``fit`` is the order's fit. Lines move the blade tip along the order's wave. The wave becomes smaller, and further lines
         appear at the sums and differences of the frequencies.
         """
         group_angles = np.full(arrivals.time.shape, np.nan)
@@ -870,13 +869,13 @@ def _fit_samples_by_group(
     Parameters
     ----------
     arrivals, order, multiples, angle_deviation
-        Record, order p, multiples (K,), and standard deviation of the probes' angles [rad].
+        Record, order p, multiples (K,), and probe angles' standard deviation [rad].
     nominal_angles, displacements, has_arrival : (n, m)
         Rotor angles without vibration [rad], displacements [m], and True for an arrival.
     fitted_groups : (k,)
-        Indices of groups with enough arrivals.
+        Indices for groups with enough arrivals.
     variance, freedom : float [m^2], int
-        Variance of a displacement, and its degrees of freedom.
+        Displacement variance, and its degrees of freedom.
 
     Returns
     -------
@@ -918,7 +917,7 @@ def _find_coefficients_and_covariances(
     n_arrivals, coefficient_changes : (n,), (n, 2K+1) [m]
         Arrivals in each group, and changes by :func:`_subtract_linear_changes`.
     freedom : int
-        Degrees of freedom of the variance of a displacement.
+        Degrees of freedom of the displacement variance.
 
     Returns
     -------
@@ -958,7 +957,7 @@ def _subtract_linear_changes(
     column_pseudoinverses, wave_columns : (n, 2K+1, m), (n, m, 2K+1)
         Pseudoinverses of the columns, and columns of the fits.
     fitted_groups : (k,)
-        Indices of groups with enough arrivals.
+        Indices for groups with enough arrivals.
 
     Returns
     -------
@@ -1036,14 +1035,14 @@ def _estimate_variance_and_freedom(
     Parameters
     ----------
     residuals, has_arrival : (n, m) [m]
-        Residuals of n groups, and True for an arrival.
+        Residuals in n groups, and True for an arrival.
     freedoms : (n,)
         Arrivals less unknowns of each group.
 
     Returns
     -------
     variance : float [m^2]
-        Variance of a displacement.
+        Displacement variance.
     freedom : int
         Degrees of freedom of the variance; 0 without differences.
     """

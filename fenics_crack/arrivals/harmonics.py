@@ -71,7 +71,7 @@ class Candidates(Tabular):
 class HarmonicFit(Tabular):
     """Hold harmonics fitted to arrivals, and tests of the fit.
 
-    ``misfit`` is the probability of residuals as large or as correlated by chance. ``folded`` is
+    ``misfit`` is the probability that chance makes residuals as large or as correlated. ``folded`` is
     the probability that omitted harmonics put an amplitude off by over three standard errors.
     """
 
@@ -124,12 +124,12 @@ class TipFit(HarmonicFit):
     coefficients : (2K+1,) [m]
         a0, a1, b1, ....
     covariance : (2K+1, 2K+1) [m^2]
-        Covariance of the coefficients.
+        Covariance for the coefficients.
     scatter : float [m]
-        Standard deviation of a displacement about the fit; nan without more arrivals than unknowns.
+        Standard deviation from the fit; nan without more arrivals than unknowns.
         Standard errors follow Student's t, and are nan for one or two more arrivals than unknowns.
     misfit : float
-        Probability of residuals as large between the probes' means, given the scatter within a
+        Probability that residuals are as large between the probes' means, given the scatter within a
         probe. If it is tiny, harmonics are missing, probes are out of place, or the order is wrong.
         nan with too few probes or revolutions, and for orders that are no candidates
         (:func:`fit_frequency`).
@@ -174,7 +174,7 @@ class TipFit(HarmonicFit):
 
     @property
     def amplitude_errors(self) -> np.ndarray:
-        """Standard errors of the amplitudes: (K,) [m]."""
+        """Standard errors for the amplitudes: (K,) [m]."""
         return compute_amplitudes_and_errors(self.coefficients, self.covariance)[1]
 
     @property

@@ -88,13 +88,13 @@ class PassageFit(Tabular):
     probes : int
         Number of probes with arrivals.
     scatter : float [m]
-        Standard deviation of a displacement about the fit.
+        Standard deviation of a displacement from the fit.
     whiteness : float
-        Probability of residuals as correlated by errors of arrivals and shaft marks alone; nan
+        Probability that errors of arrivals and shaft marks alone correlate residuals as much; nan
         without a test. Standard errors include the correlation, but no bias by another vibration
         nearby (:attr:`in_doubt`).
     asynchronous : tuple of TipFit
-        Vibrations of constant frequency in the record, which follow no order.
+        Vibrations with constant frequency in the record, which follow no order.
     blind : tuple of float [rad]
         Angles of omitted probes, which do not measure the vibration seen by the majority.
     stiffening : float
@@ -382,7 +382,7 @@ def find_passages(
 
     Along the speed, vibrations with any phase at each probe are fitted. Where they explain most,
     :func:`fit_passage` describes the mode, and its motion is subtracted before the next search. The
-    search ends when no significant resonance remains. Vibrations of constant frequency are fitted
+    search ends when no significant resonance remains. Vibrations with constant frequency are fitted
     beside the resonances. Probes that do not measure the first resonance are left out if a majority
     agrees (``blind`` in the fit): they would add further resonances.
 
@@ -395,7 +395,7 @@ def find_passages(
     most : int
         Maximum number of resonances.
     asynchronous : int
-        Maximum number of vibrations of constant frequency. Every order meets them, and they then
+        Maximum number of vibrations with constant frequency. Every order meets them, and they then
         look like resonances with little damping.
     stiffening : float or function
         As in :func:`fit_passage`; a number holds for all modes.
@@ -456,7 +456,7 @@ def find_passages(
 def _find_lines_and_motion(
     arrivals: ArrivalTimes, displacements: np.ndarray, orders: np.ndarray, max_lines: int
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
-    """Find vibrations of constant frequency in displacements.
+    """Find vibrations with constant frequency in displacements.
 
     Parameters
     ----------
@@ -734,10 +734,10 @@ def _compute_gain_and_squares_reduction(
     Returns
     -------
     gain : float
-        Reduction of the sum of squares in variances of the noise, less 2 for each probe beyond the
+        Reduction in the sum of squares in variances of the noise, less 2 for each probe beyond the
         first. Differences between successive arrivals at a probe give the variance.
     squares_reduction : float [m^2]
-        Reduction of the sum of squares.
+        Reduction in the sum of squares.
     """
     total_gain = total_reduction = 0.0
     for run in record.find_runs(displacements, speed):
@@ -1009,7 +1009,7 @@ class _Resonance:
         resonances : sequence of _Resonance
             All resonances of the record.
         line_fits : tuple of TipFit
-            Vibrations of constant frequency, for the result.
+            Vibrations with constant frequency, for the result.
         """
         neighbours = [
             resonance
@@ -1087,7 +1087,7 @@ def _list_best_gains_and_modes(
     Returns
     -------
     list of (float, Mode)
-        Reduction of the weighted sum of squares [m^2], and the mode, for each order.
+        Reduction in the weighted sum of squares [m^2], and the mode, for each order.
     """
     omega_rows = orders[:, None] * speed * (1.0 + damping_ratio * np.linspace(-2.5, 2.5, 11))
     pole_rows = compute_poles(omega_rows, damping_ratio)
@@ -1105,7 +1105,7 @@ def _list_best_gains_and_modes(
 def _compute_squares_reductions_by_pairs(
     runs: Sequence[Run], mode_lists: Sequence[Sequence[Mode]], weights_of_runs: Sequence[np.ndarray]
 ) -> np.ndarray:
-    """Return reductions of the sum of squares by pairs of modes: (n, m) [m^2].
+    """Return reductions in the sum of squares by pairs of modes: (n, m) [m^2].
 
     Both modes of a pair are fitted jointly. ``mode_lists`` has a list of n modes and a list of m;
     ``weights_of_runs`` has (R, P) for each run.
@@ -1179,7 +1179,7 @@ def _compute_margin_by_order(
     Parameters
     ----------
     gain_by_order : dict of float to float
-        Reduction of the sum of squares [m^2] by order: an estimate for orders without a fit.
+        Reduction in the sum of squares [m^2] by order: an estimate for orders without a fit.
     fits : iterable of Fit
         Refined fits; the best of an order counts.
     best_fit : Fit

@@ -47,7 +47,7 @@ class ConfidenceLevels:
         Minimum reduction of -2 log likelihood by a significant resonance: some 1e5 are tried, each
         with six unknowns.
     misfit_significance_level : float
-        Probability of residuals below which a model does not explain them.
+        Minimum probability that a model makes residuals as large; below, the model is wrong.
     misfit_errors_significance_level : float
         Probability of a misfit below which errors follow from the misfit, otherwise from the
         scatter.
@@ -99,7 +99,7 @@ class StudentNoise:
     Attributes
     ----------
     weights : (n,)
-        Weights of the arrivals in the fit.
+        Arrival weights in the fit.
     scale, freedom : float
         Scale s and degrees of freedom nu.
     cost : float
@@ -188,7 +188,7 @@ class StudentNoise:
         return float(self.psi @ self.psi) / (n_spare * self.mean_psi_slope**2)
 
     def whiteness(self, places: RevolutionsAndProbes, mark_shares: np.ndarray) -> float:
-        """Return the probability of residuals as correlated by errors of arrivals and marks.
+        """Return the probability that errors of arrivals and marks alone correlate residuals.
 
         A small probability means a vibration or drift in the residuals. nan if no revolution has a
         next one with arrivals, or all residuals are 0. The correlation is between values of psi at
@@ -200,7 +200,7 @@ class StudentNoise:
         between arrivals at probe i, m revolutions apart. Shared errors also scatter the products
         themselves.
 
-        ``places`` are the revolutions and probes of the arrivals.
+        ``places`` are the arrivals' revolutions and probes.
         """
         (
             (same_probe_sum_count, cross_probe_sum_count),
@@ -292,7 +292,7 @@ class StudentNoise:
         psi_variance : float
             Variance of psi.
         places : pair of (n,)
-            Revolutions and probes of the arrivals.
+            Revolutions and probes for the arrivals.
         """
         covariance_pairs: list[tuple[float, float]] = []
         for lag, sum_count_pairs in enumerate(
@@ -331,7 +331,7 @@ def correlation_p_value(values: np.ndarray, places: RevolutionsAndProbes) -> flo
     """Return the probability that uncorrelated values are as correlated by chance.
 
     Products of ``values`` (n,) at a probe in successive revolutions are summed; only a positive
-    correlation counts. ``places`` are revolutions and probes of the values. nan for a single
+    correlation counts. ``places`` are the values' revolutions and probes. nan for a single
     revolution, or zeros.
     """
     _, _, [(lagged_sum, n_lagged_products), _] = _sum_products_with_next_revolution(values, places)
@@ -348,7 +348,7 @@ def _sum_products_with_next_revolution(
 ) -> tuple[list[SumAndCount], int, list[SumAndCount]]:
     """Sum products of values (n,) within revolutions, and with the next revolution.
 
-    ``places`` are revolutions and probes of the values.
+    ``places`` are the values' revolutions and probes.
 
     Returns
     -------
@@ -379,7 +379,7 @@ def _yield_product_sums_by_lag(
     """Yield sums of products of values (n,), for each distance in revolutions.
 
     For each of ``lags`` a list of two pairs (sum, number of products): at the same probe, and at
-    two probes. ``places`` are revolutions and probes of the values.
+    two probes. ``places`` are the values' revolutions and probes.
     """
     value_and_count_tables = [
         _arrange_by_revolution_and_probe(values_or_ones, places)
@@ -406,7 +406,7 @@ def _arrange_by_revolution_and_probe(
 ) -> np.ndarray:
     """Return values (n, ...) as a table (revolutions, probes, ...), 0 without a value.
 
-    Rows begin at the first revolution in ``places``, the revolutions and probes of the values.
+    Rows begin at the first revolution in ``places``, the values' revolutions and probes.
     """
     revolution_indices, probe_indices = places[0] - places[0].min(), places[1]
     table = np.zeros(
@@ -435,7 +435,7 @@ def fit_noise_by_reweighting(
     n_unknowns : int
         Number of coefficients in the fit.
     min_scale : float
-        Minimum scale of the residuals, from rounding.
+        Minimum residual scale, from rounding.
 
     Returns
     -------
@@ -475,7 +475,7 @@ def find_least_squares_residuals(
     lower_bounds, upper_bounds : (m,)
         Bounds of the unknowns, widened to include 0.
     min_squares_reduction : float
-        Relative reduction of the sum of squares, below which the search ends.
+        Relative reduction in the sum of squares, below which the search ends.
     """
     cached_function = lru_cache(maxsize=1)(
         lambda unknowns_bytes: residuals_and_slopes_function(np.frombuffer(unknowns_bytes))

@@ -248,7 +248,7 @@ class Run:
         Parameters
         ----------
         wave, weights : (R, P) complex, (R, P)
-            Wave, and weights of the arrivals.
+            Wave, and arrival weights.
 
         Returns
         -------
@@ -273,7 +273,7 @@ class Run:
     def compute_squares_reductions(
         self, orders: np.ndarray, pole_rows: np.ndarray, weights: np.ndarray
     ) -> np.ndarray:
-        """Return reductions of the sum of squares by single modes: (n, m) [m^2].
+        """Return reductions in the sum of squares by single modes: (n, m) [m^2].
 
         Modes have orders (n,) and poles lambda (n, m) [1/s], equidistant in a row; the force is
         fitted. ``weights`` (R, P) belong to the arrivals.
@@ -396,7 +396,7 @@ class Fit:
     modes : sequence of Mode
         Initial modes, at most two neighbours in a comparison, or more in a final fit.
     weights : sequence of (R, P)
-        Initial weights of the arrivals in each run.
+        Initial arrival weights in each run.
 
     Attributes
     ----------
@@ -583,7 +583,7 @@ class Fit:
 
     @property
     def whiteness(self) -> float:
-        """Probability of residuals as correlated by errors of arrivals and marks.
+        """Probability that errors of arrivals and marks alone correlate residuals.
 
         :meth:`StudentNoise.whiteness` computes it; nan without a test.
         """
@@ -597,7 +597,7 @@ class Fit:
 
     @property
     def weights(self) -> list[np.ndarray]:
-        """Weights of the arrivals in each run: (R, P), 0 without an arrival."""
+        """Arrival weights in each run: (R, P), 0 without an arrival."""
         return self._split_by_run(self.noise.weights)
 
     @property
