@@ -627,8 +627,9 @@ class ProbeMeans(_Sample):
     ) -> np.ndarray:
         """Return how the lines change an order's displacements: (revolutions, probes) [m].
 
-        Lines, in :attr:`lines`, have a constant frequency; ``fit`` is the order's fit. Lines move the blade tip along the order's wave. The wave becomes smaller, and further lines
-        appear at the sums and differences of the frequencies.
+        Lines, in :attr:`lines`, have a constant frequency; ``fit`` is the order's fit. Lines move
+        the blade tip along the order's wave. The wave becomes smaller, and further lines appear at
+        the sums and differences of the frequencies.
         """
         group_angles = np.full(arrivals.time.shape, np.nan)
         group_angles[np.isfinite(arrivals.time)] = self.angles[self._group_indices]

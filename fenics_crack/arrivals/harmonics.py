@@ -71,8 +71,8 @@ class Candidates(Tabular):
 class HarmonicFit(Tabular):
     """Hold harmonics fitted to arrivals, and tests of the fit.
 
-    ``misfit`` is the probability that chance makes residuals as large or as correlated. ``folded`` is
-    the probability that omitted harmonics put an amplitude off by over three standard errors.
+    ``misfit`` is the probability that chance makes residuals as large or as correlated. ``folded``
+    is the probability that omitted harmonics put an amplitude off by over three standard errors.
     """
 
     misfit: float
@@ -129,9 +129,9 @@ class TipFit(HarmonicFit):
         Standard deviation from the fit; nan without more arrivals than unknowns.
         Standard errors follow Student's t, and are nan for one or two more arrivals than unknowns.
     misfit : float
-        Probability that residuals are as large between the probes' means, given the scatter within a
-        probe. If it is tiny, harmonics are missing, probes are out of place, or the order is wrong.
-        nan with too few probes or revolutions, and for orders that are no candidates
+        Probability that residuals are as large between the probes' means, given the scatter within
+        a probe. If it is tiny, harmonics are missing, probes are out of place, or the order is
+        wrong. nan with too few probes or revolutions, and for orders that are no candidates
         (:func:`fit_frequency`).
     candidates : Candidates
         Candidate orders.

@@ -34,7 +34,8 @@ with leave_working_folder(), report_missing_libraries():  # UCX would read a ucx
     if find_spec("dolfinx_solver"):  # DOLFINx of wheels, and MPICH, which Open MPI's mpirun ends
         check_launcher(0, "MPICH", RANK_COUNT_VARIABLES[:1])
         import dolfinx_solver  # noqa: F401
-        import scipy.linalg  # noqa: F401  with an OpenBLAS of its own, which run_single_threaded() has to find
+        import scipy.linalg  # noqa: F401  with an OpenBLAS of its own, which run_single_threaded()
+        has to find
     from mpi4py import MPI
     from petsc4py import init, lib
 
