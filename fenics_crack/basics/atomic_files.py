@@ -189,7 +189,7 @@ def keep_files(file_names: Sequence[str], folder: Path, kept_folder: Path) -> bo
 def replace_files(file_names: Sequence[str], folder: Path, text_by_name: Mapping[str, str]) -> None:
     """Replace the named files in a folder by new texts.
 
-    The earlier files are moved to the inner folder :data:`REPLACED_FILES_FOLDER_NAME`. A file
+    The earlier files are kept in the inner folder :data:`REPLACED_FILES_FOLDER_NAME`. A file
     without an entry in ``text_by_name`` is removed.
 
     Raises
