@@ -59,7 +59,8 @@ class ArrivalTimes(Tabular):
     time : (revolutions, probes) [s]
         Arrivals; nan for a missing arrival.
     marks : (revolutions + 1,) [s]
-        Beginnings of the revolutions, and the end of the last revolution.
+        Times of the shaft's mark: beginnings of the revolutions, and the end of the last
+        revolution.
     probes : (probes,) [rad]
         Angles phi between the probes and the undisturbed blade tip at a mark, in the direction of
         rotation; from 0 to 2 pi, increasing.

@@ -65,9 +65,9 @@ def fit_frequency(
 ) -> TipFit:
     """Find a vibration of any frequency by least squares.
 
-    Among frequencies that fit equally well, within errors, the smallest vibration is taken and the
-    others are reported, as by :func:`fit_order`. Give no more harmonics than needed: with two, half
-    the true frequency may fit by its second harmonic.
+    If several frequencies fit equally well, within errors, the result is the smallest vibration.
+    The further frequencies are ``ambiguous`` in the result, as by :func:`fit_order`. Give no more
+    harmonics than needed: with two, half the true frequency may fit by its second harmonic.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def fit_frequency(
     Returns
     -------
     TipFit
-        The order is any number, frequency over mean speed, with a standard error.
+        Vibration; the order is frequency over mean speed, any number, with a standard error.
 
     Raises
     ------
@@ -133,16 +133,17 @@ def find_lines_and_residuals(
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
     """Find significant vibrations with constant frequency, beside constants.
 
-    The constants absorb everything synchronous.
+    A constant for each probe, or each place in a period, absorbs vibrations at engine orders.
 
     Parameters
     ----------
     arrivals : ArrivalTimes
         The speed may vary.
     displacements : (revolutions, probes) [m]
-        Displacements to search for vibrations, one after the other.
+        Displacements to search; nan without an arrival. Each vibration is subtracted before the
+        next search.
     constant_numbers : (revolutions, probes) int
-        Number of the constant for each displacement.
+        Index of the constant for each displacement; equal for displacements with a common constant.
     max_order : float
         Frequencies range from half the mean speed to one order above ``max_order``, or above the
         largest default order if larger.
@@ -154,7 +155,7 @@ def find_lines_and_residuals(
     lines : tuple of TipFit
         Vibrations.
     residuals : (revolutions, probes) [m]
-        Displacements without the vibrations.
+        Displacements without these vibrations.
     """
     line_fits: list[TipFit] = []
     mean_speed = arrivals.mean_speed
@@ -182,7 +183,7 @@ class _FrequencySearch:
     displacements : (revolutions, probes) [m]
         Displacements; nan without an arrival.
     constant_numbers : (revolutions, probes) int
-        Number of the constant for each displacement.
+        Index of the constant for each displacement; equal for displacements with a common constant.
     n_harmonics : int
         Number K.
     constants_deviation : float [rad]

@@ -82,17 +82,17 @@ def fit_order(
 ) -> TipFit:
     """Find the engine order and harmonics of a vibration by least squares.
 
-    Each probe's mean over the revolutions is found beside vibrations without an order
-    (``asynchronous`` in the fit). Errors follow Student's t, so that single wrong arrivals have
-    hardly any weight. Each candidate is fitted to the means. Candidates fit equally well if their
-    sum of squares is less than 9 variances above the minimum. The smallest such vibration is taken,
-    or the least sum among sizes within 20 %; the other candidates are reported. Candidates with
-    dependent columns at these probes are reported as hidden (:class:`Candidates`).
+    First, each probe's mean over the revolutions is fitted, together with vibrations at no engine
+    order (``asynchronous`` in the result). Errors follow Student's t, so that single wrong arrivals
+    have hardly any weight. Each candidate is then fitted to the means. Candidates fit equally well
+    if their sum of squares is less than 9 variances above the minimum. The result is the least sum
+    among vibrations at most 20 % larger than the smallest; further candidates are ``ambiguous``.
+    Candidates that these probes cannot measure are ``hidden``.
 
-    The variance of a mean combines the residuals and the probe's angle. If the means are off by
-    more (F test), their own misfit sets the variance, so that omitted harmonics do not pass for
-    information. Significant omitted harmonics increase the errors; ``folded`` is the risk from the
-    others.
+    The variance of a mean combines the residuals and the probe's angle. If the means differ from
+    the fit by more (F test), the variance follows from these differences. Significant omitted
+    harmonics increase the errors; ``folded`` is the probability of large errors by insignificant
+    ones.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def fit_order(
     Returns
     -------
     TipFit
-        The order, its harmonics with standard errors, and equally good orders.
+        Order, harmonics with standard errors, and equally good orders.
 
     Raises
     ------
@@ -545,7 +545,7 @@ class _Sample:
 
 
 class ProbeMeans(_Sample):
-    """Hold each probe's mean displacements, once per period, with their covariance.
+    """Hold mean displacements of each probe, with their covariance.
 
     Parameters
     ----------
@@ -564,7 +564,8 @@ class ProbeMeans(_Sample):
     Attributes
     ----------
     scatter : float [m]
-        Scatter of a displacement about the mean; 1 if unknown.
+        Standard deviation of a displacement from the mean; 1 if no probe has two arrivals at a
+        mean.
     displacements, angles : (g,) [m, rad]
         Means, and rotor angles at the displaced blade tip.
     covariance : (g, g) [m^2]
@@ -694,7 +695,7 @@ class TipTrack(HarmonicFit):
         harmonics are missing, and folded onto the fitted ones. nan without more probes than
         unknowns, since anything then fits.
     folded : float
-        As in :class:`TipFit`, at the largest harmonics.
+        As in :class:`TipFit`, for the groups with the largest amplitude of a harmonic.
     """
 
     order: float
@@ -720,7 +721,7 @@ class TipTrack(HarmonicFit):
 
     @property
     def omega(self) -> np.ndarray:
-        """Angular frequency of the load: (n,) [rad/s]."""
+        """Angular frequency of the load for each group of revolutions: (n,) [rad/s]."""
         return np.asarray(self.order * self.speed)
 
     def to_dict(self) -> dict[str, Any]:

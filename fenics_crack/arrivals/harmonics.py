@@ -126,13 +126,12 @@ class TipFit(HarmonicFit):
     covariance : (2K+1, 2K+1) [m^2]
         Covariance for the coefficients.
     scatter : float [m]
-        Standard deviation from the fit; nan without more arrivals than unknowns.
+        Standard deviation of displacements from the fit; nan without more arrivals than unknowns.
         Standard errors follow Student's t, and are nan for one or two more arrivals than unknowns.
     misfit : float
         Probability that residuals are as large between the probes' means, given the scatter within
         a probe. If it is tiny, harmonics are missing, probes are out of place, or the order is
-        wrong. nan with too few probes or revolutions, and for orders that are no candidates
-        (:func:`fit_frequency`).
+        wrong. nan with too few probes or revolutions, and for :func:`fit_frequency`.
     candidates : Candidates
         Candidate orders.
     spare : int
@@ -192,8 +191,8 @@ class TipFit(HarmonicFit):
     def in_doubt(self) -> bool:
         """True if a test of the fit fails, or cannot be made.
 
-        The fit has a misfit, or omitted harmonics may be folded; or no test is possible, with as
-        many unknowns as probes, or if no probe sees the vibration twice.
+        ``misfit`` is below 0.001, or omitted harmonics may shift an amplitude. No test is possible
+        with as many unknowns as probes, or if no probe sees the vibration twice.
         """
         return self.does_not_fit or self.may_be_folded or self.spare < 1 or self.seen_once
 
@@ -207,15 +206,15 @@ class TipFit(HarmonicFit):
         return self.spare > 0 and bool(np.isnan(self.misfit)) and not self.order_error
 
     def ratio(self, multiple: float = 2.0) -> tuple[float, float]:
-        """Return the ratio of two amplitudes and its standard error.
+        """Return the ratio of a harmonic's amplitude to the first, and its standard error.
 
-        The ratio divides the amplitude at a multiple of the load's frequency by the amplitude at
-        the load's frequency. A breathing crack has a second harmonic, an open crack none.
+        ``multiple`` is the harmonic's frequency over the load's frequency. A breathing crack has a
+        second harmonic, an open crack none.
 
         Raises
         ------
         InputError
-            The fit has no such harmonic.
+            The fit has no harmonic at this multiple, or none at the load's frequency.
         """
         harmonic_indices = []
         for required_multiple in (1.0, multiple):

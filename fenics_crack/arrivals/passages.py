@@ -82,9 +82,9 @@ class PassageFit(Tabular):
     orders : (n,)
         Candidates.
     margins : (n,)
-        Difference in -2 log likelihood from the best order. With a neighbour in the fitted speeds,
-        each order is combined with the neighbour's best order. 0 also for the order of a rival
-        resonance, nearer than the width of either: at most one of the two need be right.
+        Difference in -2 log likelihood from the best order. With a neighbouring resonance in the
+        fitted speeds, each order is combined with the neighbour's best order. The order of a
+        resonance within this one's width, or the reverse, has 0, too: only one may be real.
     probes : int
         Number of probes with arrivals.
     scatter : float [m]
@@ -127,7 +127,7 @@ class PassageFit(Tabular):
 
     @property
     def speed(self) -> float:
-        """Speed at which the order meets the frequency [rad/s]."""
+        """Rotor speed at which the order excites the natural frequency [rad/s]."""
         return self.omega / self.order
 
     @property
@@ -166,9 +166,9 @@ class PassageFit(Tabular):
 
     @property
     def disagree(self) -> bool:
-        """True if passages differ by over three errors in frequency or damping.
+        """True if passages differ by over three standard errors in frequency or damping.
 
-        Amplitudes may differ: the load need not be the same.
+        Different amplitudes are no disagreement: the load need not be the same.
         """
         return bool(self.disagreement)
 
@@ -200,7 +200,7 @@ class PassageFit(Tabular):
 
     @property
     def deviation(self) -> float:
-        """Stated error of the frequency: its standard deviation [rad/s].
+        """Standard deviation of the frequency, stated as the error [rad/s].
 
         The largest of three: ``omega_error``; half the range of passages that disagree, as for a
         breathing crack; and for a fit in doubt half the resonance's width, zeta w_n, with damping
@@ -380,11 +380,12 @@ def find_passages(
 ) -> tuple[PassageFit, ...]:
     """Find the resonances in a record, about the largest first.
 
-    Along the speed, vibrations with any phase at each probe are fitted. Where they explain most,
-    :func:`fit_passage` describes the mode, and its motion is subtracted before the next search. The
-    search ends when no significant resonance remains. Vibrations with constant frequency are fitted
-    beside the resonances. Probes that do not measure the first resonance are left out if a majority
-    agrees (``blind`` in the fit): they would add further resonances.
+    At speeds 0.3 % apart, a vibration with any phase at each probe is fitted. At the speed with the
+    largest reduction of squared residuals, the mode is fitted as by :func:`fit_passage`, and
+    subtracted before the next search. The search ends when no significant resonance remains.
+    Vibrations with constant frequency are fitted beside the resonances. Probes that do not measure
+    the first resonance are left out if a majority agrees (``blind`` in the fit): they would add
+    further resonances.
 
     Parameters
     ----------
@@ -395,8 +396,8 @@ def find_passages(
     most : int
         Maximum number of resonances.
     asynchronous : int
-        Maximum number of vibrations with constant frequency. Every order meets them, and they then
-        look like resonances with little damping.
+        Maximum number of vibrations with constant frequency. Without a fit, they look like
+        resonances with little damping.
     stiffening : float or function
         As in :func:`fit_passage`; a number holds for all modes.
 
@@ -795,7 +796,7 @@ class _Resonance:
     best_fit : Fit
         Fit for the most likely order.
     margins : dict of float to float
-        Difference in -2 log likelihood between each order and the best.
+        Difference in -2 log likelihood between each order and the best; 0 for the best.
     compared_neighbours : list of _Resonance
         Neighbours at the last comparison of orders.
     """
@@ -856,7 +857,7 @@ class _Resonance:
 
     @property
     def speed(self) -> float:
-        """Speed at which the order meets the frequency [rad/s]."""
+        """Rotor speed at which the order excites the natural frequency [rad/s]."""
         return self.best_fit.mode.speed
 
     def is_near(

@@ -90,7 +90,7 @@ class Run:
 
     @property
     def n_probes(self) -> int:
-        """Number of probes with arrivals."""
+        """Number of probes with arrivals in this run."""
         return int(self.has_arrival.any(axis=0).sum())
 
     def compute_waves(self, order: float, poles: np.ndarray) -> np.ndarray:
@@ -387,7 +387,8 @@ class Mode:
 class Fit:
     """Fit frequencies and dampings by least squares, in turns with weights.
 
-    Forces and drifts are linear, and fitted again at each step of the others (variable projection).
+    The displacement is linear in forces and drifts: they are fitted anew for each trial of
+    frequencies and dampings (variable projection).
 
     Parameters
     ----------
@@ -530,7 +531,7 @@ class Fit:
 
     @property
     def mode(self) -> Mode:
-        """First mode, or the only one."""
+        """First of the fitted modes."""
         return self.modes[0]
 
     @property
@@ -547,7 +548,7 @@ class Fit:
 
     @cached_property
     def omega_and_damping_errors(self) -> np.ndarray:
-        """Standard errors of the first mode's frequency [rad/s] and damping: (2,)."""
+        """Standard errors of the first mode: natural frequency [rad/s] and damping ratio, (2,)."""
         columns = self._slopes / np.sqrt(self.noise.weights)[:, None]
         covariance = self.noise.coefficient_covariance(columns, self.revolutions_and_probes)
         return np.sqrt(np.diag(covariance)[:2]) * [self.mode.omega, self.mode.damping]

@@ -98,17 +98,17 @@ _OPEN_FILE_STACKS: list[contextlib.ExitStack] = []
 def partial_file(
     path: str | Path, key: str = "path", *, must_be_new: bool = False
 ) -> Iterator[Path]:
-    """Yield a hidden path; after the block the file there gets the final name.
+    """Yield a hidden path for a new file, and rename the file after the block.
 
-    If the block fails, the hidden file is removed. Inside of :func:`complete_files_together` the
-    name changes when all files are complete.
+    If the block fails, the hidden file is removed. Within :func:`complete_files_together` files are
+    renamed together at the end.
 
     Parameters
     ----------
     path, key
-        The file and the key that named it, for :func:`write_file_whole`.
+        Final path, and the name of the option or argument with the path, for an error.
     must_be_new : bool
-        Raise FileExistsError if the file exists, and leave the existing file.
+        Raise FileExistsError if a file exists at the path, and leave that file.
 
     Raises
     ------

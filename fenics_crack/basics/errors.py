@@ -99,7 +99,7 @@ class InputError(ValueError):
 
 
 class WriteError(InputError):
-    """A file that cannot be written although the name is usable, mostly due to a full disk."""
+    """Error for a file that cannot be written to a usable path, mostly due to a full disk."""
 
 
 class ConvergenceError(RuntimeError):

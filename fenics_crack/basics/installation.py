@@ -51,7 +51,9 @@ def report_missing_libraries() -> Iterator[None]:
 
 
 def find_c_compiler() -> str:
-    """Return the command of the C compiler with which DOLFINx compiles forms.
+    """Find the C compiler for DOLFINx, and return the command.
+
+    If the variable CC is set, only this compiler counts; otherwise Python's compiler, gcc or clang.
 
     Raises
     ------
@@ -80,7 +82,7 @@ def find_c_compiler() -> str:
 
 
 def read_version_line(command: str) -> str:
-    """Return the first line that a program prints for ``--version``."""
+    """Return the first line that a program prints with ``--version``."""
     command_words = [*shlex.split(command), "--version"]
     finished_process = subprocess.run(
         command_words, capture_output=True, text=True, timeout=30, check=False

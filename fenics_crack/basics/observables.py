@@ -111,7 +111,10 @@ _make_clamp_row = partial(Observable, Place.CLAMP)
 # ruff: noqa: RUF009  # observables are frozen
 @dataclass(frozen=True, repr=False)
 class Observables:
-    """Numbers at a point and at the crack faces; each default is a row of the table."""
+    """Hold the numbers of a motion at a watched point and at the crack faces.
+
+    Each field's default is the :class:`Observable` with its description.
+    """
 
     omega: Any
     amplitude: Any = _make_point_row("half peak-to-peak", "m",

@@ -258,5 +258,5 @@ class StopRequest:
         self._is_requested = True
 
     def is_requested(self, comm: MPI.Comm) -> bool:
-        """Return True if any rank has a request to stop (collective)."""
+        """Return True if a rank of the communicator has received a stop signal (collective)."""
         return bool(comm.allreduce(self._is_requested, MPI.LOR))

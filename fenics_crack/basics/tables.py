@@ -100,7 +100,7 @@ class Table:
         return f"<table><caption>{html.escape(caption)}</caption>{rows_html}</table>"
 
     def save(self, path: str | Path) -> None:
-        """Write the table as JSON if the name ends in ``.json``, else as CSV.
+        """Write the table as CSV, or as JSON if the name ends in ``.json``.
 
         Raises
         ------
@@ -238,7 +238,7 @@ class Tabular(Described):
     """Base class for a result whose :meth:`to_dict` has lists of equal length."""
 
     def to_csv(self, path: str | Path) -> None:
-        """Write :meth:`table` as CSV; as JSON if the name ends in ``.json``.
+        """Write :meth:`table` as CSV, or as JSON if the name ends in ``.json``.
 
         Raises
         ------
@@ -407,7 +407,7 @@ def describe_omitted_causes(cause_names: Iterable[str]) -> str:
 
 
 def format_count(count: int, noun: str) -> str:
-    """Return a number of things as text: "1 pair", "2 pairs"."""
+    """Return a number with a noun as text: "1 pair", "2 pairs"."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
@@ -429,7 +429,7 @@ def _python_value(value: Any) -> Any:
 
 
 def _json_value(value: Any) -> Any:
-    """Return a value for JSON: None instead of nan and infinity."""
+    """Return a value for JSON; nan and infinity become None."""
     value = _python_value(value)
     return None if isinstance(value, float) and not math.isfinite(value) else value
 

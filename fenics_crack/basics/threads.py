@@ -215,7 +215,7 @@ def address_space_limit() -> float:
 
 
 def remaining_address_space() -> float:
-    """Return the address space that this process may still ask for [byte]."""
+    """Return the address space that this process may still use [byte]; inf without a limit."""
     return address_space_limit() - process_memory("VmSize")
 
 

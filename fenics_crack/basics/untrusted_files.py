@@ -288,20 +288,21 @@ def convert_heading_to_si(heading: str) -> tuple[str, float]:
 def open_lines_and_byte_limit(
     path: str | Path, errors: str = "strict"
 ) -> Iterator[tuple[Iterable[str], int]]:
-    """Open a large text file, such as a matrix, which may be packed (.gz, .bz2).
+    """Open a text file by lines, also one compressed as .gz or .bz2.
 
     Yields
     ------
     lines : iterable of str
         The lines of the file.
     max_bytes : int
-        Maximum bytes of the unpacked lines.
+        Maximum size of the lines [byte].
 
     Raises
     ------
-    OSError, ValueError
-        From :func:`regular_file_size`; or the lines, while they are taken, are too many for the
-        size of a packed file.
+    OSError
+        From :func:`regular_file_size`.
+    ValueError
+        While lines are read: a compressed file has more than ``max_bytes``.
     """
     file_size = regular_file_size(path)
     open_function: Any = {".gz": gzip.open, ".bz2": bz2.open}.get(Path(path).suffix)

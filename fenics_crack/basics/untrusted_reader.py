@@ -50,7 +50,7 @@ def serve_requests(reader_file: str, request_socket: socket.socket) -> None:
 
 
 def end_with_parent() -> None:
-    """Let the system kill this process when its parent has ended (Linux)."""
+    """Let Linux kill this process as soon as the parent process ends."""
     with contextlib.suppress(AttributeError):
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 

@@ -159,12 +159,12 @@ def program_fingerprint_text() -> str:
 
 
 def scene_text(scene: Scene) -> str:
-    """Return a scene as TOML text for a file, with full paths."""
+    """Return a scene as TOML text with absolute paths."""
     return scene_with_full_paths(scene).as_toml()
 
 
 def scene_with_full_paths(scene: Scene) -> Scene:
-    """Return a scene with the full paths of its files."""
+    """Return a scene in which the paths of files are absolute."""
     return with_file_paths(scene, lambda path: str(Path(path).absolute()))
 
 
@@ -372,9 +372,9 @@ class StoredFile:
 
 
 def read_result_file(path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> StoredFile:
-    """Read a file and verify the digest (collective).
+    """Read a result file, and verify the digest (collective).
 
-    Rank 0 lets a separate program read the file.
+    Rank 0 lets a separate process read the file, since a damaged file may crash HDF5.
 
     Raises
     ------
