@@ -32,9 +32,9 @@ ARRIVAL_COLUMN_NAMES = ("revolution", "angle [rad]", "mark [s]", "next_mark [s]"
 RADIUS_COLUMN_NAME = "tip_radius [m]"
 """Optional column of a CSV file."""
 RADIUS_HINT_TEXT = "on the command line, --set tip_timing.tip_radius=0.5"
-"""Hint of the error that the radius is missing."""
+"""Advice in the error for a missing tip radius."""
 MAX_STEADY_SPEED_VARIATION = 1e-2
-"""Maximum relative variation of a constant speed."""
+"""Maximum range of a constant speed, relative to the mean."""
 MAX_ALLOWED_PASSAGES = 10**7
 """Maximum number of passages in a record, which limits the memory."""
 MIN_REQUIRED_REVOLUTIONS = 10
@@ -61,14 +61,15 @@ class ArrivalTimes(Tabular):
     time : (revolutions, probes) [s]
         Arrivals; nan for a missing arrival.
     marks : (revolutions + 1,) [s]
-        Beginnings of the revolutions, and the end of the last revolution.
+        Times of the shaft's mark: beginnings of the revolutions, and the end of the last
+        revolution.
     probes : (probes,) [rad]
         Angles phi between the probes and the undisturbed blade tip at a mark, in the direction of
         rotation; from 0 to 2 pi, increasing.
     tip_radius : float [m]
         Radius R.
     first : int
-        Number of the first revolution.
+        First revolution's number.
 
     Raises
     ------
@@ -131,7 +132,7 @@ class ArrivalTimes(Tabular):
 
     @property
     def mean_speed(self) -> float:
-        """Mean speed between the first and last revolutions with arrivals [rad/s]."""
+        """Mean speed from the first to the last revolution with arrivals [rad/s]."""
         rows_with_arrivals = np.flatnonzero(np.isfinite(self.time).any(axis=1))
         begin_row, end_row = int(rows_with_arrivals[0]), int(rows_with_arrivals[-1]) + 1
         return float(
@@ -140,25 +141,34 @@ class ArrivalTimes(Tabular):
 
     @property
     def steady(self) -> bool:
-        """True if the speed varies by at most 1 %."""
+        """True if the speed varies by at most 1 % of the mean."""
         speed = self.speed
         return bool(np.ptp(speed) <= MAX_STEADY_SPEED_VARIATION * speed.mean())
 
     @cached_property
     def nominal_angle(self) -> np.ndarray:
-        """Rotor angle phi + 2 pi n at arrivals without vibration: (revolutions, probes) [rad]."""
+        """Rotor angle at arrivals without vibration: (revolutions, probes) [rad].
+
+        phi + 2 pi n, with the probe's angle phi and the number n of the revolution.
+        """
         revolution_numbers = self.first + np.arange(len(self))
         return np.asarray(2.0 * np.pi * revolution_numbers[:, None] + self.probes)
 
     @cached_property
     def angle(self) -> np.ndarray:
-        """Rotor angle alpha at the arrivals: (revolutions, probes) [rad]."""
+        """Rotor angle alpha at the arrivals: (revolutions, probes) [rad].
+
+        nan for a missing arrival.
+        """
         mark_revolution_numbers = self.first + np.arange(len(self.marks))
         return interpolate_by_splines(self.marks, RAD_PER_TURN * mark_revolution_numbers, self.time)
 
     @cached_property
     def expected(self) -> np.ndarray:
-        """Times at the nominal angles, with or without arrivals: (revolutions, probes) [s]."""
+        """Arrival times of a blade without vibration: (revolutions, probes) [s].
+
+        Entries for missing arrivals are numbers, too.
+        """
         mark_revolution_numbers = self.first + np.arange(len(self.marks))
         return interpolate_by_splines(
             RAD_PER_TURN * mark_revolution_numbers, self.marks, self.nominal_angle
@@ -166,12 +176,19 @@ class ArrivalTimes(Tabular):
 
     @cached_property
     def displacement(self) -> np.ndarray:
-        """Tangential displacement u at the arrivals: (revolutions, probes) [m]."""
+        """Tangential displacement u at the arrivals: (revolutions, probes) [m].
+
+        nan for a missing arrival.
+        """
         return np.asarray(self.tip_radius * (self.nominal_angle - self.angle))
 
     @cached_property
     def displacement_rounding(self) -> float:
-        """Rounding of displacements [m]: by rounded angles, and 1e-9 of the motion."""
+        """Rounding error of displacements [m].
+
+        Sum of 1e-9 times the largest displacement, and 4 units in the last place of the largest
+        rotor angle, times the tip radius.
+        """
         largest_angle, largest_displacement = (
             float(np.nanmax(np.abs(quantity))) for quantity in (self.angle, self.displacement)
         )
@@ -180,11 +197,20 @@ class ArrivalTimes(Tabular):
         )
 
     def check_places(self, angle_deviation: float) -> None:
-        """Check that arrivals are at their probes, apart from a common shift.
+        """Check the arrivals against the probes' angles.
 
-        Raise InputError if arrivals are nearer to another probe, or in another revolution: a fit
-        would take the difference for a vibration. The standard deviation of the probes' angles
-        [rad] must be a number >= 0.
+        Medians over the revolutions are compared; a shift common to all probes is allowed.
+
+        Parameters
+        ----------
+        angle_deviation : float [rad]
+            Probe angles' standard deviation; only checked to be >= 0.
+
+        Raises
+        ------
+        InputError
+            Arrivals are nearer to another probe, or belong to another revolution than their row. A
+            fit would take the difference for a vibration.
         """
         check_number("angle_deviation", angle_deviation, 0.0)
         with warnings.catch_warnings():
@@ -227,9 +253,10 @@ class ArrivalTimes(Tabular):
             raise InputError("probes", problem_text, requirement_text)
 
     def zeroed(self, begin: int, end: int) -> Self:
-        """Return these arrivals with displacements from quiet revolutions.
+        """Return arrivals with zero median displacement in quiet revolutions.
 
-        The probes move to the median blade tip in revolutions begin to end - 1, counted from 0.
+        Quiet revolutions are rows begin to end - 1, counted from 0. The angle of each probe moves
+        by the median displacement over the tip radius; the times stay.
         """
         median_displacements = np.nanmedian(
             self.between(begin, end).displacement[begin:end], axis=0
@@ -237,7 +264,10 @@ class ArrivalTimes(Tabular):
         return replace(self, probes=self.probes - median_displacements / self.tip_radius)
 
     def between(self, begin: int, end: int) -> Self:
-        """Keep only the arrivals in revolutions begin to end - 1, from 0."""
+        """Return the arrivals of rows begin to end - 1 alone.
+
+        Rows are counted from 0. All rows stay; times of the other revolutions become nan.
+        """
         check_count("begin", begin, 0)
         check_count("end", end, begin + 1)
         is_kept_revolution = np.zeros(len(self), dtype=bool)
@@ -245,7 +275,10 @@ class ArrivalTimes(Tabular):
         return replace(self, time=np.where(is_kept_revolution[:, None], self.time, np.nan))
 
     def without(self, probes: np.ndarray) -> Self:
-        """Return these arrivals without the probes of indices (n,), from 0."""
+        """Return the arrivals without some probes.
+
+        ``probes`` (n,) are indices of columns, from 0.
+        """
         time = np.delete(self.time, probes, axis=1)
         return replace(self, time=time, probes=np.delete(self.probes, probes))
 
@@ -310,7 +343,10 @@ class ArrivalTimes(Tabular):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns, a row for every passage."""
+        """Return columns by name, with a row for every passage.
+
+        A missing arrival has a row with nan; probes are numbered from 1.
+        """
         n_revolutions, n_probes = self.time.shape
         revolution_rows = np.arange(n_revolutions)
         return {
@@ -337,19 +373,22 @@ class ArrivalTimes(Tabular):
 
 
 def interpolate_by_splines(knots: np.ndarray, values: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Interpolate values (n, ...) at increasing knots (n,) by cubic splines."""
+    """Interpolate values (n, ...) at increasing knots (n,) by cubic splines.
+
+    Returns the values at ``points``; nan for a point nan.
+    """
     from scipy.interpolate import CubicSpline  # takes longer than to read the arrivals
 
     return np.asarray(CubicSpline(knots, values)(points))
 
 
 def smooth_series(values: np.ndarray) -> np.ndarray:
-    """Smooth values (n,) in successive revolutions, to reduce their errors.
+    """Smooth a series (n,) with a value for each revolution.
 
     Quadratics are fitted over 2 h + 1 neighbours (Savitzky and Golay, Analytical Chemistry 36,
-    1964, 1627). The half width h = 0, 2, 4, 8, ... has the least risk by Stein's estimate (Annals
-    of Statistics 9, 1981, 1135). Fourth differences give the variance of errors. Fewer than 10
-    values are returned unchanged.
+    1964, 1627). The half width h = 0, 2, 4, 8, ... has the least expected error by Stein's estimate
+    (Annals of Statistics 9, 1981, 1135). Fourth differences give the variance of errors. Fewer than
+    10 values are returned unchanged.
     """
     if len(values) < MIN_REQUIRED_REVOLUTIONS:
         return values
@@ -371,10 +410,11 @@ def smooth_series(values: np.ndarray) -> np.ndarray:
 
 
 def check_revolution_durations(key: str, durations: np.ndarray, first_revolution: int = 0) -> None:
-    """Raise InputError unless durations of revolutions (n,) [s] vary smoothly.
+    """Raise InputError if a mark was missed or counted twice.
 
-    A duration more than 1.4 times the median of five, or less than 1 / 1.4 times, shows a missed
-    mark or a false one.
+    A duration in ``durations`` (n,) [s] is then over 1.4 times the median of the five durations
+    around it, or below 1 / 1.4 times the median. The error names ``key``, and revolutions from
+    ``first_revolution`` on.
     """
     duration_windows = np.lib.stride_tricks.sliding_window_view(
         np.pad(durations, 2, mode="symmetric"), 5
@@ -399,7 +439,10 @@ def check_revolution_durations(key: str, durations: np.ndarray, first_revolution
 
 
 def check_probe_angles(probes: np.ndarray) -> None:
-    """Raise InputError unless probes are angles from 0 to 2 pi, increasing."""
+    """Raise InputError unless probe angles (n,) [rad] increase from 0 on.
+
+    All are below 2 pi.
+    """
     is_finite_vector = probes.ndim == 1 and len(probes) > 0 and np.all(np.isfinite(probes))
     if (
         not is_finite_vector
@@ -413,9 +456,21 @@ def check_probe_angles(probes: np.ndarray) -> None:
 def choose_tip_radius(
     path: str | Path, file_radii: np.ndarray | None, given_radius: float | None
 ) -> float:
-    """Return the tip radius [m], from a file's column or as given.
+    """Return the tip radius [m] from a file's column or from the caller.
 
-    Raise InputError without a radius, or for contradictory ones.
+    Parameters
+    ----------
+    path : path
+        The file, for errors.
+    file_radii : (rows,) [m] or None
+        Column with the radius; None if the file has no such column.
+    given_radius : float [m] or None
+        Radius from the caller, if any.
+
+    Raises
+    ------
+    InputError
+        Both are None, or two radii differ.
     """
     if file_radii is None:
         if given_radius is None:
@@ -439,14 +494,16 @@ def choose_tip_radius(
 
 
 def _read_headings_and_number_table(path: str | Path) -> tuple[list[str], list[int], np.ndarray]:
-    """Read a CSV file without lines that begin with #.
+    """Read a CSV file as headings and a table of numbers.
+
+    Lines beginning with # are left out.
 
     Returns
     -------
     headings : list of str
         Headings, with units converted to SI.
     line_numbers : list of int
-        Numbers of the lines (n,) below the headings.
+        Number in the file for each of the n lines below the headings.
     number_table : (columns, n)
         Numbers in SI; nan in cells without a number.
     """
@@ -473,7 +530,7 @@ def _read_headings_and_number_table(path: str | Path) -> tuple[list[str], list[i
 
 
 def _parse_number_or_nan(cell: str) -> float:
-    """Return the number in a cell, or nan without one."""
+    """Return the number in a cell; nan for an empty cell or a word."""
     try:
         return float(cell)
     except ValueError:
@@ -481,7 +538,15 @@ def _parse_number_or_nan(cell: str) -> float:
 
 
 def _read_passages_and_radii(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
-    """Read a file's required columns (5, rows), and radii (rows,) or None."""
+    """Read the columns of a file with a row for each passage.
+
+    Returns
+    -------
+    passages : (5, rows)
+        Columns :data:`ARRIVAL_COLUMN_NAMES`; nan for a missing arrival.
+    radii : (rows,) [m] or None
+        Tip radius of each row; None without the column :data:`RADIUS_COLUMN_NAME`.
+    """
     headings, line_numbers, number_columns = _read_headings_and_number_table(path)
     for required_heading in ARRIVAL_COLUMN_NAMES:
         if required_heading not in headings:
@@ -515,11 +580,14 @@ def _read_passages_and_radii(path: str | Path) -> tuple[np.ndarray, np.ndarray |
 # --- records --------------------------------------------------------------------------------------
 
 PASSAGE_HEADING_PATTERN = re.compile(r"(?:blade\s*(\d+))?.*?\bprobe\s*(\d+)", re.IGNORECASE)
-"""Heading of a blade's arrivals at a probe; the default is blade 1."""
+"""Pattern of the heading for a blade's arrivals at a probe.
+
+Groups: number of the blade, or None for the only blade; number of the probe.
+"""
 RAD_PER_S_BY_SPEED_UNIT = {"rpm": RAD_PER_S_PER_RPM, "rad/s": 1.0, "Hz": RAD_PER_TURN}
 RAD_BY_ANGLE_UNIT = {"rad": 1.0, "deg": SI_UNIT_AND_FACTOR_BY_UNIT["deg"][1]}
 SECONDS_BY_TIME_UNIT = {"s": 1.0}
-"""Factors of units to rad/s, rad and s; the first unit is the default of a heading."""
+"""Factors of units to rad/s, rad and s; a heading without a unit has the first unit."""
 
 
 def read_record(
@@ -616,17 +684,21 @@ def read_record(
 
 
 def has_probe_angles(path: str | Path) -> bool:
-    """Return True if a file has the angles of its probes."""
+    """Return True if a file of arrivals has the angles of its probes.
+
+    Only a file with a row for each passage has the column "angle [rad]". For others,
+    :func:`read_record` needs ``probes`` or takes medians.
+    """
     return ARRIVAL_COLUMN_NAMES[1] in _read_headings_and_number_table(path)[0]
 
 
 def find_probe_angles_by_blade(
     probes: Sequence[float] | np.ndarray, n_blades: int
 ) -> dict[int, np.ndarray]:
-    """Return probe angles (n_probes,) [rad] from each blade's tip at the mark.
+    """Return the probe angles from each blade's tip, by blade number.
 
-    Keys are the numbers of the blades, from 1 to n_blades; blade j + 1 is 2 pi / n_blades ahead of
-    blade j.
+    ``probes`` (n_probes,) [rad] are the angles from blade 1 at the mark. Blade j + 1 is 2 pi /
+    n_blades ahead of blade j; blades are numbered from 1. Angles (n_probes,) are from 0 to 2 pi.
     """
     first_blade_angles = np.asarray(probes, dtype=float)
     return {
@@ -683,7 +755,11 @@ def write_record(
 
 
 def _find_unit_factor(path: str | Path, heading: str, factor_by_unit: dict[str, float]) -> float:
-    """Return the factor to SI for the unit in a heading."""
+    """Return the factor to SI for the unit in brackets in a heading.
+
+    ``factor_by_unit`` has the allowed units, and first the default. InputError, with the ``path``,
+    for an unknown unit.
+    """
     unit_match = re.search(r"\[(.*)\]", heading)
     unit_name = unit_match[1] if unit_match else next(iter(factor_by_unit))
     if unit_name not in factor_by_unit:
@@ -696,7 +772,10 @@ def _find_unit_factor(path: str | Path, heading: str, factor_by_unit: dict[str, 
 
 
 def _check_revolution_numbers(path: str | Path, revolution_numbers: np.ndarray) -> np.ndarray:
-    """Check and return the increasing numbers of the revolutions (rows,)."""
+    """Return the numbers of a record's revolutions (rows,) as integers.
+
+    InputError, with the ``path``, unless they are increasing whole numbers >= 0, at most 1e7 apart.
+    """
     are_whole_numbers = (
         np.all(np.isfinite(revolution_numbers))
         and not np.any(revolution_numbers % 1.0)
@@ -714,10 +793,19 @@ def _check_revolution_numbers(path: str | Path, revolution_numbers: np.ndarray) 
 def _read_mark_times(
     path: str | Path, column_by_heading: dict[str, np.ndarray], revolution_numbers: np.ndarray
 ) -> np.ndarray:
-    """Return times of the marks: (revolutions + 1,) [s].
+    """Return the times of the marks on the shaft: (revolutions + 1,) [s].
 
-    The file has marks or speeds.
-    Marks of missing rows are interpolated; the last one ends the last revolution.
+    Times follow from a column of marks, or from a column of speeds. Both are smoothed; missing rows
+    are interpolated linearly. The last time is the end of the last revolution.
+
+    Parameters
+    ----------
+    path : path
+        The file, for errors.
+    column_by_heading : dict of str to (rows,)
+        Columns by heading.
+    revolution_numbers : (rows,)
+        Revolution number for each row.
     """
     all_revolution_numbers = np.arange(revolution_numbers[0], revolution_numbers[-1] + 1)
     for heading, row_values in column_by_heading.items():
@@ -759,7 +847,19 @@ def _read_arrival_angles(
     revolution_numbers: np.ndarray,
     marks: np.ndarray,
 ) -> np.ndarray:
-    """Return angles from the mark to the arrivals (rows,) [rad]."""
+    """Return rotor angles from the mark to the arrivals: (rows,) [rad].
+
+    Parameters
+    ----------
+    path, heading
+        The file, and the column's heading with its unit: an angle, or s.
+    column : (rows,)
+        Angles, or times of arrival; nan for a missed passage.
+    revolution_numbers : (rows,)
+        Revolution number for each row.
+    marks : (revolutions + 1,) [s]
+        Mark times.
+    """
     if "[s]" not in heading:
         angles = column * _find_unit_factor(path, heading, RAD_BY_ANGLE_UNIT)
         if np.nanmedian(np.abs(angles)) > 2.0 * RAD_PER_TURN:
@@ -783,7 +883,21 @@ def _build_arrivals(
     given_probe_angles: np.ndarray | None,
     first_revolution: int,
 ) -> ArrivalTimes:
-    """Return a blade's arrivals from angles after the mark (revolutions, probes) [rad]."""
+    """Build a blade's arrivals from rotor angles after the mark.
+
+    Parameters
+    ----------
+    angles : (revolutions, probes) [rad]
+        Rotor angles from the mark to the arrival; nan for a missed passage. Changed in place.
+    marks : (revolutions + 1,) [s]
+        Mark times.
+    tip_radius : float [m]
+        Blade tip radius.
+    given_probe_angles : (probes,) [rad] or None
+        Angles of the probes; None: medians of the arrivals.
+    first_revolution : int
+        First revolution's number.
+    """
     for column in angles.T:  # a blade at the mark is seen before it and after it
         column -= RAD_PER_TURN * np.round((column - column[np.isfinite(column)][0]) / RAD_PER_TURN)
     median_angles = np.nanmedian(angles, axis=0)

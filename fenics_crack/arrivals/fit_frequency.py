@@ -65,9 +65,9 @@ def fit_frequency(
 ) -> TipFit:
     """Find a vibration of any frequency by least squares.
 
-    Among frequencies that fit equally well, within errors, the smallest vibration is taken and the
-    others are reported, as by :func:`fit_order`. Give no more harmonics than needed: with two, half
-    the true frequency may fit by its second harmonic.
+    If several frequencies fit equally well, within errors, the result is the smallest vibration.
+    The further frequencies are ``ambiguous`` in the result, as by :func:`fit_order`. Give no more
+    harmonics than needed: with two, half the true frequency may fit by its second harmonic.
 
     Parameters
     ----------
@@ -78,12 +78,12 @@ def fit_frequency(
     harmonics : int
         Number K.
     angle_deviation : float [rad]
-        Standard deviation of the probes' angles, the same in every revolution.
+        Probe angles' standard deviation, the same in every revolution.
 
     Returns
     -------
     TipFit
-        The order is any number, frequency over mean speed, with a standard error.
+        Vibration; the order is frequency over mean speed, any number, with a standard error.
 
     Raises
     ------
@@ -134,18 +134,19 @@ def find_lines_and_residuals(
     max_order: float,
     max_lines: int = 3,
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
-    """Find significant vibrations of constant frequency, beside constants.
+    """Find significant vibrations with constant frequency, beside constants.
 
-    The constants absorb everything synchronous.
+    A constant for each probe, or each place in a period, absorbs vibrations at engine orders.
 
     Parameters
     ----------
     arrivals : ArrivalTimes
         The speed may vary.
     displacements : (revolutions, probes) [m]
-        Displacements to search for vibrations, one after the other.
+        Displacements to search; nan without an arrival. Each vibration is subtracted before the
+        next search.
     constant_numbers : (revolutions, probes) int
-        Number of the constant for each displacement.
+        Index of the constant for each displacement; equal for displacements with a common constant.
     max_order : float
         Frequencies range from half the mean speed to one order above ``max_order``, or above the
         largest default order if larger.
@@ -157,7 +158,7 @@ def find_lines_and_residuals(
     lines : tuple of TipFit
         Vibrations.
     residuals : (revolutions, probes) [m]
-        Displacements without the vibrations.
+        Displacements without these vibrations.
     """
     line_fits: list[TipFit] = []
     mean_speed = arrivals.mean_speed
@@ -185,7 +186,7 @@ class _FrequencySearch:
     displacements : (revolutions, probes) [m]
         Displacements; nan without an arrival.
     constant_numbers : (revolutions, probes) int
-        Number of the constant for each displacement.
+        Index of the constant for each displacement; equal for displacements with a common constant.
     n_harmonics : int
         Number K.
     constants_deviation : float [rad]
@@ -243,12 +244,20 @@ class _FrequencySearch:
         )  # fmt: skip
 
     def _set_constants_stiffness(self, displacement_scatter: float) -> None:
-        """Set the stiffness that couples the probes' constants, for a scatter [m]."""
+        """Set the weight that keeps the probes' constants near each other.
+
+        The weight is (scatter / standard deviation of the constants)^2, with
+        ``displacement_scatter`` [m]; 0 for a single constant or free constants.
+        """
         if self._constant_columns.shape[1] > 1:
             self._constants_stiffness = (displacement_scatter / self._constants_deviation) ** 2
 
     def _subtract_constants(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Subtract the weighted best constants from values (n,) or (n, m)."""
+        """Subtract the probes' constants, fitted by weighted least squares.
+
+        ``values`` are (n,) or (n, m), ``weights`` (n,), for n arrivals. Returns the residuals in
+        the shape of ``values``.
+        """
         weighted_columns = weights[:, None] * self._constant_columns
         n_constants = self._constant_columns.shape[1]
         normal_matrix = self._constant_columns.T @ weighted_columns + self._constants_stiffness * (
@@ -262,7 +271,16 @@ class _FrequencySearch:
     def _fit_harmonics(
         self, omega: float, weights: np.ndarray, values: np.ndarray, times: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Fit harmonics and constants to values (n,) [m] at a frequency [rad/s].
+        """Fit harmonics and constants to displacements at a fixed frequency.
+
+        Parameters
+        ----------
+        omega : float [rad/s]
+            Frequency.
+        weights : (n,)
+            Arrival weights.
+        values, times : (n,) [m], (n,) [s]
+            Displacements, and their times.
 
         Returns
         -------
@@ -271,7 +289,7 @@ class _FrequencySearch:
         residuals : (n,) [m]
             Values less the fit.
         columns : (n, 2K+1)
-            Derivatives of the fit by the coefficients and by the frequency.
+            Derivatives of the fit by the coefficients and by the frequency, without constants.
         """
         wave_columns = fourier_basis(omega * times, self._multiples)[:, 1:]
         sqrt_weights = np.sqrt(weights)[:, None]
@@ -296,7 +314,11 @@ class _FrequencySearch:
         )
 
     def _refine_omega_and_fit(self, omega: float, weights: np.ndarray) -> tuple[float, Any]:
-        """Return a frequency [rad/s] refined by least squares, and its fit."""
+        """Refine a frequency [rad/s] by least squares with weights (n,).
+
+        Returns the frequency within the search's range, and the result of :meth:`_fit_harmonics`
+        there.
+        """
         omega_unit, sqrt_weights = np.pi / self._duration, np.sqrt(weights)[:, None]
         best_omega, fit = omega, None
 
@@ -322,9 +344,16 @@ class _FrequencySearch:
         return best_omega, fit
 
     def find_best_fit_and_noise_probability(self) -> tuple[TipFit, float]:
-        """Return the best vibration, and the probability of its size in noise.
+        """Find the best vibration in the range of frequencies.
 
-        Among vibrations that explain the displacements equally well, the smallest is the best.
+        Among vibrations with equally small residuals, the smallest vibration is the best.
+
+        Returns
+        -------
+        fit : TipFit
+            The best vibration.
+        chance : float
+            Probability of a vibration as large in noise alone; 1 if constants absorb the vibration.
         """
         refined_peaks: list[tuple[bool, float, float]] = []
         weights = self._null_noise.weights
@@ -373,12 +402,20 @@ class _FrequencySearch:
         ) else chance
 
     def _constants_absorb_vibration(self, columns: np.ndarray) -> bool:
-        """Return True if constants absorb half of some vibration's squares or more."""
+        """Return True if constants absorb half of a vibration or more.
+
+        Half of the sum of squares is meant, for the phase with the largest part. ``columns`` (n,
+        2K+1) come from :meth:`_fit_harmonics`.
+        """
         reduced_waves = columns[:, :-1]
         return bool(np.linalg.eigvalsh(reduced_waves.T @ reduced_waves)[0] < 0.25 * len(columns))
 
     def _find_peak_omegas(self) -> np.ndarray:
-        """Return the frequencies (n,) [rad/s] of the highest peaks in a periodogram."""
+        """Return the frequencies (n,) [rad/s] of the highest peaks in a periodogram.
+
+        At most 40 peaks above half the highest power; the highest alone if it is as low as in
+        noise.
+        """
         min_omega, max_omega = self._omega_bounds
         omega_step = RAD_PER_TURN / (4.0 * self._duration)  # of the resolution a quarter
         first_step = int(np.ceil(min_omega / omega_step))
@@ -419,7 +456,10 @@ class _FrequencySearch:
         )
 
     def _fit_with_reweighting(self) -> None:
-        """Fit frequency, harmonics and constants in turns with weights."""
+        """Fit frequency, harmonics and constants, in turns with the arrivals' weights.
+
+        The results are the attributes.
+        """
 
         def solve(weights: np.ndarray) -> np.ndarray:
             self.omega, (self.coefficients, residuals, self.columns) = self._refine_omega_and_fit(
@@ -435,7 +475,12 @@ class _FrequencySearch:
     def _compare_omegas_and_select(self, omegas: np.ndarray) -> tuple[Candidates, float]:
         """Compare frequencies (n,) [rad/s] with the weights of the best fit.
 
-        Return all as candidates, and the frequency to take [rad/s].
+        Returns
+        -------
+        candidates : Candidates
+            All frequencies, as orders.
+        omega : float [rad/s]
+            Selected frequency: the smallest vibration among equally good ones.
         """
         weights = self.noise.weights
         allowed_difference = CONFIDENCE_LEVELS.allowed_cost_difference * self.noise.scale**2
@@ -480,7 +525,10 @@ class _FrequencySearch:
         ), float(omegas[best_index])
 
     def _build_tip_fit(self, candidates: Candidates) -> TipFit:
-        """Return the fit, with its order in place of the nearest candidate."""
+        """Return the result, with the refined order among the candidates.
+
+        The refined order replaces the nearest candidate.
+        """
         mean_speed, n_coefficients = self._arrivals.mean_speed, 2 * len(self._multiples) + 1
         order = self.omega / mean_speed
         orders = candidates.orders.copy()
@@ -517,10 +565,12 @@ class _FrequencySearch:
 def _compute_spectrum(
     phases: np.ndarray, values: np.ndarray, first_frequency_number: int, n_frequencies: int
 ) -> np.ndarray:
-    """Return sum_n values_n exp(-i m phase_n) at unevenly spaced phases (n,) [rad].
+    """Return the Fourier sums of values at unevenly spaced phases.
 
-    The m are ``n_frequencies`` whole numbers from ``first_frequency_number`` on. A Gaussian spreads
-    each value over neighbours on a grid; the spectrum is divided by the Gaussian's transform.
+    The sums are sum_n values_n exp(-i m phase_n) for whole numbers m from
+    ``first_frequency_number`` on: (n_frequencies,). Phases and values are (n,) [rad]. A Gaussian
+    spreads each value over 16 cells of a grid; the grid's spectrum is divided by the Gaussian's
+    transform.
     """
     reach_in_cells = 8  # neighbours on each side, for eleven digits
     n_modes = 2 * (n_frequencies // 2 + 1)

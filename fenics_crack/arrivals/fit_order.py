@@ -60,12 +60,16 @@ from fenics_crack.numerics.fourier import fourier_basis
 N_OMITTED_HARMONICS_TO_FOLD = 3
 """Number of omitted harmonics, next above the fitted ones, that may be folded onto them."""
 FOLDED_SIZE_RATIOS = np.array([0.0, *2.0 ** -np.arange(0.5, 8.0)])
-"""Trial sizes of an omitted harmonic, relative to the last fitted harmonic.
+"""Trial sizes of an omitted harmonic: 0, and 0.71 down to 0.0055.
 
-In a run-up, neighbouring groups are compared relative to the whole vibration.
+Sizes are relative to the amplitude of the last fitted harmonic; in a run-up, to the norm of all
+fitted coefficients.
 """
 N_NEIGHBOURS_PER_SIDE = 16
-"""Number of groups on either side with the same ratios for omitted harmonics."""
+"""Number of neighbouring groups on either side in a run-up.
+
+A group and its neighbours share the size ratio of omitted harmonics.
+"""
 
 
 def fit_order(
@@ -78,17 +82,17 @@ def fit_order(
 ) -> TipFit:
     """Find the engine order and harmonics of a vibration by least squares.
 
-    Each probe's mean over the revolutions is found beside vibrations without an order
-    (``asynchronous`` in the fit). Errors follow Student's t, so that single wrong arrivals have
-    hardly any weight. Each candidate is fitted to the means. Candidates fit equally well if their
-    sum of squares is less than 9 variances above the minimum. The smallest such vibration is taken,
-    or the least sum among sizes within 20 %; the other candidates are reported. Candidates with
-    dependent columns at these probes are reported as hidden (:class:`Candidates`).
+    First, each probe's mean over the revolutions is fitted, together with vibrations at no engine
+    order (``asynchronous`` in the result). Errors follow Student's t, so that single wrong arrivals
+    have hardly any weight. Each candidate is then fitted to the means. Candidates fit equally well
+    if their sum of squares is less than 9 variances above the minimum. The result is the least sum
+    among vibrations at most 20 % larger than the smallest; further candidates are ``ambiguous``.
+    Candidates that these probes cannot measure are ``hidden``.
 
-    The variance of a mean combines the residuals and the probe's angle. If the means are off by
-    more (F test), their own misfit sets the variance, so that omitted harmonics do not pass for
-    information. Significant omitted harmonics increase the errors; ``folded`` is the risk from the
-    others.
+    The variance of a mean combines the residuals and the probe's angle. If the means differ from
+    the fit by more (F test), the variance follows from these differences. Significant omitted
+    harmonics increase the errors; ``folded`` is the probability of large errors by insignificant
+    ones.
 
     Parameters
     ----------
@@ -102,12 +106,12 @@ def fit_order(
     subharmonic : int
         For 2, the response has twice the load's period, and harmonics 1/2, 1, ..., K/2.
     angle_deviation : float [rad]
-        Standard deviation of the probes' angles, the same in every revolution.
+        Probe angles' standard deviation, the same in every revolution.
 
     Returns
     -------
     TipFit
-        The order, its harmonics with standard errors, and equally good orders.
+        Order, harmonics with standard errors, and equally good orders.
 
     Raises
     ------
@@ -136,7 +140,17 @@ def fit_order(
 def _fit_best_order(
     arrivals: ArrivalTimes, means: ProbeMeans, orders: np.ndarray, multiples: np.ndarray
 ) -> TipFit:
-    """Fit all orders, and return the smallest of the best vibrations."""
+    """Fit all candidate orders, and select the best.
+
+    Among orders with equally small residuals, the smallest vibration is the best.
+
+    Parameters
+    ----------
+    arrivals, means : ArrivalTimes, ProbeMeans
+        Arrivals, and their means at each probe.
+    orders, multiples : (n,), (K,)
+        Candidates, and harmonics as multiples of the load's frequency.
+    """
     n_unknowns = 2 * len(multiples) + 1
     fit_or_none_by_index = {
         index: means.fit_order_or_none(order, multiples) for index, order in enumerate(orders)
@@ -206,10 +220,10 @@ def _fit_best_order(
 
 
 def _find_period_in_revolutions(orders: np.ndarray, multiples: np.ndarray) -> int:
-    """Return the number of revolutions after which probes see the same motion.
+    """Return the revolutions after which every probe sees the same motion.
 
-    Raise InputError for products of ``orders`` and ``multiples`` with a period above 24
-    revolutions.
+    This is the common period of all products of ``orders`` (n,) and ``multiples`` (K,). InputError
+    if it is above 24 revolutions.
     """
     max_allowed_period = 24
     response_orders = np.multiply.outer(orders, multiples).ravel()
@@ -244,7 +258,7 @@ class _OrderFit:
     coefficients : (2K+1,) [m]
         a0, a1, b1, ....
     covariance : (2K+1, 2K+1) [m^2]
-        Covariance of the coefficients.
+        Covariance for the coefficients.
     sum_of_squares : float
         Sum of squared residuals, in variances.
     residual_per_error : (g,)
@@ -274,7 +288,7 @@ class _Sample:
     freedom_within_groups : int
         Degrees of freedom of this covariance, from arrivals within groups.
     tip_radius : float [m]
-        Radius of the blade tip.
+        Blade tip radius.
 
     Attributes
     ----------
@@ -302,10 +316,10 @@ class _Sample:
         )
 
     def fit_order_or_none(self, order: float, multiples: np.ndarray) -> _OrderFit | None:
-        """Fit an order by least squares.
+        """Fit an order by least squares, with harmonics ``multiples`` (K,).
 
-        Return None if the probes cannot measure the order, or if the blade tip would move
-        backwards.
+        Return None if these angles cannot determine the coefficients, or if the fitted blade tip
+        would move backwards.
         """
         wave_columns = fourier_basis(order * self.angles, multiples)
         nominal_columns = fourier_basis(order * self.nominal_angles, multiples)
@@ -340,21 +354,27 @@ class _Sample:
     def _whiten_columns_and_values(
         self, columns: np.ndarray, values: np.ndarray, residual_per_error: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Divide columns and values by slopes and standard deviations.
+        """Scale columns and values so that their errors are independent, of variance 1.
 
-        Columns are (g, m), values and slopes (g,).
-        Correlated values are decorrelated, by the Cholesky factor of their covariance.
+        Both are divided by ``residual_per_error`` (g,), then by the Cholesky factor of the
+        covariance. Columns are (g, m), values (g,).
         """
         columns_and_values = np.column_stack([columns, values]) / residual_per_error[:, None]
         columns_and_values = solve_triangular(self._cholesky_factor, columns_and_values, lower=True)
         return columns_and_values[:, :-1], columns_and_values[:, -1]
 
     def find_cost_and_fit_with_omitted(self, fit: _OrderFit) -> tuple[float, _OrderFit]:
-        """Return the restricted -2 log likelihood and the fit with omitted harmonics.
+        """Repeat a fit with omitted harmonics of the likeliest size.
 
-        The next :data:`N_OMITTED_HARMONICS_TO_FOLD` harmonics are normal random numbers, with the
-        most likely variance for the displacements. If they are significant, the errors include
-        their folding onto the fitted harmonics.
+        The next three harmonics (:data:`N_OMITTED_HARMONICS_TO_FOLD`) are normal random numbers. Their size
+        is the likeliest trial size; 0 changes nothing.
+
+        Returns
+        -------
+        cost : float
+            Restricted -2 log likelihood.
+        fit : _OrderFit
+            Coefficients and covariance, with the errors by omitted harmonics.
         """
         costs, fits = self.list_costs_and_fits_by_omitted_size(
             fit, self._list_omitted_harmonic_sizes(fit)
@@ -365,9 +385,16 @@ class _Sample:
     def list_costs_and_fits_by_omitted_size(
         self, fit: _OrderFit, omitted_sizes: np.ndarray
     ) -> tuple[np.ndarray, list[_OrderFit]]:
-        """Return costs (n,) and fits for given sizes of the omitted harmonics.
+        """Repeat a fit for several sizes of omitted harmonics.
 
-        Sizes are standard deviations (n,) [m]. Costs are restricted -2 log likelihoods.
+        ``omitted_sizes`` (n,) [m] are standard deviations.
+
+        Returns
+        -------
+        costs : (n,)
+            Restricted -2 log likelihoods.
+        fits : list of _OrderFit
+            The n fits.
         """
         costs, *estimate_arrays = self._solve_with_omitted_harmonics(
             fit, np.repeat(omitted_sizes[:, None], N_OMITTED_HARMONICS_TO_FOLD, axis=1)
@@ -383,10 +410,11 @@ class _Sample:
         ]
 
     def compute_folding_chance(self, fit: _OrderFit) -> float:
-        """Return the probability that an amplitude is off by over three errors.
+        """Return the probability that an amplitude is off by over three standard errors.
 
-        The probability is a mean over all sizes of omitted harmonics, weighted with the likelihood
-        of the values, for the worst amplitude; nan for unknown errors.
+        The error comes from omitted harmonics. The probability is a mean over their trial sizes,
+        weighted with the likelihood, for the worst amplitude. nan if errors are unknown, without
+        degrees of freedom.
         """
         if self.freedom_within_groups < 1:
             return np.nan
@@ -413,14 +441,18 @@ class _Sample:
     def _list_omitted_harmonic_sizes(self, fit: _OrderFit) -> np.ndarray:
         """Return trial standard deviations (n,) [m] of an omitted harmonic.
 
-        They follow from :data:`FOLDED_SIZE_RATIOS`.
+        They are :data:`FOLDED_SIZE_RATIOS` times the last amplitude of the fit, below
+        :attr:`max_allowed_omitted_size`.
         """
         omitted_sizes = np.hypot(*fit.coefficients[-2:]) * FOLDED_SIZE_RATIOS
         return np.asarray(omitted_sizes[omitted_sizes < self.max_allowed_omitted_size])
 
     @property
     def max_allowed_omitted_size(self) -> float:
-        """Maximum standard deviation [m] of an omitted harmonic, for well-conditioned squares."""
+        """Maximum standard deviation [m] of an omitted harmonic, for accurate normal equations.
+
+        1e6 times the smallest diagonal entry of the covariance's Cholesky factor.
+        """
         return float(np.diag(self._cholesky_factor).min() / np.sqrt(DEPENDENT_EIGENVALUE_RATIO))
 
     def _solve_with_omitted_harmonics(
@@ -428,19 +460,23 @@ class _Sample:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Repeat a fit with omitted harmonics as further unknowns.
 
-        Their values are 0 within standard deviations ``omitted_size_rows`` [m], of shape
-        (n, N_OMITTED_HARMONICS_TO_FOLD).
+        Parameters
+        ----------
+        fit : _OrderFit
+            Fit without them.
+        omitted_size_rows : (n, N_FOLDED_HARMONICS) [m]
+            Standard deviations of the omitted harmonics, whose expected value is 0, in n trials.
 
         Returns
         -------
         costs : (n,)
             Restricted -2 log likelihoods.
         coefficients : (n, 2K+1) [m]
-            Coefficients of the fitted harmonics.
+            Coefficients for the fitted harmonics.
         covariances : (n, 2K+1, 2K+1) [m^2]
-            Covariances of these coefficients.
+            Covariances for these coefficients.
         residual_square_sums : (n,)
-            Sums of squares, in variances.
+            Sums of squared residuals and omitted coefficients, in variances.
         """
         n_unknowns, multiples = len(fit.coefficients), fit.multiples
         omitted_multiples = multiples[-1] + multiples[0] * np.arange(
@@ -480,16 +516,24 @@ class _Sample:
     def run_misfit_f_test(
         self, residual_square_sum: float, n_unknowns: int
     ) -> tuple[float, float, float]:
-        """Test the misfit of a sum of squares, in variances (F test).
+        """Test whether residuals exceed the errors within groups (F test).
+
+        Parameters
+        ----------
+        residual_square_sum : float
+            Sum of squared residuals, in variances.
+        n_unknowns : int
+            Number of fitted coefficients.
 
         Returns
         -------
         ratio : float
-            Variance over the expected variance; inf without degrees of freedom.
+            Estimated over assumed variance; inf without degrees of freedom.
         chance : float
-            Probability of a misfit as large; nan if unknown.
+            Probability that residuals are as large; nan without a test.
         freedom : float
-            Degrees of freedom of the variance; inf for a significant misfit, which is not random.
+            Degrees of freedom of the estimate; inf for a significant misfit (probability below
+            0.01).
         """
         n_spare = len(self.displacements) - n_unknowns
         total_freedom = self.freedom_within_groups + n_spare
@@ -508,7 +552,7 @@ class _Sample:
 
 
 class ProbeMeans(_Sample):
-    """Hold each probe's mean displacements, once per period, with their covariance.
+    """Hold mean displacements of each probe, with their covariance.
 
     Parameters
     ----------
@@ -520,14 +564,15 @@ class ProbeMeans(_Sample):
         Largest candidate. Vibrations without an order are sought up to one order above this or
         above the default orders.
     angle_deviation : float [rad]
-        Standard deviation of the probes' angles.
+        Probe angles' standard deviation.
     line_displacement_changes : (revolutions, probes) [m]
         Displacements by :meth:`compute_displacement_changes_by_lines`, which are subtracted.
 
     Attributes
     ----------
     scatter : float [m]
-        Scatter of a displacement about the mean; 1 if unknown.
+        Standard deviation of a displacement from the mean; 1 if no probe has two arrivals at a
+        mean.
     displacements, angles : (g,) [m, rad]
         Means, and rotor angles at the displaced blade tip.
     covariance : (g, g) [m^2]
@@ -592,8 +637,9 @@ class ProbeMeans(_Sample):
     ) -> np.ndarray:
         """Return how the lines change an order's displacements: (revolutions, probes) [m].
 
-        Lines move the blade tip along the order's wave. The wave becomes smaller, and further lines
-        appear at the sums and differences of the frequencies.
+        Lines, in :attr:`lines`, have a constant frequency; ``fit`` is the order's fit. Lines move
+        the blade tip along the order's wave. The wave becomes smaller, and further lines appear at
+        the sums and differences of the frequencies.
         """
         group_angles = np.full(arrivals.time.shape, np.nan)
         group_angles[np.isfinite(arrivals.time)] = self.angles[self._group_indices]
@@ -607,10 +653,10 @@ class ProbeMeans(_Sample):
     def compute_wave_residual_square_sum(
         self, wave: np.ndarray, order: float, multiples: np.ndarray
     ) -> float:
-        """Return the residual squares after fitting an order to a wave.
+        """Return how much of a wave another order leaves unexplained.
 
-        The squares are in variances; the wave is (g,) [m].
-        Both are at the nominal angles.
+        ``order`` with harmonics ``multiples`` (K,) is fitted to the wave (g,) [m] at the nominal
+        angles. The result is the sum of squared residuals, in variances.
         """
         wave_columns = fourier_basis(order * self.nominal_angles, multiples)
         wave_columns, whitened_wave = self._whiten_columns_and_values(
@@ -623,7 +669,10 @@ class ProbeMeans(_Sample):
         return float(residuals @ residuals)
 
     def compute_rms_residual(self, order: float, multiples: np.ndarray) -> float:
-        """Return the root mean square residual of an order [m]."""
+        """Return the root mean square residual of all arrivals for an order [m].
+
+        The order, with harmonics ``multiples`` (K,), is fitted to the means without weights.
+        """
         wave_columns = fourier_basis(order * self.angles, multiples)
         coefficients = np.linalg.lstsq(wave_columns, self.displacements, rcond=1e-10)[0]
         residuals = self._arrival_displacements - (wave_columns @ coefficients)[self._group_indices]
@@ -655,7 +704,7 @@ class TipTrack(HarmonicFit):
         harmonics are missing, and folded onto the fitted ones. nan without more probes than
         unknowns, since anything then fits.
     folded : float
-        As in :class:`TipFit`, at the largest harmonics.
+        As in :class:`TipFit`, for the groups with the largest amplitude of a harmonic.
     """
 
     order: float
@@ -671,8 +720,8 @@ class TipTrack(HarmonicFit):
     def in_doubt(self) -> bool:
         """True if a test of the fit fails, or cannot be made.
 
-        The fit has a misfit, omitted harmonics may be folded, or either test is impossible, for
-        instance with as many unknowns as probes.
+        A misfit has a probability below 0.001, or omitted harmonics may shift an amplitude. A
+        probability is nan without a test, for instance with as many unknowns as probes.
         """
         is_chance_unknown = np.isnan([self.misfit, self.folded])
         return self.does_not_fit or self.may_be_folded or bool(np.any(is_chance_unknown))
@@ -681,11 +730,11 @@ class TipTrack(HarmonicFit):
 
     @property
     def omega(self) -> np.ndarray:
-        """Angular frequency of the load: (n,) [rad/s]."""
+        """Angular frequency of the load for each group of revolutions: (n,) [rad/s]."""
         return np.asarray(self.order * self.speed)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns, a row for every group of revolutions."""
+        """Return columns by name, with a row for every group of revolutions."""
         column_by_name = add_frequency_entries(
             {"speed": self.speed.tolist(), "omega": self.omega.tolist()}
         )
@@ -824,21 +873,26 @@ def _fit_samples_by_group(
     freedom: int,
     angle_deviation: float,
 ) -> dict[int, tuple[_Sample, _OrderFit]]:
-    """Fit an order to each group, and return samples and fits by group index.
+    """Fit an order to each group of revolutions.
 
-    There are n groups with m arrivals each. A group is left out if the probes cannot measure the
-    order.
+    There are n groups with up to m arrivals each.
 
     Parameters
     ----------
     arrivals, order, multiples, angle_deviation
-        Record, order p, multiples (K,), and standard deviation of the probes' angles [rad].
+        Record, order p, multiples (K,), and probe angles' standard deviation [rad].
     nominal_angles, displacements, has_arrival : (n, m)
         Rotor angles without vibration [rad], displacements [m], and True for an arrival.
     fitted_groups : (k,)
-        Indices of groups with enough arrivals.
+        Indices for groups with enough arrivals.
     variance, freedom : float [m^2], int
-        Variance of a displacement, and its degrees of freedom.
+        Displacement variance, and its degrees of freedom.
+
+    Returns
+    -------
+    dict of int to (_Sample, _OrderFit)
+        Displacements and fit by group index, without groups of which the probes cannot measure the
+        order.
     """
     probe_indices = np.arange(has_arrival.shape[1]) % len(arrivals.probes)
     shares_probe_matrix = probe_indices[:, None] == probe_indices
@@ -874,7 +928,7 @@ def _find_coefficients_and_covariances(
     n_arrivals, coefficient_changes : (n,), (n, 2K+1) [m]
         Arrivals in each group, and changes by :func:`_subtract_linear_changes`.
     freedom : int
-        Degrees of freedom of the variance of a displacement.
+        Degrees of freedom of the displacement variance.
 
     Returns
     -------
@@ -918,7 +972,7 @@ def _subtract_linear_changes(
     column_pseudoinverses, wave_columns : (n, 2K+1, m), (n, m, 2K+1)
         Pseudoinverses of the columns, and columns of the fits.
     fitted_groups : (k,)
-        Indices of groups with enough arrivals.
+        Indices for groups with enough arrivals.
 
     Returns
     -------
@@ -944,10 +998,11 @@ def _subtract_linear_changes(
 def _refit_groups_with_omitted_harmonics(
     sample_fit_by_group: dict[int, tuple[_Sample, _OrderFit]],
 ) -> dict[int, tuple[_Sample, _OrderFit]]:
-    """Fit groups with omitted harmonics, in the likeliest ratio among neighbours.
+    """Repeat the fits of all groups with omitted harmonics.
 
-    A group and its neighbours share the ratio to the vibration, since few probes in one group do
-    not determine it.
+    Their size, relative to the vibration, is the likeliest in a group and 16 neighbours on either
+    side: few probes in one group do not determine the size. Neighbours with wrong arrivals do not
+    count.
     """
     group_costs, group_fits = [], []
     for sample, fit in sample_fit_by_group.values():
@@ -987,11 +1042,25 @@ def _refit_groups_with_omitted_harmonics(
 def _estimate_variance_and_freedom(
     residuals: np.ndarray, has_arrival: np.ndarray, freedoms: np.ndarray
 ) -> tuple[float, int]:
-    """Return the variance of residuals (n, m), and its degrees of freedom.
+    """Estimate the variance of an arrival from the residuals of groups.
 
-    The variance follows from differences between neighbouring groups, without wrong arrivals.
-    Without such differences the degrees are 0, and the variance is the mean square per degree of
-    freedom, or 1 without any.
+    The variance follows from differences between neighbouring groups, and wrong arrivals hardly
+    change it. Without differences, it is the mean square per degree of freedom; 1 without degrees
+    of freedom.
+
+    Parameters
+    ----------
+    residuals, has_arrival : (n, m) [m]
+        Residuals in n groups, and True for an arrival.
+    freedoms : (n,)
+        Arrivals less unknowns of each group.
+
+    Returns
+    -------
+    variance : float [m^2]
+        Displacement variance.
+    freedom : int
+        Degrees of freedom of the variance; 0 without differences.
     """
     total_freedom, has_arrival_pair = freedoms.sum(), has_arrival[1:] & has_arrival[:-1]
     freedoms = np.minimum(freedoms[1:], freedoms[:-1])
@@ -1007,9 +1076,9 @@ def _estimate_variance_and_freedom(
 
 
 def _estimate_quartile_variance(residual_square_sums: np.ndarray, freedoms: np.ndarray) -> float:
-    """Return the variance from sums of squares (n,).
+    """Estimate a variance from the lower quartile of sums of squares.
 
-    Each sum has degrees of freedom (n,).
-    The lower quartile is robust: nearly three quarters of the sums may have wrong arrivals.
+    ``residual_square_sums`` (n,) have degrees of freedom ``freedoms`` (n,). Nearly three quarters
+    of the sums may have wrong arrivals.
     """
     return float(np.quantile(residual_square_sums / chdtri(freedoms, 0.75), 0.25))

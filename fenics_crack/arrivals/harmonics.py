@@ -39,8 +39,8 @@ class Candidates(Tabular):
         Condition number of the fit's columns, scaled to length 1, at these probes. A large number
         amplifies errors of the probes.
     equivalent : (n,) bool
-        True for orders that fit as well as the best, or could explain the best fit at the probes'
-        angles, within errors.
+        True for orders with residuals as small as the best order's, within errors. Also for orders
+        with the best fit's values at the probes' angles.
     hidden : (n,) bool
         True if these probes cannot measure the order: constants absorb the vibration, harmonics
         look alike, or errors grow so large that the fitted blade tip moves backwards.
@@ -53,7 +53,7 @@ class Candidates(Tabular):
     hidden: np.ndarray
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns, a row for every order."""
+        """Return columns by name, with a row for every order."""
         column_names = "order", "residual", "condition", "equivalent", "hidden"
         return {
             column_name: column_values.tolist()
@@ -69,16 +69,20 @@ class Candidates(Tabular):
 
 
 class HarmonicFit(Tabular):
-    """Hold harmonics fitted to arrivals, and doubts about the fit."""
+    """Hold harmonics fitted to arrivals, and tests of the fit.
+
+    ``misfit`` is the probability that chance makes residuals as large or as correlated. ``folded``
+    is the probability that omitted harmonics put an amplitude off by over three standard errors.
+    """
 
     misfit: float
     folded: float
 
     @property
     def does_not_fit(self) -> bool:
-        """True if the misfit is below 0.001.
+        """True if residuals this large are too improbable: ``misfit`` is below 0.001.
 
-        Harmonics are missing, or the order is wrong.
+        Harmonics are then missing, or the order is wrong. False without a test.
         """
         return self.misfit < CONFIDENCE_LEVELS.misfit_significance_level
 
@@ -86,14 +90,14 @@ class HarmonicFit(Tabular):
     def may_be_folded(self) -> bool:
         """True if omitted harmonics may have shifted an amplitude.
 
-        An amplitude is then within three standard errors less probably than a normal number within
-        two.
+        ``folded`` is then above 0.0455, the probability of a normal number beyond two standard
+        deviations. False if it is unknown.
         """
         return bool(self.folded > 2.0 * ndtr(-2.0))
 
     @property
     def _doubt_texts(self) -> list[str]:
-        """Words for the gravest doubt: a list with one text or none."""
+        """Text of the gravest doubt about the fit, in a list; empty without a doubt."""
         if self.does_not_fit:
             return ["DOES NOT FIT"]
         return ["harmonics that are not fitted may be folded onto these"] * self.may_be_folded
@@ -120,15 +124,14 @@ class TipFit(HarmonicFit):
     coefficients : (2K+1,) [m]
         a0, a1, b1, ....
     covariance : (2K+1, 2K+1) [m^2]
-        Covariance of the coefficients.
+        Covariance for the coefficients.
     scatter : float [m]
-        Standard deviation of a displacement about the fit; nan without more arrivals than unknowns.
+        Standard deviation of displacements from the fit; nan without more arrivals than unknowns.
         Standard errors follow Student's t, and are nan for one or two more arrivals than unknowns.
     misfit : float
-        Probability of residuals as large between the probes' means, given the scatter within a
-        probe. If it is tiny, harmonics are missing, probes are out of place, or the order is wrong.
-        nan with too few probes or revolutions, and for orders that are no candidates
-        (:func:`fit_frequency`).
+        Probability that residuals are as large between the probes' means, given the scatter within
+        a probe. If it is tiny, harmonics are missing, probes are out of place, or the order is
+        wrong. nan with too few probes or revolutions, and for :func:`fit_frequency`.
     candidates : Candidates
         Candidate orders.
     spare : int
@@ -170,49 +173,48 @@ class TipFit(HarmonicFit):
 
     @property
     def amplitude_errors(self) -> np.ndarray:
-        """Standard errors of the amplitudes: (K,) [m]."""
+        """Standard errors for the amplitudes: (K,) [m]."""
         return compute_amplitudes_and_errors(self.coefficients, self.covariance)[1]
 
     @property
     def ambiguous(self) -> tuple[float, ...]:
-        """Other orders that explain these arrivals equally well."""
+        """Further orders that explain these arrivals equally well."""
         is_other_equivalent = self.candidates.equivalent & (self.candidates.orders != self.order)
         return tuple(self.candidates.orders[is_other_equivalent].tolist())
 
     @property
     def hidden(self) -> tuple[float, ...]:
-        """Orders that these probes cannot measure, present or not."""
+        """Candidate orders that these probes cannot measure, present or not."""
         return tuple(self.candidates.orders[self.candidates.hidden].tolist())
 
     @property
     def in_doubt(self) -> bool:
         """True if a test of the fit fails, or cannot be made.
 
-        The fit has a misfit, or omitted harmonics may be folded; or no test is possible, with as
-        many unknowns as probes, or if no probe sees the vibration twice.
+        ``misfit`` is below 0.001, or omitted harmonics may shift an amplitude. No test is possible
+        with as many unknowns as probes, or if no probe sees the vibration twice.
         """
         return self.does_not_fit or self.may_be_folded or self.spare < 1 or self.seen_once
 
     @property
     def seen_once(self) -> bool:
-        """True if no probe sees the same motion twice.
+        """True if no probe sees the same motion twice, as in a single revolution.
 
-        An example is a single revolution.
-        Errors of arrivals then follow from the residuals alone, and nothing tests that the
-        harmonics are enough.
+        Errors of arrivals then follow from the residuals alone, and no test shows missing
+        harmonics. Always False for :func:`fit_frequency`, and without spare arrivals.
         """
         return self.spare > 0 and bool(np.isnan(self.misfit)) and not self.order_error
 
     def ratio(self, multiple: float = 2.0) -> tuple[float, float]:
-        """Return the ratio of two amplitudes and its standard error.
+        """Return the ratio of a harmonic's amplitude to the first, and its standard error.
 
-        The ratio divides the amplitude at a multiple of the load's frequency by the amplitude at
-        the load's frequency. A breathing crack has a second harmonic, an open crack none.
+        ``multiple`` is the harmonic's frequency over the load's frequency. A breathing crack has a
+        second harmonic, an open crack none.
 
         Raises
         ------
         InputError
-            The fit has no such harmonic.
+            The fit has no harmonic at this multiple, or none at the load's frequency.
         """
         harmonic_indices = []
         for required_multiple in (1.0, multiple):
@@ -245,13 +247,16 @@ class TipFit(HarmonicFit):
         return float(amplitude_ratio), float(np.sqrt(scaled_variance) / base_amplitude)
 
     def displacement(self, angle: np.ndarray) -> np.ndarray:
-        """Return the fitted vibration at angles (n,) from :meth:`phases`: (n,) [m]."""
+        """Return the fitted displacement at angles (n,) [rad]: (n,) [m].
+
+        :meth:`phases` returns the angles.
+        """
         return fourier_basis(self.order * np.asarray(angle), self.multiples) @ self.coefficients
 
     def phases(self, arrivals: ArrivalTimes) -> np.ndarray:
-        """Return angles for :meth:`displacement` at arrivals: (revolutions, probes) [rad].
+        """Return the angles for :meth:`displacement` at the arrivals: (revolutions, probes) [rad].
 
-        Return the rotor angle; for :func:`fit_frequency`, the mean speed times the time since the
+        They are rotor angles; for :func:`fit_frequency`, the mean speed times the time since the
         first mark.
         """
         if self.order_error:
@@ -261,7 +266,7 @@ class TipFit(HarmonicFit):
     # --- shown ------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns, a row for the mean and for every harmonic.
+        """Return columns by name: a row for the mean, then for every harmonic.
 
         A row has the multiple m of the load's frequency, order, frequency, amplitude A and phase,
         in A cos(m p alpha - phase).
@@ -306,19 +311,20 @@ class TipFit(HarmonicFit):
 
 
 def format_first_orders(orders: Sequence[float]) -> str:
-    """Return the first six orders in words."""
+    """Return the first six orders as text: "1, 2.5, ..."."""
     return ", ".join([*(f"{order:.6g}" for order in orders[:6]), *["..."] * (len(orders) > 6)])
 
 
 def compute_amplitudes_and_errors(
     coefficients: np.ndarray, covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return amplitudes (..., K) and standard errors of coefficients (..., 2K+1).
+    """Return the amplitudes of harmonics, and their standard errors.
 
-    A tangential error e of a pair (a_k, b_k), normal to the pair, lengthens the amplitude A by e^2
-    / (2 A). The mean square is 3/4 (E e^2 / A)^2, with the expected value E. If A is below the
-    standard deviation of e, the deviation replaces A: probes may measure only one part of a
-    harmonic. If A is 0, the cosine direction is the radial one.
+    ``coefficients`` (..., 2K+1) are a0, a1, b1, ..., with ``covariance`` (..., 2K+1, 2K+1); both
+    results are (..., K). A tangential error e of a pair (a_k, b_k), normal to the pair, lengthens
+    the amplitude A by e^2 / (2 A). The mean square is 3/4 (E e^2 / A)^2, with the expected value E.
+    If A is below the standard deviation of e, the deviation replaces A: probes may measure only one
+    part of a harmonic. If A is 0, the cosine direction is the radial one.
     """
     cosine_sine_pairs = np.stack([coefficients[..., 1::2], coefficients[..., 2::2]])
     amplitudes = np.hypot(*cosine_sine_pairs)
@@ -354,7 +360,10 @@ def compute_amplitudes_and_errors(
 def make_orders_and_multiples(
     orders: Iterable[float], harmonics: int, subharmonic: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Check and return candidate orders (n,) and harmonic multiples (K,)."""
+    """Return sorted candidate orders (n,), and the multiples (K,) of harmonics.
+
+    Multiples are 1, ..., ``harmonics``, over ``subharmonic``. InputError for an argument of no use.
+    """
     check_count("harmonics", harmonics, 1)
     check_count("subharmonic", subharmonic, 1)
     candidate_orders = list(orders)
@@ -373,11 +382,23 @@ def select_candidate(
     allowed_difference: float,
     is_measurable: np.ndarray | bool = True,
 ) -> tuple[np.ndarray, int]:
-    """Return the equivalent candidates (n,) bool, and the index to select.
+    """Select the smallest vibration among candidates with equally small residuals.
 
-    Equivalent: ``residual_square_sums`` (n,) exceed the least sum by less than
-    ``allowed_difference``. Among these candidates, or the measurable ones if there are any,
-    ``vibration_sizes`` (n,) up to 20 % above the smallest compete, and the least sum is selected.
+    Parameters
+    ----------
+    residual_square_sums, vibration_sizes : (n,)
+        Sum of squared residuals, and size of the fitted vibration, for each candidate.
+    allowed_difference : float
+        Candidates are equivalent with sums less than this above the least sum.
+    is_measurable : (n,) bool or bool
+        Equivalent candidates that are not measurable are selected only without measurable ones.
+
+    Returns
+    -------
+    is_equivalent : (n,) bool
+        True for an equivalent candidate.
+    index : int
+        Least sum among eligible candidates whose size is at most 20 % above the smallest.
     """
     is_equivalent = residual_square_sums - residual_square_sums.min() < allowed_difference
     is_eligible = (
@@ -388,9 +409,10 @@ def select_candidate(
 
 
 def condition_number(columns: np.ndarray) -> float:
-    """Return the condition number of columns (n, m) scaled to length 1.
+    """Return the condition number of columns (n, m), each scaled to length 1.
 
-    inf for dependent columns.
+    inf for dependent columns: fewer rows than columns, lengths below 1e-8 of the longest, or a
+    condition number of 1e8 or more.
     """
     column_lengths = np.linalg.norm(columns, axis=0)
     if len(columns) < len(column_lengths) or column_lengths.min() < 1e-8 * column_lengths.max():
@@ -400,7 +422,7 @@ def condition_number(columns: np.ndarray) -> float:
 
 
 def raise_too_few_probes(arrivals: ArrivalTimes, n_unknowns: int) -> NoReturn:
-    """Raise InputError: these probes cannot determine so many unknowns."""
+    """Raise InputError: the probes cannot determine ``n_unknowns`` coefficients."""
     angles_text = ", ".join(f"{angle:g}" for angle in np.degrees(arrivals.probes))
     probes_text = f"{format_count(len(arrivals.probes), 'probe')} at {angles_text} degrees"
     requirement_text = (

@@ -49,7 +49,7 @@ MAX_REFINED_ORDERS = 4
 RELATIVE_SPEED_SPACING, INITIAL_DAMPING_RATIO = 0.003, 0.004
 """Relative spacing of scanned speeds; damping ratio in the scan and at the start of fits."""
 MAX_SEARCH_ROUNDS = 5
-"""Maximum rounds: refits among neighbours, pairs of orders, weights in a search."""
+"""Maximum rounds of refits of neighbours, of pairs of orders, and of weights in a search."""
 MAX_STIFFENING = 0.9
 """Maximum of |d ln w_n / d ln W|: orders hardly meet frequencies with a steeper dependence."""
 
@@ -74,7 +74,7 @@ class PassageFit(Tabular):
     amplitude : float [m]
         Largest amplitude in the passages.
     forces : (passages,) complex [m]
-        Amplitude F of each passage in a resonance without end.
+        Amplitude F of each passage if the rotor stayed at the resonance.
     ends : (passages, 2) int
         First revolution of each passage, and the one after the last, counted from 0.
     omegas, omega_errors : (passages,) [rad/s]
@@ -84,19 +84,19 @@ class PassageFit(Tabular):
     orders : (n,)
         Candidates.
     margins : (n,)
-        Difference in -2 log likelihood from the best order. With a neighbour in the fitted speeds,
-        each order is combined with the neighbour's best order. 0 also for the order of a rival
-        resonance, nearer than the width of either: at most one of the two need be right.
+        Difference in -2 log likelihood from the best order. With a neighbouring resonance in the
+        fitted speeds, each order is combined with the neighbour's best order. The order of a
+        resonance within this one's width, or the reverse, has 0, too: only one may be real.
     probes : int
         Number of probes with arrivals.
     scatter : float [m]
-        Standard deviation of a displacement about the fit.
+        Standard deviation of a displacement from the fit.
     whiteness : float
-        Probability that errors of arrivals and shaft marks alone leave residuals as correlated.
-        Standard errors include the correlation, but no bias by another vibration nearby
-        (:attr:`in_doubt`).
+        Probability that errors of arrivals and shaft marks alone correlate residuals as much; nan
+        without a test. Standard errors include the correlation, but no bias by another vibration
+        nearby (:attr:`in_doubt`).
     asynchronous : tuple of TipFit
-        Vibrations of constant frequency in the record, which follow no order.
+        Vibrations with constant frequency in the record, which follow no order.
     blind : tuple of float [rad]
         Angles of omitted probes, which do not measure the vibration seen by the majority.
     stiffening : float
@@ -129,28 +129,32 @@ class PassageFit(Tabular):
 
     @property
     def speed(self) -> float:
-        """Speed at which the order meets the frequency [rad/s]."""
+        """Rotor speed at which the order excites the natural frequency [rad/s]."""
         return self.omega / self.order
 
     @property
     def margin(self) -> float:
-        """Margin of the second best order; inf for a single candidate."""
+        """Difference in -2 log likelihood between the second best order and the best.
+
+        inf for a single candidate.
+        """
         return float(np.min(self.margins[self.orders != self.order], initial=np.inf))
 
     @property
     def untested(self) -> bool:
-        """True if several orders are candidates for fewer than three probes.
+        """True with several candidate orders and fewer than three probes.
 
-        Some order of a mode always comes near to two probes. Order and frequency are then
-        conditional: a frequency follows only if the order is right.
+        Some order of a mode always comes near to two probes. The stated frequency then holds only
+        if the order is right.
         """
         return self.probes < 3 and len(self.orders) > 1
 
     @property
     def ambiguous(self) -> tuple[float, ...]:
-        """Other orders that explain the arrivals within three standard deviations.
+        """Further orders that explain the arrivals within three standard deviations.
 
-        All other orders if :attr:`untested`.
+        A margin below 9 is meant. If the fit is :attr:`untested`, all further candidates are
+        returned.
         """
         is_other_equal = (
             (self.margins < CONFIDENCE_LEVELS.allowed_cost_difference) | self.untested
@@ -159,20 +163,20 @@ class PassageFit(Tabular):
 
     @property
     def apart(self) -> float:
-        """Relative range of the frequencies from single passages."""
+        """Range of the frequencies from single passages, over the frequency of the fit."""
         return float(np.ptp(self.omegas)) / self.omega
 
     @property
     def disagree(self) -> bool:
-        """True if passages differ by over three errors in frequency or damping.
+        """True if passages differ by over three standard errors in frequency or damping.
 
-        Amplitudes may differ: the load need not be the same.
+        Different amplitudes are no disagreement: the load need not be the same.
         """
         return bool(self.disagreement_in_words)
 
     @property
     def disagreement_in_words(self) -> str:
-        """Describe the differences behind :attr:`disagree` in words; "" if there are none."""
+        """Text on how the passages :attr:`disagree`; "" if they agree."""
         difference_texts = []
         if _differ_significantly(self.omegas, self.omega_errors):
             difference_texts.append(f"by {self.apart:.2%} in frequency")
@@ -188,17 +192,17 @@ class PassageFit(Tabular):
 
     @property
     def in_doubt(self) -> bool:
-        """True if residuals are correlated, or cannot be tested.
+        """True if residuals are correlated between revolutions, or cannot be tested.
 
-        ``whiteness`` is nan without a test.
-        Causes are another vibration near this speed, drift, or a nonlinear blade. Frequency,
-        damping and order may then be wrong by more than their errors.
+        ``whiteness`` is then below 0.001, or nan. Causes are another vibration near this speed,
+        drift, or a nonlinear blade. Frequency, damping and order may be wrong by more than their
+        errors.
         """
         return not self.whiteness >= CONFIDENCE_LEVELS.misfit_significance_level
 
     @property
     def deviation(self) -> float:
-        """Stated error of the frequency: its standard deviation [rad/s].
+        """Standard deviation of the frequency, stated as the error [rad/s].
 
         The largest of three: ``omega_error``; half the range of passages that disagree, as for a
         breathing crack; and for a fit in doubt half the resonance's width, zeta w_n, with damping
@@ -210,7 +214,7 @@ class PassageFit(Tabular):
 
     @property
     def in_words(self) -> str:
-        """Frequency with its :attr:`deviation`, engine order and speed, in words."""
+        """Text with the frequency, its :attr:`deviation`, the engine order and the speed."""
         frequency_text = f"{self.frequency:.6g} ± {self.frequency_error:.2g} Hz"
         return (
             f"{frequency_text}, engine order {self.order:g} at "
@@ -218,9 +222,9 @@ class PassageFit(Tabular):
         )
 
     def compared(self, arrivals: ArrivalTimes) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Return speeds, measured and fitted displacements for each passage.
+        """Return measured and fitted displacements for each passage.
 
-        Blind probes are left out.
+        Probes in ``blind`` are left out.
 
         Returns
         -------
@@ -250,7 +254,11 @@ class PassageFit(Tabular):
         return passage_comparisons
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the numbers by name."""
+        """Return the numbers of the fit by name.
+
+        "apart" is the relative range of the frequencies from single passages; see also the
+        attributes.
+        """
         number_names = (
             "order",
             "margin",
@@ -292,7 +300,10 @@ class PassageFit(Tabular):
 
 
 def _differ_significantly(values: np.ndarray, errors: np.ndarray) -> bool:
-    """Return True unless all values (n,) agree within three standard errors."""
+    """Return True if two values differ by over three standard errors of the difference.
+
+    ``values`` and ``errors`` are (n,).
+    """
     pairwise_differences = np.abs(values[:, None] - values)
     return not np.all(
         pairwise_differences
@@ -374,11 +385,12 @@ def find_passages(
 ) -> tuple[PassageFit, ...]:
     """Find the resonances in a record, about the largest first.
 
-    Along the speed, vibrations with any phase at each probe are fitted. Where they explain most,
-    :func:`fit_passage` describes the mode, and its motion is subtracted before the next search. The
-    search ends when no significant resonance remains. Vibrations of constant frequency are fitted
-    beside the resonances. Probes that do not measure the first resonance are left out if a majority
-    agrees (``blind`` in the fit): they would add further resonances.
+    At speeds 0.3 % apart, a vibration with any phase at each probe is fitted. At the speed with the
+    largest reduction of squared residuals, the mode is fitted as by :func:`fit_passage`, and
+    subtracted before the next search. The search ends when no significant resonance remains.
+    Vibrations with constant frequency are fitted beside the resonances. Probes that do not measure
+    the first resonance are left out if a majority agrees (``blind`` in the fit): they would add
+    further resonances.
 
     Parameters
     ----------
@@ -389,8 +401,8 @@ def find_passages(
     most : int
         Maximum number of resonances.
     asynchronous : int
-        Maximum number of vibrations of constant frequency. Every order meets them, and they then
-        look like resonances with little damping.
+        Maximum number of vibrations with constant frequency. Without a fit, they look like
+        resonances with little damping.
     stiffening : float or function
         As in :func:`fit_passage`; a number holds for all modes.
 
@@ -450,14 +462,23 @@ def find_passages(
 def _find_lines_and_motion(
     arrivals: ArrivalTimes, displacements: np.ndarray, orders: np.ndarray, max_lines: int
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
-    """Find vibrations of constant frequency in displacements.
+    """Find vibrations with constant frequency in displacements.
+
+    Parameters
+    ----------
+    arrivals, displacements : ArrivalTimes, (revolutions, probes) [m]
+        Record, and the displacements to search; nan without an arrival.
+    orders : (n,)
+        Candidate orders, the largest of which bounds the frequencies.
+    max_lines : int
+        Maximum number of vibrations.
 
     Returns
     -------
     lines : tuple of TipFit
-        Vibrations, at most ``max_lines``.
+        Vibrations.
     motion : (revolutions, probes) [m]
-        Their displacements; nan where ``displacements`` are nan.
+        Sum of their displacements; nan without an arrival.
     """
     begin_stage("vibrations of constant frequency")
     constant_numbers = np.arange(displacements.shape[1]) * np.ones(displacements.shape, dtype=int)
@@ -468,9 +489,10 @@ def _find_lines_and_motion(
 
 
 def _make_stiffening_function(stiffening: float | StiffeningFunction) -> StiffeningFunction:
-    """Return s as a function of speed and natural frequency [rad/s].
+    """Return the stiffening s as a function of speed and natural frequency [rad/s].
 
-    A function is clipped to -0.9 to 0.9; a number outside raises InputError.
+    A number holds at all speeds; InputError outside -0.9 to 0.9. Values of a function are clipped
+    to this range; InputError for nan.
     """
     if callable(stiffening):
 
@@ -524,13 +546,20 @@ class _ResonanceSearch:
         self._gains_and_reductions = np.full((n_centres, 2), np.nan)
 
     def add_scaled_motion_to_residuals(self, resonance: _Resonance, factor: float) -> None:
-        """Add a resonance's motion, times a factor, to the residuals."""
+        """Add a resonance's fitted displacements, times a factor, to the residuals.
+
+        The factor is -1 to subtract the motion, 1 to restore it.
+        """
         self.residuals += factor * resonance.best_fit.compute_motion(
             self.record, len(self.residuals)
         )
 
     def add_resonances_up_to(self, max_resonances: int) -> None:
-        """Find further resonances, up to a total number."""
+        """Search for further resonances, until ``max_resonances`` are found in all.
+
+        The search ends earlier if no significant resonance remains. Then the orders of resonances
+        with new neighbours are compared again.
+        """
         centre_speeds, gains_and_reductions = self._centre_speeds, self._gains_and_reductions
         while len(self.resonances) < max_resonances:
             begin_stage("search of the speed range for resonances")
@@ -588,7 +617,10 @@ class _ResonanceSearch:
         self._refit_neighbours_until_settled()
 
     def refit_resonances(self, displacements: np.ndarray) -> None:
-        """Fit the resonances to other displacements (revolutions, probes) [m]."""
+        """Fit the resonances to changed displacements (revolutions, probes) [m].
+
+        Resonances may be dropped, as by :meth:`_refit_or_drop`.
+        """
         self.residuals = np.array(displacements)
         for resonance in self.resonances:
             self.add_scaled_motion_to_residuals(resonance, -1.0)
@@ -597,7 +629,11 @@ class _ResonanceSearch:
         self._refit_neighbours_until_settled()
 
     def _refit_or_drop(self, resonance: _Resonance) -> None:
-        """Refit a resonance to displacements without the others, or drop it."""
+        """Refit a resonance beside all others, or drop it.
+
+        It is dropped if it is no longer clear (:attr:`_Resonance.is_clear`), or may be the residual
+        of a larger resonance.
+        """
         self.add_scaled_motion_to_residuals(resonance, 1.0)
         is_clear = resonance.refit_and_test_clarity(self.record, self.residuals)
         if is_clear and not any(
@@ -610,9 +646,14 @@ class _ResonanceSearch:
     def _compare_orders_with_neighbour(self, resonance: _Resonance) -> bool:
         """Compare the orders of a resonance and its largest neighbour jointly.
 
-        Resonances covered by either may be residuals of wrong orders, and are dropped. Return False
-        if nothing is compared: for a single order, without a neighbour, or if a larger resonance
-        covers this one.
+        The neighbour is within 3.5 % in speed. Resonances within the width of either may be
+        residuals of wrong orders, and are dropped.
+
+        Returns
+        -------
+        bool
+            False if nothing is compared: with a single candidate order, without a neighbour, or if
+            this resonance is within the width of a larger one.
         """
         resonances = self.resonances
         resonance_amplitude = resonance.best_fit.largest_first_mode_amplitude
@@ -655,9 +696,10 @@ class _ResonanceSearch:
         return True
 
     def _refit_neighbours_until_settled(self) -> None:
-        """Refit neighbours in turn until their frequencies settle.
+        """Refit resonances with overlapping speeds in turn until their frequencies settle.
 
-        A resonance is dropped if it is then not clear, or may be a residual of a larger one.
+        They have settled with changes below 0.1 standard errors, at the latest after 5 rounds.
+        :meth:`_refit_or_drop` may drop a resonance.
         """
         crowded_resonances = [
             resonance for resonance in self.resonances if resonance.list_neighbours(self.resonances)
@@ -684,18 +726,26 @@ class _ResonanceSearch:
 def _compute_gain_and_squares_reduction(
     record: Record, displacements: np.ndarray, speed: float, n_rounds: int = 1
 ) -> tuple[float, float]:
-    """Return how clearly a steady vibration near a speed reduces squares.
+    """Measure how well a steady vibration near a speed [rad/s] explains displacements.
 
-    The vibration has any phase at each probe. From the second round on, arrivals have the weights
-    of Student's t.
+    The vibration has any amplitude and phase at each probe, and the default damping ratio 0.004.
+
+    Parameters
+    ----------
+    record, displacements : Record, (revolutions, probes) [m]
+        Record, and the displacements to search.
+    speed : float [rad/s]
+        Speed of the resonance.
+    n_rounds : int
+        Rounds of least squares; from the second on, arrivals have the weights of Student's t.
 
     Returns
     -------
     gain : float
-        Reduction in variances of the noise, less the noise explained by further phases. The noise
-        follows from differences between successive arrivals at a probe.
+        Reduction in the sum of squares in variances of the noise, less 2 for each probe beyond the
+        first. Differences between successive arrivals at a probe give the variance.
     squares_reduction : float [m^2]
-        Reduction of the sum of squares.
+        Reduction in the sum of squares.
     """
     total_gain = total_reduction = 0.0
     for run in record.find_runs(displacements, speed):
@@ -753,7 +803,7 @@ class _Resonance:
     best_fit : Fit
         Fit for the most likely order.
     margins : dict of float to float
-        Difference in -2 log likelihood between each order and the best.
+        Difference in -2 log likelihood between each order and the best; 0 for the best.
     compared_neighbours : list of _Resonance
         Neighbours at the last comparison of orders.
     """
@@ -765,7 +815,10 @@ class _Resonance:
         self.compare_orders(runs, speed, orders)
 
     def compare_orders(self, runs: Sequence[Run], speed: float, orders: np.ndarray) -> None:
-        """Compare orders in passages near a speed [rad/s]."""
+        """Fit each order to the passages near a speed [rad/s], and keep the best.
+
+        ``orders`` (n,) are the candidates. Sets the attributes ``best_fit`` and ``margins``.
+        """
         self._runs = runs
         weights_of_runs = [run.has_arrival.astype(float) for run in runs]
         fit_by_mode: dict[Mode, Fit] = {}
@@ -792,9 +845,10 @@ class _Resonance:
 
     @property
     def is_clear(self) -> bool:
-        """True if it is passed, significant, and neither a line nor drift.
+        """True if the resonance is passed, significant, and neither a line nor drift.
 
-        A line has no damping within three errors; drift has a damping ratio above half the bound.
+        A run has speeds on both sides. The likelihood gain is above 60. The damping ratio is above
+        three standard errors (a line has none), and below 0.00875 (drift has more).
         """
         fit = self.best_fit
         is_passed = any(
@@ -811,7 +865,7 @@ class _Resonance:
 
     @property
     def speed(self) -> float:
-        """Speed at which the order meets the frequency [rad/s]."""
+        """Rotor speed at which the order excites the natural frequency [rad/s]."""
         return self.best_fit.first_mode.speed
 
     def is_near(
@@ -819,22 +873,35 @@ class _Resonance:
         other_resonance: _Resonance,
         allowed_relative_distance: float = 2.0 * RELATIVE_SPEED_HALF_WIDTH,
     ) -> bool:
-        """Return True if another resonance is within a relative distance in speed."""
+        """Return True if another resonance is near in speed.
+
+        ``width`` is the maximum difference in speed relative to this resonance, by default 7 %,
+        twice the half width of fitted speeds.
+        """
         return (
             other_resonance is not self
             and abs(other_resonance.speed / self.speed - 1.0) < allowed_relative_distance
         )
 
     def list_neighbours(self, resonances: Sequence[_Resonance]) -> list[_Resonance]:
-        """Return the other resonances with overlapping fitted speeds."""
+        """Return the resonances whose fitted speeds overlap with those here.
+
+        These are others within 7 % in speed.
+        """
         return [resonance for resonance in resonances if self.is_near(resonance)]
 
     def has_within_width(self, other_resonance: _Resonance) -> bool:
-        """Return True if another resonance is nearer than this one's width."""
+        """Return True if another resonance is within this resonance's width.
+
+        The width is twice the damping ratio, relative to the speed.
+        """
         return self.is_near(other_resonance, 2.0 * self.best_fit.first_mode.damping_ratio)
 
     def may_be_residual_of(self, other_resonance: _Resonance) -> bool:
-        """Return True if a larger resonance with the same order covers this one."""
+        """Return True if this may be the residual of a larger resonance.
+
+        The larger resonance has the same order, and a width that includes this speed.
+        """
         larger_fit, own_fit = other_resonance.best_fit, self.best_fit
         is_covered_at_order = (
             other_resonance.has_within_width(self)
@@ -848,9 +915,10 @@ class _Resonance:
     def refit_and_test_clarity(
         self, record: Record, displacements: np.ndarray, initial_mode: Mode | None = None
     ) -> bool:
-        """Refit the mode, or a given one, to displacements (revolutions, probes) [m].
+        """Refit the mode to displacements (revolutions, probes) [m].
 
-        Return True if the resonance is clear, and False if no run passes the speed.
+        The fit begins at ``initial_mode``, by default the best fit's mode. Return True if the
+        resonance is clear (:attr:`is_clear`), and False if not, or if no run passes the speed.
         """
         runs = record.find_runs(displacements, self.speed)
         if not runs:
@@ -862,10 +930,10 @@ class _Resonance:
         return self.is_clear
 
     def _make_initial_weights(self, runs: Sequence[Run]) -> list[np.ndarray]:
-        """Return initial weights (R, P) for runs.
+        """Return the arrivals' weights at the start of a fit: (R, P) for each run.
 
-        They are the best fit's weights for the same arrivals, otherwise 1.
-        Runs have R revolutions and P probes; weights are 0 without an arrival.
+        Weights of the best fit if the runs have the same arrivals, otherwise 1; 0 without an
+        arrival. Runs have R revolutions and P probes.
         """
         if [run.has_arrival.tobytes() for run in runs] == [
             run.has_arrival.tobytes() for run in self._runs
@@ -876,9 +944,18 @@ class _Resonance:
     def compare_order_pairs_with(
         self, neighbour: _Resonance, record: Record, displacements: np.ndarray, orders: np.ndarray
     ) -> None:
-        """Compare each pair of orders for two neighbours, and keep the best.
+        """Compare all pairs of orders for two neighbours, and keep the best.
 
-        The displacements (revolutions, probes) [m] hold the motion of both.
+        Both resonances get new fits and margins.
+
+        Parameters
+        ----------
+        neighbour : _Resonance
+            Resonance near in speed.
+        record, displacements : Record, (revolutions, probes) [m]
+            Record, and displacements with the motion of both resonances, but no further one.
+        orders : (n,)
+            Candidates.
         """
         resonance_pair = self, neighbour
         runs = record.find_runs(displacements, self.speed)
@@ -938,10 +1015,21 @@ class _Resonance:
         resonances: Sequence[_Resonance] = (),
         line_fits: tuple[TipFit, ...] = (),
     ) -> PassageFit:
-        """Return the best fit in numbers, with fits of single runs.
+        """Return the result, with fits of single runs.
 
-        ``residuals`` (revolutions, probes) [m] lack the motion of all ``resonances``. Neighbours
-        are fitted together, so that errors include their uncertainty.
+        Resonances within 3.5 % in speed are fitted jointly, so that errors include their
+        uncertainty.
+
+        Parameters
+        ----------
+        record : Record
+            Arrivals, and the stiffening of modes.
+        residuals : (revolutions, probes) [m]
+            Displacements without the motion of ``resonances``.
+        resonances : sequence of _Resonance
+            All resonances of the record.
+        line_fits : tuple of TipFit
+            Vibrations with constant frequency, for the result.
         """
         neighbours = [
             other_resonance
@@ -1010,10 +1098,21 @@ def _list_best_gains_and_modes(
     speed: float,
     damping_ratio: float,
 ) -> list[tuple[float, Mode]]:
-    """Find the best mode for each order.
+    """Find the best mode for each order on a grid of frequencies.
 
-    The list pairs reductions of the sum of squares [m^2] with modes.
-    Frequencies are from a grid about a speed, spaced by half the damping ratio.
+    The grid has 11 frequencies around order times speed, spaced by half the damping ratio.
+
+    Parameters
+    ----------
+    run_weight_pairs : iterable of (Run, (R, P))
+        Passages, and the weights of their arrivals.
+    orders, speed, damping_ratio : (n,), float [rad/s], float
+        Candidates, speed of the resonance, and damping ratio of all modes.
+
+    Returns
+    -------
+    list of (float, Mode)
+        Reduction in the weighted sum of squares [m^2], and the mode, for each order.
     """
     omega_rows = orders[:, None] * speed * (1.0 + damping_ratio * np.linspace(-2.5, 2.5, 11))
     pole_rows = compute_poles(omega_rows, damping_ratio)
@@ -1031,9 +1130,10 @@ def _list_best_gains_and_modes(
 def _compute_squares_reductions_by_pairs(
     runs: Sequence[Run], mode_lists: Sequence[Sequence[Mode]], weights_of_runs: Sequence[np.ndarray]
 ) -> np.ndarray:
-    """Return reductions of the sum of squares by mode pairs: (n, m) [m^2].
+    """Return reductions in the sum of squares by pairs of modes: (n, m) [m^2].
 
-    The first list has n modes, the second m.
+    Both modes of a pair are fitted jointly. ``mode_lists`` has a list of n modes and a list of m;
+    ``weights_of_runs`` has (R, P) for each run.
     """
     n_first_modes, all_modes = len(mode_lists[0]), [mode for modes in mode_lists for mode in modes]
     first_indices, second_indices = np.indices((n_first_modes, len(all_modes) - n_first_modes))
@@ -1072,10 +1172,10 @@ def _compute_squares_reductions_by_pairs(
 
 
 def _choose_order_index_pairs(squares_reductions: np.ndarray) -> set[tuple[int, int]]:
-    """Choose the index pairs to refine.
+    """Choose pairs of modes for refined fits: index pairs into an array (n, m).
 
-    Each of the best few modes has its best partner.
-    ``squares_reductions`` (n, m) [m^2] are reductions of the sum of squares.
+    The best two modes of either list go with their best partner. Pairs below half the largest of
+    ``squares_reductions`` (n, m) [m^2] are left out.
     """
     best_first_indices, best_second_indices = (
         np.argsort(-squares_reductions.max(axis=1 - axis))[: MAX_REFINED_ORDERS // 2]
@@ -1099,10 +1199,18 @@ def _choose_order_index_pairs(squares_reductions: np.ndarray) -> set[tuple[int, 
 def _compute_margin_by_order(
     gain_by_order: Mapping[float, float], fits: Iterable[Fit], best_fit: Fit, mode_index: int = 0
 ) -> dict[float, float]:
-    """Return each order's -2 log likelihood less that of the best fit.
+    """Return -2 log likelihood of each order less the best fit's.
 
-    An order without a fit has an estimate, from its reduction ``gains`` [m^2] of the sum of
-    squares.
+    Parameters
+    ----------
+    gain_by_order : dict of float to float
+        Reduction in the sum of squares [m^2] by order: an estimate for orders without a fit.
+    fits : iterable of Fit
+        Refined fits; the best of an order counts.
+    best_fit : Fit
+        Fit with the margin 0.
+    mode_index : int
+        Index of the mode, in the fits, whose orders are compared.
     """
     max_gain = max(gain_by_order.values())
     margin_by_order = {

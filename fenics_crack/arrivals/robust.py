@@ -25,14 +25,14 @@ from scipy.optimize import least_squares
 from scipy.special import gammaln, ndtr
 
 TRIAL_STUDENT_FREEDOMS = np.array([3.0, 5.0, 10.0, 30.0, 1e6])
-"""Trial degrees of freedom."""
+"""Trial degrees of freedom nu of Student's t; 1e6 stands for normal errors."""
 MAX_WEIGHTING_ROUNDS, WEIGHTING_TOLERANCE = 30, 1e-2
 """Maximum rounds of weights, and maximum change in the last round.
 
-Both weights and scaled residuals change less in the end: by some hundredths of a standard error.
+Changes of weights, and of residuals over their scale, are below 0.01 at the end.
 """
 DEPENDENT_EIGENVALUE_RATIO = 1e-12
-"""Columns are dependent below this fraction of the largest eigenvalue."""
+"""Eigenvalue, relative to the largest, below which columns are dependent."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class ConfidenceLevels:
         Minimum reduction of -2 log likelihood by a significant resonance: some 1e5 are tried, each
         with six unknowns.
     misfit_significance_level : float
-        Probability of residuals below which a model does not explain them.
+        Minimum probability that a model makes residuals as large; below, the model is wrong.
     misfit_errors_significance_level : float
         Probability of a misfit below which errors follow from the misfit, otherwise from the
         scatter.
@@ -64,16 +64,19 @@ class ConfidenceLevels:
 
     @property
     def allowed_cost_difference(self) -> float:
-        """Difference in sums of squares, in variances, between equally good candidates."""
+        """Maximum difference in -2 log likelihood between equally good candidates.
+
+        The square of ``allowed_standard_errors``, 9; also for sums of squares in variances.
+        """
         return self.allowed_standard_errors**2
 
 
 CONFIDENCE_LEVELS = ConfidenceLevels()
 
 SumAndCount = tuple[float, float]
-"""Sum of products, and their number."""
+"""Sum of products of residuals, and their number."""
 RevolutionsAndProbes = tuple[np.ndarray, np.ndarray]
-"""Revolutions and probes of arrivals: two (n,)."""
+"""Indices of revolutions and probes for n arrivals: two arrays (n,)."""
 
 
 class StudentNoise:
@@ -96,7 +99,7 @@ class StudentNoise:
     Attributes
     ----------
     weights : (n,)
-        Weights of the arrivals in the fit.
+        Arrival weights in the fit.
     scale, freedom : float
         Scale s and degrees of freedom nu.
     cost : float
@@ -161,12 +164,12 @@ class StudentNoise:
 
     @property
     def psi(self) -> np.ndarray:
-        """Weighted residuals: (n,)."""
+        """Weighted residuals w r: (n,), in the unit of the residuals."""
         return self.weights * self.residuals
 
     @property
     def mean_psi_slope(self) -> float:
-        """Mean derivative of psi by the residual."""
+        """Mean derivative of the weighted residual w r by the residual r."""
         squared_ratios = (self.residuals / self.scale) ** 2
         psi_derivatives = (
             (self.freedom + 1.0)
@@ -177,23 +180,29 @@ class StudentNoise:
 
     @property
     def variance(self) -> float:
-        """Variance of normal errors with the same effect on estimates."""
+        """Variance of normal errors that would scatter the coefficients as much.
+
+        In the squared unit of the residuals.
+        """
         n_spare = len(self.residuals) - self.n_unknowns
         return float(self.psi @ self.psi) / (n_spare * self.mean_psi_slope**2)
 
     def compute_whiteness_p_value(
         self, places: RevolutionsAndProbes, mark_shares: np.ndarray
     ) -> float:
-        """Return the probability that noise alone leaves residuals as correlated.
+        """Return the probability that errors of arrivals and marks alone correlate residuals.
 
-        Noise comes from arrivals and marks. The correlation is between values of psi at one probe,
-        from a revolution to the next with arrivals (:func:`_sum_products_with_next_revolution`).
+        A small probability means a vibration or drift in the residuals. nan if no revolution has a
+        next one with arrivals, or all residuals are 0. The correlation is between values of psi at
+        a probe in successive revolutions (:func:`_sum_products_with_next_revolution`).
 
         An error e_n of mark n moves arrivals: at probe i in revolution n by sum_k S_ki e_(n+k),
         with ``mark_shares`` S (marks, probes). Products of psi at two probes in a revolution give
         the variance of e. Multiplied by sum_k S_ki S_(k+m)i, this variance is the covariance
         between arrivals at probe i, m revolutions apart. Shared errors also scatter the products
         themselves.
+
+        ``places`` are the arrivals' revolutions and probes.
         """
         (
             (same_probe_sum_count, cross_probe_sum_count),
@@ -227,9 +236,10 @@ class StudentNoise:
     def coefficient_covariance(
         self, columns: np.ndarray, places: RevolutionsAndProbes
     ) -> np.ndarray:
-        """Return the covariance (m, m) of coefficients from columns (n, m).
+        """Return the covariance (m, m) of fitted coefficients.
 
-        Rows in ``columns`` belong to the arrivals; ``places`` are their revolutions and probes.
+        ``columns`` (n, m) are derivatives of the fit for n arrivals; ``places`` are the revolutions
+        and probes of the arrivals. Significant correlations of residuals are included.
         """
         column_norms = np.linalg.norm(columns, axis=0)
         columns = columns / column_norms
@@ -273,10 +283,18 @@ class StudentNoise:
     def _list_psi_covariances_by_lag(
         self, psi_variance: float, places: RevolutionsAndProbes
     ) -> list[tuple[float, float]]:
-        """Return significant covariances of psi at lags of 0, 1, ... revolutions.
+        """Return covariances of psi between arrivals 0, 1, ... revolutions apart.
 
-        Each lag has two covariances: at one probe, 0 at lag 0, and between two probes. The list
-        ends before the first lag > 0 without a significant covariance.
+        Each entry has the covariance at the same probe (0 in the first entry) and between two
+        probes. A covariance within three standard deviations of 0 becomes 0. The list ends before
+        the first later entry with two zeros.
+
+        Parameters
+        ----------
+        psi_variance : float
+            Variance of psi.
+        places : pair of (n,)
+            Revolutions and probes for the arrivals.
         """
         covariance_pairs: list[tuple[float, float]] = []
         for lag, sum_count_pairs in enumerate(
@@ -305,16 +323,18 @@ class StudentNoise:
 def student_variance_ratio(freedom: float) -> float:
     """Return the variance of Student's t over its squared scale.
 
-    Squared errors from few residuals are larger by this factor; nan up to two degrees of freedom.
+    Squared standard errors from few residuals are larger by this factor; nan for two or fewer
+    degrees of freedom.
     """
     return 1.0 + 2.0 / (freedom - 2.0) if freedom > 2.0 else np.nan
 
 
 def correlation_p_value(values: np.ndarray, places: RevolutionsAndProbes) -> float:
-    """Return the probability that white values are at least as correlated.
+    """Return the probability that uncorrelated values are as correlated by chance.
 
-    The correlation is between successive revolutions.
-    ``values`` (n,) belong to the revolutions and probes in ``places``; nan for one revolution.
+    Products of ``values`` (n,) at a probe in successive revolutions are summed; only a positive
+    correlation counts. ``places`` are the values' revolutions and probes. nan for a single
+    revolution, or zeros.
     """
     _, _, [(lagged_sum, n_lagged_products), _] = _sum_products_with_next_revolution(values, places)
     value_variance = float(values @ values) / len(values)
@@ -328,14 +348,18 @@ def correlation_p_value(values: np.ndarray, places: RevolutionsAndProbes) -> flo
 def _sum_products_with_next_revolution(
     values: np.ndarray, places: RevolutionsAndProbes
 ) -> tuple[list[SumAndCount], int, list[SumAndCount]]:
-    """Sum products of values (n,) within revolutions, and with the next ones.
+    """Sum products of values (n,) within revolutions, and with the next revolution.
+
+    ``places`` are the values' revolutions and probes.
 
     Returns
     -------
-    unlagged_sums, lagged_sums : [Total at one probe, Total at two probes]
-        Results of :func:`_sum_products` at lag 0, and at ``lag``.
+    unlagged_sums : list of (sum, count)
+        Products of values in the same revolution: at one probe, and at two probes.
     lag : int
         Distance to the next revolution: 1, or up to 5 if most revolutions between are missing.
+    lagged_sums : list of (sum, count)
+        Products of values ``lag`` revolutions apart: at one probe, and at two probes.
     """
     unlagged_sum_count_pairs, *lagged_sum_count_pairs = _yield_product_sums_by_lag(
         values, range(6), places
@@ -354,7 +378,11 @@ def _sum_products_with_next_revolution(
 def _yield_product_sums_by_lag(
     values: np.ndarray, lags: Iterable[int], places: RevolutionsAndProbes
 ) -> Iterator[list[SumAndCount]]:
-    """Yield sums of products in values (n,), by lag, at one probe and two."""
+    """Yield sums of products of values (n,), for each distance in revolutions.
+
+    For each of ``lags`` a list of two pairs (sum, number of products): at the same probe, and at
+    two probes. ``places`` are the values' revolutions and probes.
+    """
     value_and_count_tables = [
         _arrange_by_revolution_and_probe(values_or_ones, places)
         for values_or_ones in (values, np.ones(len(values)))
@@ -378,7 +406,10 @@ def _yield_product_sums_by_lag(
 def _arrange_by_revolution_and_probe(
     values: np.ndarray, places: RevolutionsAndProbes
 ) -> np.ndarray:
-    """Arrange values (n, ...) by revolution and probe, otherwise 0."""
+    """Return values (n, ...) as a table (revolutions, probes, ...), 0 without a value.
+
+    Rows begin at the first revolution in ``places``, the values' revolutions and probes.
+    """
     revolution_indices, probe_indices = places[0] - places[0].min(), places[1]
     value_table = np.zeros(
         (int(revolution_indices.max()) + 1, int(probe_indices.max()) + 1, *values.shape[1:])
@@ -393,7 +424,9 @@ def fit_noise_by_reweighting(
     n_unknowns: int,
     min_scale: float,
 ) -> StudentNoise:
-    """Find weights of arrivals, in turns with the residuals of a fit.
+    """Fit weights of arrivals, in turns with the residuals of a fit.
+
+    The rounds end with changes below 0.01, or after 30 rounds.
 
     Parameters
     ----------
@@ -404,7 +437,7 @@ def fit_noise_by_reweighting(
     n_unknowns : int
         Number of coefficients in the fit.
     min_scale : float
-        Minimum scale, by rounding.
+        Minimum residual scale, from rounding.
 
     Returns
     -------
@@ -436,17 +469,17 @@ def find_least_squares_residuals(
     upper_bounds: Sequence[float] | np.ndarray,
     min_squares_reduction: float = WEIGHTING_TOLERANCE,
 ) -> np.ndarray:
-    """Return the least-squares residuals (n,), from unknowns (m,) = 0 on.
+    """Minimise a sum of squares from zero unknowns, and return the residuals (n,).
 
     Parameters
     ----------
     residuals_and_slopes_function : callable
-        Return residuals (n,) and their derivatives (n, m) at unknowns with natural size 1. The last
-        call is at the solution.
+        Return residuals (n,) and their derivatives (n, m) at unknowns (m,), which are scaled to
+        size 1. The last call is at the solution.
     lower_bounds, upper_bounds : (m,)
         Bounds of the unknowns, widened to include 0.
     min_squares_reduction : float
-        Relative reduction of the sum of squares, below which the search ends.
+        Relative reduction in the sum of squares, below which the search ends.
     """
     cached_function = lru_cache(maxsize=1)(
         lambda unknowns_bytes: residuals_and_slopes_function(np.frombuffer(unknowns_bytes))

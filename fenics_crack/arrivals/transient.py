@@ -44,12 +44,15 @@ from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 
 RELATIVE_SPEED_HALF_WIDTH = 0.035
-"""Half width of the fitted speeds about a resonance, relative to its speed."""
+"""Half width of the fitted speeds about a resonance, relative to the resonance's speed."""
 DAMPING_RATIO_BOUNDS = 1e-5, RELATIVE_SPEED_HALF_WIDTH / 2.0
-"""Bounds of the damping ratios; a wider resonance is not distinguished from drift."""
+"""Minimum and maximum of fitted damping ratios; a wider resonance looks like drift."""
 
 StiffeningFunction = Callable[[float, float], float]
-"""Function s of speed and natural frequency [rad/s], as ``Campbell.stiffening``."""
+"""Function s(speed, natural frequency), both in rad/s, as ``Campbell.stiffening``.
+
+s = d ln w_n / d ln W is the stiffening of a blade by rotation.
+"""
 
 
 class Run:
@@ -88,13 +91,13 @@ class Run:
 
     @property
     def n_probes(self) -> int:
-        """Number of probes with arrivals."""
+        """Number of probes with arrivals in this run."""
         return int(self.has_arrival.any(axis=0).sum())
 
     def compute_waves(self, order: float, poles: np.ndarray) -> np.ndarray:
-        """Return waves a(t) exp(i p alpha) at the arrivals for F = 1: (m, R, P).
+        """Return waves a(t) exp(i p alpha) at the arrivals for F = 1: (m, R, P) complex.
 
-        The poles lambda (m,) [1/s] are equally far apart.
+        ``order`` is p; ``poles`` (m,) [1/s] are values of lambda at equal distances.
         """
         times, wave_phases, phase_rates, rotations = self._compute_times_phases_rotations(order)
         one_minus_stiffening = self._compute_one_minus_stiffening(order, poles)
@@ -128,13 +131,17 @@ class Run:
         return envelopes.reshape(-1, *self.nominal_angle.shape)
 
     def compute_wave(self, mode: Mode) -> np.ndarray:
-        """Return the wave a(t) exp(i p alpha) of a mode for F = 1: (R, P)."""
+        """Return the wave a(t) exp(i p alpha) of a mode for F = 1: (R, P) complex.
+
+        a is the envelope, p the order, alpha the rotor angle, F the force amplitude.
+        """
         return np.asarray(self.compute_waves(mode.order, np.array([mode.pole]))[0])
 
     def compute_wave_and_slope(self, mode: Mode) -> np.ndarray:
-        """Return a mode's wave a(t) exp(i p alpha) for F = 1, and its slope: (2, R, P).
+        """Return a mode's wave a(t) exp(i p alpha), and the slope: (2, R, P) complex.
 
-        The slope is the derivative by ln lambda, with the factor zeta w_n held constant.
+        The force amplitude is F = 1. The slope is the derivative by ln lambda, with the factor zeta
+        w_n held constant.
         """
         order, mode_pole = mode.order, mode.pole
         times, wave_phases, phase_rates, rotations = self._compute_times_phases_rotations(order)
@@ -164,7 +171,7 @@ class Run:
         return envelopes.reshape(2, *self.nominal_angle.shape)
 
     def _compute_times_phases_rotations(self, order: float) -> tuple[np.ndarray, ...]:
-        """Return times and phases of n = R P arrivals under an order.
+        """Return times and phases of the n = R P arrivals under an order p.
 
         Returns
         -------
@@ -184,19 +191,22 @@ class Run:
 
     @cached_property
     def _elapsed_times(self) -> np.ndarray:
+        """Expected times of the R P arrivals since the first: (R P,) [s]."""
         return np.asarray((self.expected_times - self.expected_times[0, 0]).ravel())
 
     def _compute_one_minus_stiffening(self, order: float, poles: np.ndarray) -> float:
-        """Return 1 - s at the speed where an order excites the poles lambda."""
+        """Return 1 - s at the speed of the resonance.
+
+        At this speed ``order`` excites the mean frequency of ``poles`` lambda (m,) [1/s].
+        """
         omega = float(np.abs(poles).mean())
         return 1.0 - self._stiffening(omega / order, omega)
 
     def _list_slices_without_overflow(self, decay_rate: float) -> list[slice]:
-        """Split arrivals into parts without overflow in exp.
+        """Split the arrivals into parts in which the inverse decay does not overflow.
 
-        The exponential undoes the decay.
-        The decay rate [1/s] is negative; each part begins with the last arrival of the previous
-        part.
+        ``decay_rate`` [1/s] is negative; exp(-decay_rate t) stays below about e^300 in a part. Each
+        part begins with the last arrival of the previous part.
         """
         n_parts = int(-decay_rate * self._elapsed_times[-1] // 300.0) + 1
         edge_indices = [
@@ -209,9 +219,10 @@ class Run:
         ]
 
     def _compute_orthonormal_drifts(self, sqrt_weights: np.ndarray) -> np.ndarray:
-        """Return the drifts of each probe, weighted and orthonormal: (2, R, P).
+        """Return the drift functions of each probe, weighted and orthonormal: (2, R, P).
 
-        Drifts are a constant and a slope over the speed, times square roots of weights (R, P).
+        The two functions are a constant and the speed, times ``sqrt_weights`` (R, P), square roots
+        of the arrivals' weights.
         """
         drifts = np.stack([sqrt_weights, sqrt_weights * self.scaled_speed[:, None]])
         constant_drift, slope_drift = drifts
@@ -223,9 +234,10 @@ class Run:
         return drifts
 
     def subtract_weighted_drifts(self, waves: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Return waves (m, R, P) times square roots of weights (R, P), without drifts.
+        """Subtract each probe's drift from waves, and multiply by square roots of weights.
 
-        The drifts are :meth:`_compute_orthonormal_drifts`.
+        The drift is a constant and a slope over the speed, fitted with ``weights`` (R, P). Waves
+        and result are (m, R, P) or (R, P).
         """
         sqrt_weights = np.sqrt(weights)
         weighted_residuals = sqrt_weights * waves
@@ -236,14 +248,20 @@ class Run:
     def build_equations_by_probe(
         self, wave: np.ndarray, weights: np.ndarray
     ) -> tuple[np.ndarray, ...]:
-        """Return normal equations of a wave with any phase at each probe.
+        """Return normal equations for a wave with any amplitude and phase at each probe.
+
+        Parameters
+        ----------
+        wave, weights : (R, P) complex, (R, P)
+            Wave, and arrival weights.
 
         Returns
         -------
         matrices, vectors : (P, 2, 2), (P, 2)
-            Equations for the amplitude's parts, with weights (R, P) for the arrivals.
+            Equations for real and imaginary part of the amplitude at each probe.
         wave_parts, weighted_displacements : (2, R, P), (R, P)
-            Parts of the wave, and displacements, weighted and without drifts.
+            Real and negative imaginary part of the wave, and displacements; weighted and without
+            drifts.
         """
         waves_and_values = np.stack([wave.real, -wave.imag, self.displacements])
         *wave_parts, weighted_displacements = self.subtract_weighted_drifts(
@@ -260,9 +278,10 @@ class Run:
     def compute_squares_reductions(
         self, orders: np.ndarray, pole_rows: np.ndarray, weights: np.ndarray
     ) -> np.ndarray:
-        """Return reductions of the weighted sum of squares: (n, m) [m^2].
+        """Return reductions in the sum of squares by single modes: (n, m) [m^2].
 
-        Vibrations have orders (n,), equidistant poles lambda (n, m), any F; weights are (R, P).
+        Modes have orders (n,) and poles lambda (n, m) [1/s], equidistant in a row; the force is
+        fitted. ``weights`` (R, P) belong to the arrivals.
         """
         sqrt_weights, weight_vector, reductions = np.sqrt(weights), weights.ravel(), []
         weighted_drifts = sqrt_weights * self._compute_orthonormal_drifts(sqrt_weights)
@@ -289,7 +308,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Record:
-    """Hold arrivals, and the stiffening of natural frequencies with the speed."""
+    """Hold arrivals, and the stiffening s(speed, natural frequency) by rotation."""
 
     arrivals: ArrivalTimes
     stiffening: StiffeningFunction
@@ -300,10 +319,11 @@ class Record:
         return self.arrivals.speed
 
     def find_runs(self, displacements: np.ndarray, speed: float) -> list[Run]:
-        """Return the runs through a speed [rad/s].
+        """Return the runs through a speed [rad/s]; an empty list without one.
 
-        Each has 10 revolutions or more.
-        The displacements are (revolutions, probes) [m].
+        A run has 10 revolutions or more within 3.5 % of the speed, on both sides. A gap of over 10
+        revolutions begins a new run. Probes with fewer than 10 arrivals in a run are left out.
+        ``displacements`` are (revolutions, probes) [m].
         """
         relative_offsets = self.revolution_speeds / speed - 1.0
         near_rows = np.flatnonzero(np.abs(relative_offsets) < RELATIVE_SPEED_HALF_WIDTH)
@@ -323,7 +343,10 @@ class Record:
 
 
 def compute_poles(omegas: np.ndarray, damping_ratio: float) -> np.ndarray:
-    """Return lambda [1/s] of natural frequencies [rad/s] and a damping ratio."""
+    """Return poles lambda [1/s] from natural frequencies w_n [rad/s] and a damping ratio.
+
+    lambda = w_n (i sqrt(1 - zeta^2) - zeta).
+    """
     return omegas * (1j * np.sqrt(1.0 - damping_ratio**2) - damping_ratio)
 
 
@@ -341,23 +364,29 @@ class Mode:
 
     @property
     def damping_ratio(self) -> float:
-        """Ratio of critical damping."""
+        """Damping ratio zeta."""
         return -self.pole.real / abs(self.pole)
 
     @property
     def speed(self) -> float:
-        """Speed at which the order meets the frequency [rad/s]."""
+        """Rotor speed at which the order excites the natural frequency [rad/s]."""
         return self.omega / self.order
 
     def with_step(self, step: np.ndarray) -> Mode:
-        """Return the mode after a step (2,) in ln w_n, over zeta, and ln zeta."""
+        """Return the mode after a step in frequency and damping.
+
+        ``step`` (2,) has the change of ln w_n over zeta, and the change of ln zeta.
+        """
         omega = self.omega * math.exp(self.damping_ratio * step[0])
         return Mode(
             self.order, complex(compute_poles(omega, self.damping_ratio * math.exp(step[1])))
         )
 
     def find_step_to(self, omega: float, damping_ratio: float) -> list[float]:
-        """Return the step for :meth:`with_step` to a frequency [rad/s] and a damping ratio."""
+        """Return the step to a natural frequency [rad/s] and a damping ratio.
+
+        The two numbers are an argument for :meth:`with_step`.
+        """
         frequency_step = math.log(omega / self.omega) / self.damping_ratio
         return [frequency_step, math.log(damping_ratio / self.damping_ratio)]
 
@@ -365,7 +394,8 @@ class Mode:
 class Fit:
     """Fit frequencies and dampings by least squares, in turns with weights.
 
-    Forces and drifts are linear, and fitted again at each step of the others (variable projection).
+    The displacement is linear in forces and drifts: they are fitted anew for each trial of
+    frequencies and dampings (variable projection).
 
     Parameters
     ----------
@@ -374,7 +404,7 @@ class Fit:
     modes : sequence of Mode
         Initial modes, at most two neighbours in a comparison, or more in a final fit.
     weights : sequence of (R, P)
-        Initial weights of the arrivals in each run.
+        Initial arrival weights in each run.
 
     Attributes
     ----------
@@ -404,7 +434,10 @@ class Fit:
         )
 
     def _refit_modes_and_return_residuals(self, weights: np.ndarray) -> np.ndarray:
-        """Fit with weights (n,) of the arrivals, and return the residuals (n,) [m]."""
+        """Fit with fixed weights (n,) of the arrivals, and return the residuals (n,) [m].
+
+        Changes the attributes ``modes`` and ``forces``.
+        """
         initial_modes, run_weights = self.modes, self._split_by_run(weights)
         step_bounds = [
             [
@@ -435,13 +468,18 @@ class Fit:
         ) / np.sqrt(weights)
 
     def _list_waves_and_slopes(self, modes: tuple[Mode, ...]) -> list[np.ndarray]:
-        """Return waves and slopes of modes in each run, by :meth:`Run.compute_wave_and_slope`."""
+        """Return waves and slopes of all modes in each run: (2 modes, R, P).
+
+        :meth:`Run.compute_wave_and_slope` computes each pair.
+        """
         return [np.concatenate([*map(run.compute_wave_and_slope, modes)]) for run in self._runs]
 
     def _fit_forces_and_return_residuals(
         self, weights: Sequence[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Fit the forces with weights (R, P) of the arrivals in each run.
+        """Fit the forces of the present modes by linear least squares.
+
+        ``weights`` has (R, P) of the arrivals for each run. Sets the attribute ``forces``.
 
         Returns
         -------
@@ -495,7 +533,7 @@ class Fit:
         return residual_columns[:, 0], residual_columns[:, 1:]
 
     def _split_by_run(self, values: np.ndarray) -> list[np.ndarray]:
-        """Split values (n,) of the arrivals by run: (R, P), 0 without an arrival."""
+        """Split values (n,) of the arrivals by run: (R, P) each, 0 without an arrival."""
         split_indices = np.cumsum([int(run.has_arrival.sum()) for run in self._runs])[:-1]
         run_arrays = [np.zeros(run.nominal_angle.shape) for run in self._runs]
         for run_array, run, arrival_values in zip(
@@ -506,12 +544,12 @@ class Fit:
 
     @property
     def first_mode(self) -> Mode:
-        """First mode, or the only one."""
+        """First of the fitted modes."""
         return self.modes[0]
 
     @property
     def revolutions_and_probes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Revolutions and probes of the arrivals: two (n,)."""
+        """Indices of revolutions and probes for the n arrivals: two arrays (n,)."""
         row_probe_pairs = [np.nonzero(run.has_arrival) for run in self._runs]
         revolution_indices = [
             run.begin_revolution + row_indices
@@ -523,7 +561,7 @@ class Fit:
 
     @cached_property
     def omega_and_damping_errors(self) -> np.ndarray:
-        """Standard errors of the first mode's frequency [rad/s] and damping: (2,)."""
+        """Standard errors of the first mode: natural frequency [rad/s] and damping ratio, (2,)."""
         unweighted_slopes = self._slopes / np.sqrt(self.noise.weights)[:, None]
         covariance = self.noise.coefficient_covariance(
             unweighted_slopes, self.revolutions_and_probes
@@ -545,9 +583,10 @@ class Fit:
         )
 
     def compute_motion(self, record: Record, n_revolutions: int, mode_index: int = 0) -> np.ndarray:
-        """Return the displacements by one of the modes: (revolutions, probes) [m].
+        """Return the displacements by a mode in the whole record: (revolutions, probes) [m].
 
-        The motion in each run extends halfway to the next run.
+        The motion of each run extends halfway to the next run. ``record`` has ``n_revolutions``;
+        ``mode_index`` counts the fitted modes from 0.
         """
         run_motions = []
         halfway_revolutions = [
@@ -567,9 +606,9 @@ class Fit:
 
     @property
     def whiteness_p_value(self) -> float:
-        """Probability that noise alone leaves residuals as correlated.
+        """Probability that errors of arrivals and marks alone correlate residuals.
 
-        From :meth:`StudentNoise.compute_whiteness_p_value`.
+        :meth:`StudentNoise.compute_whiteness_p_value` computes it; nan without a test.
         """
         mark_numbers = np.arange(-4.0, 6.0)  # those beyond hardly change the spline of the angle
         mark_shares = interpolate_by_splines(
@@ -581,16 +620,17 @@ class Fit:
 
     @property
     def weights(self) -> list[np.ndarray]:
-        """Weights of the arrivals in each run: (R, P)."""
+        """Arrival weights in each run: (R, P), 0 without an arrival."""
         return self._split_by_run(self.noise.weights)
 
     @property
     def blind_probe_indices(self) -> np.ndarray:
-        """Indices (n,) of probes with pulses from another source than the blade.
+        """Indices (n,) of probes that do not measure the blade's vibration.
 
-        A vibration of any phase is fitted at each probe, in units of the first mode's motion. Blind
-        probes are a minority with less than half the median in-phase amplitude. Their amplitudes
-        are over five times farther from the median than all others.
+        Their pulses have another source. A vibration of any phase is fitted at each probe, in units
+        of the first mode's motion. Blind probes are a minority with less than half the median
+        in-phase amplitude. Their amplitudes are over five times farther from the median than all
+        others.
         """
         n_probes = self._runs[0].nominal_angle.shape[1]
         matrices, vectors = np.zeros((n_probes, 2, 2)), np.zeros((n_probes, 2))
@@ -622,7 +662,7 @@ class Fit:
 
     @cached_property
     def likelihood_gain(self) -> float:
-        """Reduction of -2 log likelihood by the fitted modes."""
+        """Reduction of -2 log likelihood by the modes, compared with drifts alone."""
 
         def solve(weights: np.ndarray) -> np.ndarray:
             run_weight_pairs = zip(self._runs, self._split_by_run(weights), strict=True)

@@ -24,22 +24,24 @@ from fenics_crack.basics.errors import InputError, WriteError
 DEVICE_FOLDERS = "/dev", "/dev/fd", "/proc/self/fd"
 """Folders of devices and open files, which are written directly."""
 DISK_FULL_ERROR_NUMBERS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
-"""Numbers of errors of a disk without room; other errors come from an unusable path."""
+"""Numbers of errors of the disk, mostly a full one; all further errors come from the path."""
 REPLACED_FILES_FOLDER_NAME = "before"
 """Name of the folder with replaced files, below the folder of the new files."""
 
 
 def write_file_whole(path: str | Path, content: bytes | str, key: str = "path") -> None:
-    """Write a file, text as UTF-8, and make the folder.
+    """Write a file in one step, and make the folder.
+
+    A failure leaves an earlier file unchanged.
 
     Parameters
     ----------
     path : path
         The file. A device or an open file, such as ``/dev/stdout``, is written directly.
     content : bytes or str
-        The whole content.
+        The whole content; a text is written as UTF-8.
     key : str
-        Key that named the file, for an error.
+        Name of the option or argument with the path, for an error.
 
     Raises
     ------
@@ -56,7 +58,7 @@ def write_file_whole(path: str | Path, content: bytes | str, key: str = "path") 
 
 
 def write_files_together(path_text_pairs: Iterable[tuple[Path, str]]) -> None:
-    """Write all files or none, given pairs of path and text.
+    """Write all texts to their paths, or none.
 
     Raises
     ------
@@ -70,9 +72,10 @@ def write_files_together(path_text_pairs: Iterable[tuple[Path, str]]) -> None:
 
 @contextlib.contextmanager
 def complete_files_together() -> Iterator[contextlib.ExitStack]:
-    """Give all files of a block their names at the end, or none.
+    """Rename the files written in a block together at the end, or none.
 
-    The context value is the stack of unfinished files; ``close`` gives them their names earlier.
+    Until then they have hidden names. The context value is the stack of unfinished files; ``close``
+    renames them earlier.
 
     Raises
     ------
@@ -95,17 +98,17 @@ _OPEN_FILE_STACKS: list[contextlib.ExitStack] = []
 def partial_file(
     path: str | Path, key: str = "path", *, must_be_new: bool = False
 ) -> Iterator[Path]:
-    """Yield a hidden path; after the block the file there gets the final name.
+    """Yield a hidden path for a new file, and rename the file after the block.
 
-    If the block fails, the hidden file is removed. Inside of :func:`complete_files_together` the
-    name changes when all files are complete.
+    If the block fails, the hidden file is removed. Within :func:`complete_files_together` files are
+    renamed together at the end.
 
     Parameters
     ----------
     path, key
-        The file and the key that named it, for :func:`write_file_whole`.
+        Final path, and the name of the option or argument with the path, for an error.
     must_be_new : bool
-        Raise FileExistsError if the file exists, and leave the existing file.
+        Raise FileExistsError if a file exists at the path, and leave that file.
 
     Raises
     ------
@@ -126,7 +129,10 @@ def partial_file(
 
 @contextlib.contextmanager
 def _yield_hidden_path(final_path: Path, *, must_be_new: bool = False) -> Iterator[Path]:
-    """Yield a hidden path beside a file, and rename it after the block."""
+    """Yield a hidden path beside a file, and rename the hidden file after the block.
+
+    With ``must_be_new`` an existing file stays, and FileExistsError is raised.
+    """
     random_text = os.urandom(4).hex()
     hidden_path = final_path.parent / f".{random_text}.{final_path.name}"
     if final_path.is_dir() and not final_path.is_symlink():  # of several files none gets its name
@@ -144,10 +150,10 @@ def _yield_hidden_path(final_path: Path, *, must_be_new: bool = False) -> Iterat
 
 
 def keep_files(file_names: Sequence[str], folder: Path, kept_folder: Path) -> bool:
-    """Keep named files of a folder in a folder below, as links or copies.
+    """Keep some files of a folder in another folder, as links or copies.
 
-    Earlier kept files of these names are replaced or removed. Without any of the files in
-    ``folder``, nothing changes.
+    In ``kept_folder`` earlier files of these names are replaced, or removed if ``folder`` has no
+    such file. Without any of the files in ``folder``, nothing changes.
 
     Returns
     -------
@@ -157,7 +163,7 @@ def keep_files(file_names: Sequence[str], folder: Path, kept_folder: Path) -> bo
     Raises
     ------
     OSError
-        A file cannot be kept, or ``kept_folder`` is a link.
+        A file cannot be kept, or ``kept_folder`` is a link or a file.
     """
     if _is_link_or_file(kept_folder):
         raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
@@ -181,10 +187,10 @@ def keep_files(file_names: Sequence[str], folder: Path, kept_folder: Path) -> bo
 
 
 def replace_files(file_names: Sequence[str], folder: Path, text_by_name: Mapping[str, str]) -> None:
-    """Replace all files of the given names in a folder.
+    """Replace the named files in a folder by new texts.
 
-    The earlier files are kept in :data:`REPLACED_FILES_FOLDER_NAME` below. A name without a text is
-    removed.
+    The earlier files are kept in the inner folder :data:`REPLACED_FILES_FOLDER_NAME`. A file
+    without an entry in ``text_by_name`` is removed.
 
     Raises
     ------
@@ -202,13 +208,21 @@ def replace_files(file_names: Sequence[str], folder: Path, text_by_name: Mapping
 def prepare_folder(
     folder: Path, inner_folder_names: Iterable[str] = (), key: str = "--output"
 ) -> None:
-    """Make a folder for results, or check it; it may be a link.
+    """Make a folder for results, or check an existing folder.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder, or a link to a folder.
+    inner_folder_names : iterable of str
+        Folders below, which are neither made nor may be links.
+    key : str
+        Name of the option with the folder, for an error.
 
     Raises
     ------
     InputError
-        No file can be written there; or :func:`check_inner_folder` refuses a folder of
-        ``inner_folder_names``, where files will be written.
+        No file can be written in the folder, or :func:`check_inner_folder` refuses an inner folder.
     """
     for name in inner_folder_names:
         check_inner_folder(folder / name, key)
@@ -219,7 +233,10 @@ def prepare_folder(
 
 
 def check_inner_folder(folder: Path, key: str = "path") -> None:
-    """Raise InputError if a folder below the results is a link or a file."""
+    """Raise InputError if an inner folder for results is a link or a file.
+
+    A missing folder is allowed; ``key`` names the option in the error.
+    """
     if _is_link_or_file(folder):
         raise InputError(
             key, str(folder), "a folder, not a link or a file; remove it, or choose another folder"
@@ -232,20 +249,29 @@ def _is_link_or_file(path: Path) -> bool:
 
 
 def make_folder_until_exit() -> Path:
-    """Return a new folder for this user alone, removed when the program ends."""
+    """Make a temporary folder, readable by this user alone.
+
+    The folder is removed when the program ends.
+    """
     folder = tempfile.mkdtemp(prefix="fenics_crack-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return Path(folder)
 
 
 def remove_file(path: Path, key: str) -> None:
-    """Remove a file if it exists; InputError from :func:`report_write_errors`."""
+    """Remove a file if it exists.
+
+    ``key`` names the option in an InputError from :func:`report_write_errors`.
+    """
     with report_write_errors(path, key, "a file that can be removed"):
         path.unlink(missing_ok=True)
 
 
 def write_bytes_at(file_descriptor: int, content: bytes | memoryview, offset: int) -> None:
-    """Write all bytes at an offset of an open file; OSError if the disk is full."""
+    """Write all bytes of ``content`` at an offset [byte] in an open file.
+
+    OSError if the disk is full.
+    """
     remaining_content = memoryview(content)
     while remaining_content:
         n_written = os.pwrite(file_descriptor, remaining_content, offset)
@@ -256,16 +282,17 @@ def write_bytes_at(file_descriptor: int, content: bytes | memoryview, offset: in
 def report_write_errors(
     path: str | Path, key: str, requirement_text: str = "a file that can be written"
 ) -> Iterator[None]:
-    """Raise an OSError of the block as the InputError of an unwritable file.
+    """Turn an OSError of the block into an InputError that names the file.
 
-    A full disk becomes a WriteError. FileExistsError of a link to a new name stays.
+    A full disk becomes a WriteError. FileExistsError from ``must_be_new`` in :func:`partial_file`
+    stays.
 
     Parameters
     ----------
     path, key
-        The file, and the key that named it.
+        The file, and the name of the option or argument with the path.
     requirement_text : str
-        Description of an allowed file.
+        Description of an allowed file, for the error.
     """
     try:
         yield

@@ -16,7 +16,7 @@ from fenics_crack.basics.atomic_files import report_write_errors
 from fenics_crack.basics.progress import LOGGER
 
 PRIVATE_FOLDER_REQUIREMENT = "a folder that only this user can write to"
-"""Text of errors."""
+"""Description of a private folder, for errors and warnings."""
 
 
 @lru_cache
@@ -45,7 +45,11 @@ def replace_unusable_caches() -> None:
 
 
 def _set_private_folder(variable_name: str, unusable_path: Path, reason: str) -> None:
-    """Set an environment variable to this user's private temporary folder."""
+    """Set an environment variable to this user's private temporary folder.
+
+    A warning names ``unusable_path`` and the ``reason``. InputError if the temporary folder is
+    unusable, too.
+    """
     with report_write_errors(unusable_path, variable_name, PRIVATE_FOLDER_REQUIREMENT):
         private_path = check_private_folder(
             Path(tempfile.gettempdir()) / f"fenics-crack-{os.geteuid()}", 0o77
@@ -59,20 +63,24 @@ def _set_private_folder(variable_name: str, unusable_path: Path, reason: str) ->
 def check_private_folder(
     folder_path: Path, forbidden_mode_bits: int = 0o22, *, makes_folder: bool = True
 ) -> Path:
-    """Return the path without links of a folder that others cannot change.
+    """Check that only this user and root can change a folder.
 
-    Compiled programs are run from there: only this user and root may put files into the folder, or
-    put another folder in its place.
+    Compiled programs are run from the folder: nobody else may put files into it, or replace it.
 
     Parameters
     ----------
     folder_path : Path
         The folder. Folders above may be sticky, like ``/tmp``.
     forbidden_mode_bits : int
-        Mode bits that the folder must not have, by default to write for group and others.
+        Mode bits that the folder must not have; by default write permission for group and others.
     makes_folder : bool
-        Make the folder and those above. Otherwise the folder may be missing, and must have room for
-        a cache.
+        Make the folder and those above. Otherwise the folder may be missing, and the disk must have
+        room for a cache (4 MiB).
+
+    Returns
+    -------
+    Path
+        The folder's path without links.
 
     Raises
     ------

@@ -1,13 +1,20 @@
 """Name the causes of an answer's error, and say what follows if a cause is not varied."""
 
 MESH_ERROR_CAUSES = ("mesh", "shift")
-"""Parts of the mesh error: at a given distance from the resonance, and by the resonance's shift."""
+"""Parts of the mesh error.
+
+"mesh" is the error at a fixed distance from the resonance, "shift" the error by the resonance's
+shift.
+"""
 REDUCED_STRUCTURE_ERROR_CAUSES = ("modes", "harmonics", "mesh")
-"""Causes varied for a reduced structure alone: full models take three times as long."""
+"""Causes that are varied for a reduced structure: a full model takes three times as long."""
 ERROR_CAUSES = (*MESH_ERROR_CAUSES, "modes", "harmonics", "friction", "samples")
-"""All causes, in the order of colours in pictures."""
+"""All causes of error, in the order of colours in pictures."""
 REQUIRED_ERROR_CAUSES = ("harmonics", "modes")
-"""Causes without which no error is known. The mesh is required, too, if its second run fails."""
+"""Causes that must be known for an error to be stated.
+
+Also the mesh, if the solution on the second mesh fails.
+"""
 OPTIONAL_ERROR_CAUSES = ("mesh", "friction")
 """Causes that the user may leave out: this part is then unknown, not absent."""
 RUN_WORDS_BY_CAUSE = {"mesh": "a run with another mesh", "shift": "a run with a shifted resonance",

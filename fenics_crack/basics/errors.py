@@ -12,27 +12,36 @@ from numbers import Integral, Real
 from typing import Any
 
 N_LOWEST_MODES = 6
-"""Number of lowest modes with natural frequencies for the open and the bonded crack."""
+"""Number of natural frequencies that are computed for the open and for the bonded crack."""
 MAX_SAMPLES_PER_PERIOD = 2**20
 """Maximum instants of a period at which the contact force may be evaluated."""
 N_RECORDED_PERIODS = 4
-"""Number of last periods of a time integration that commands record; extremes come from these."""
+"""Number of final periods in a time integration that commands record; extremes come from them."""
 MAX_HARMONIC_ORDER = 100
-"""Maximum order of a scene's load, and maximum to which a curve or a case raises harmonics.
+"""Maximum order of a load's harmonics, and maximum when a curve or a case adds harmonics.
 
-Each order of a load takes two rows as long as the displacement.
+A load has two rows for each order, each as long as the displacement.
 """
 MAX_VALUES_OF_AXIS = 10**6
-"""Maximum values of an axis of a sweep, speeds of a diagram, and patterns of mistuning.
+"""Maximum number of values on a sweep's axis, speeds of a diagram, or patterns of mistuning.
 
 At one second a case, a computation takes 12 days.
 """
 DEFAULT_ERROR_TOLERANCE = 1e-2
-"""Default relative error: errors of modes and harmonics are then below most mesh errors."""
+"""Default of the tolerated relative error.
+
+Errors of modes and harmonics are then below most mesh errors.
+"""
 
 
 class Exit(IntEnum):
-    """Exit codes of the program; ``--help`` and docs/program.md explain them."""
+    """Exit codes of the program.
+
+    DONE: success. FAULT: an error in the program or of the disk. BAD_INPUT: an InputError.
+    NOT_CONVERGED: a result has not converged. MISSED: the error is unknown or above the tolerance.
+    STOPPED: Ctrl-C. READER_GONE: the reader of a pipe has ended. ``--help`` and docs/program.md
+    explain them.
+    """
 
     DONE = 0
     FAULT = 1
@@ -69,7 +78,7 @@ class InputError(ValueError):
         self.key, self.value, self.allowed = key, value, allowed
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Prepare sending to other ranks: a value that cannot be pickled becomes words."""
+        """Prepare the error for other ranks; a value that cannot be pickled becomes a text."""
         try:
             pickle.dumps(value := self.value)
         except Exception:
@@ -90,7 +99,7 @@ class InputError(ValueError):
 
 
 class WriteError(InputError):
-    """A file that cannot be written although the name is usable, mostly due to a full disk."""
+    """Error for a file that cannot be written to a usable path, mostly due to a full disk."""
 
 
 class ConvergenceError(RuntimeError):
@@ -110,16 +119,24 @@ class ConvergenceError(RuntimeError):
 
 
 class StoppedError(ConvergenceError):
-    """Ctrl-C has stopped a computation; the same command continues it."""
+    """Error after Ctrl-C has stopped a computation; the same command continues the computation."""
 
 
 INTERRUPTED_CURVE_STATUS = "interrupted"
-"""Status of a curve that Ctrl-C has ended."""
+"""Status of a curve that Ctrl-C ended early."""
 
 
 @contextlib.contextmanager
 def report_read_errors(key: str, path: object, requirement_text: str) -> Iterator[None]:
-    """Raise any error of reading a file as an InputError, with the error as cause."""
+    """Turn any error of reading a file in the block into an InputError.
+
+    Parameters
+    ----------
+    key, path
+        Name of the option or argument with the file, and the file.
+    requirement : str
+        Description of an allowed file, for the error.
+    """
     try:
         yield
     except InputError:
@@ -135,9 +152,10 @@ def report_read_errors(key: str, path: object, requirement_text: str) -> Iterato
 def check_number(
     key: str, value: object, lower_bound: float = -math.inf, *, excludes_bound: bool = False
 ) -> None:
-    """Raise InputError unless a value is finite and at least ``lower_bound``.
+    """Raise InputError unless a value is a finite number >= ``lower_bound``.
 
-    With ``excludes_bound`` the value must be larger.
+    With ``excludes_bound`` the value must be > ``lower_bound``. ``key`` names the value in the
+    error.
     """
     number = math.nan
     if isinstance(value, Real) and not isinstance(value, bool):
@@ -154,12 +172,12 @@ def check_number(
 
 
 def check_omega(value: object, key: str = "omega") -> None:
-    """Raise InputError unless a value is a finite angular frequency above 0."""
+    """Raise InputError unless a value is a finite angular frequency > 0 [rad/s]."""
     check_number(key, value, 0.0, excludes_bound=True)
 
 
 def check_count(key: str, value: object, lower_bound: int, upper_bound: int = 10**9) -> None:
-    """Raise InputError unless a value is a whole number within two bounds."""
+    """Raise InputError unless a value is a whole number between two bounds, both allowed."""
     if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < lower_bound:
         raise InputError(key, value, f"a whole number >= {lower_bound}")
     if int(value) > upper_bound:
@@ -167,7 +185,7 @@ def check_count(key: str, value: object, lower_bound: int, upper_bound: int = 10
 
 
 def describe_choices(choices: Iterable[str]) -> str:
-    """Return the text "one of" and the allowed words."""
+    """Return the allowed words as text: "one of 'a', 'b'"."""
     return "one of " + ", ".join(map(repr, choices))
 
 
@@ -182,8 +200,9 @@ def check_rayleigh_damping_ratios(
 ) -> None:
     """Raise InputError unless Rayleigh damping can have two ratios at two frequencies [rad/s].
 
-    Both coefficients are >= 0 if the damping ratios differ by no larger factor than the
-    frequencies. Rounding is allowed for, as one coefficient may be 0.
+    Rayleigh damping has a coefficient for the mass and one for the stiffness. Both are >= 0 if the
+    ratios differ by at most the factor of the frequencies. A relative difference of 1e-15 is
+    allowed.
     """
     (low_omega, low_ratio), (high_omega, high_ratio) = sorted(
         zip(omegas, damping_ratios, strict=True)

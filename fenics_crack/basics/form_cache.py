@@ -25,16 +25,21 @@ from fenics_crack.basics.untrusted_files import file_sha256, read_utf8_text
 def load_or_compile_form(
     comm: MPI.Comm, record_file: Path, compile_form: Callable[[dict[str, object]], Result]
 ) -> Result:
-    """Load a compiled form, or compile it (collective).
+    """Load a compiled form from disk, or compile the form (collective).
 
     Parameters
     ----------
     comm : MPI.Comm
         Communicator of the form's mesh.
     record_file : Path
-        File that names the form's folder, beside this folder.
+        File in the cache that names the form's folder beside it.
     compile_form : callable
         Function that loads or compiles the form, given options of DOLFINx.
+
+    Returns
+    -------
+    Result
+        The result of ``compile_form``.
     """
     form_folder, compiler_command = on_root(
         comm, lambda: _find_form_folder_and_compiler(record_file)
@@ -63,14 +68,14 @@ def load_or_compile_form(
 
 
 def _find_form_folder_and_compiler(record_file: Path) -> tuple[Path, str]:
-    """Return the recorded folder, or make a new folder and find a compiler.
+    """Find a form's compiled folder, or make a new one for compiling.
 
     Returns
     -------
     folder : Path
-        The recorded folder; a new folder if the record is missing or damaged.
+        The folder in the record; a new folder if the record is missing, or files have changed.
     compiler : str
-        Command of the C compiler; "" for a recorded folder.
+        Command of the C compiler; "" if nothing has to be compiled.
     """
     with report_write_errors(record_file.parent, "cache_dir", PRIVATE_FOLDER_REQUIREMENT):
         record_file = check_private_folder(record_file.parent) / record_file.name
@@ -84,7 +89,10 @@ def _find_form_folder_and_compiler(record_file: Path) -> tuple[Path, str]:
 
 
 def _form_record_text(form_folder: Path) -> str:
-    """Return the text of a record: the folder's name, then SHA-256 and name of each file."""
+    """Return the record of a form's folder as text.
+
+    First line: name of the folder. Further lines: SHA-256 and name of each file.
+    """
     return "\n".join(
         (
             form_folder.name,

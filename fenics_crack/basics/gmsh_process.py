@@ -18,9 +18,9 @@ from fenics_crack.basics.installation import report_missing_libraries
 
 @contextmanager
 def keep_interrupt_handler() -> Iterator[None]:
-    """Restore the handler of Ctrl-C after the block: gmsh 4.8 replaces it for good.
+    """Restore the handler of Ctrl-C after the block, in which gmsh replaces it.
 
-    In other threads than the main thread Python forbids gmsh to set a handler: there, nothing is
+    In a thread other than the main thread, Python forbids gmsh to set a handler: there, none is
     set.
     """
     interrupt_handler, original_signal_function = signal.getsignal(signal.SIGINT), signal.signal

@@ -24,19 +24,15 @@ INSTALLATION_ADVICE = (
 )
 """The three ways to get DOLFINx and the libraries around it."""
 RANK_COUNT_VARIABLES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
-"""Variables with the number of ranks, set by Open MPI and MPICH."""
+"""Environment variables with the number of ranks, set by Open MPI and MPICH."""
 
 
 @contextmanager
 def report_missing_libraries() -> Iterator[None]:
-    """Raise an InputError if the block imports a library that is missing.
+    """Turn the import error for a missing library into an InputError.
 
-    The library itself may be missing, or a system library that it needs.
-
-    Raises
-    ------
-    InputError
-        Names the library, and the ways to get it.
+    The library itself may be missing, or a system library under it. The error says how to install
+    it; other errors stay.
     """
     try:
         yield
@@ -55,7 +51,9 @@ def report_missing_libraries() -> Iterator[None]:
 
 
 def find_c_compiler() -> str:
-    """Return the command of the C compiler with which DOLFINx compiles forms.
+    """Find the C compiler for DOLFINx, and return the command.
+
+    If the variable CC is set, only this compiler counts; otherwise Python's compiler, gcc or clang.
 
     Raises
     ------
@@ -84,7 +82,7 @@ def find_c_compiler() -> str:
 
 
 def read_version_line(command: str) -> str:
-    """Return the first line that a program prints for ``--version``."""
+    """Return the first line that a program prints with ``--version``."""
     command_words = [*shlex.split(command), "--version"]
     finished_process = subprocess.run(
         command_words, capture_output=True, text=True, timeout=30, check=False
@@ -95,22 +93,19 @@ def read_version_line(command: str) -> str:
 def check_launcher(
     n_ranks: int, mpi_library: str, variable_names: Sequence[str] = RANK_COUNT_VARIABLES
 ) -> None:
-    """Check that mpirun belongs to the MPI library of this process.
+    """Raise InputError if mpirun belongs to another MPI library than this process.
+
+    The ranks would then not know each other, and each would solve everything alone.
 
     Parameters
     ----------
     n_ranks : int
-        Number of ranks according to the library; 0: an mpirun that sets one of the variables cannot
-        start the library.
+        Number of ranks according to the library. 0 before the library is started: then any mpirun
+        that sets one of the variables is wrong.
     mpi_library : str
-        Name of the library.
+        Name of the library, for the error.
     variable_names : sequence of str
-        Variables with the number of ranks according to mpirun.
-
-    Raises
-    ------
-    InputError
-        The ranks do not know each other: each would solve everything alone.
+        Environment variables with the number of ranks according to mpirun.
     """
     n_launched_programs = max(
         int(os.environ.get(variable_name, n_ranks)) for variable_name in variable_names
@@ -122,7 +117,10 @@ def check_launcher(
 
 
 def foreign_launcher_error(launcher_description: str, mpi_library: str) -> InputError:
-    """Return the error of an mpirun that belongs to another MPI library."""
+    """Return the error for an mpirun of another MPI library.
+
+    ``launcher_description`` says what mpirun started; ``mpi_library`` is this program's library.
+    """
     mpirun_path = Path(sys.prefix, "bin", "mpirun")
     return InputError(
         "mpirun",

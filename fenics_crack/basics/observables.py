@@ -33,28 +33,31 @@ class Place(Enum):
 
     @property
     def is_made_on_request(self) -> bool:
-        """True if the rows are made only for a scene that requests these numbers."""
+        """True if numbers at this place are computed only for a scene that requests them."""
         return self not in (Place.POINT, Place.FACES, Place.NEAREST_MODE)
 
 
 class ObservableFlag(Flag):
-    """Tables with an observable unless a scene chooses, and requirements of the observable."""
+    """Tables that show an observable by default, and conditions for an observable."""
 
     IN_FILES_ONLY = 0
     IN_PRINTED_TABLE = auto()
-    """Among the numbers of a motion."""
+    """Shown in the printed table of a motion."""
     IN_SPECIAL_POINTS_TABLE = auto()
-    """At special points of a curve and in cases of a sweep; no wider than a terminal."""
+    """Shown at special points of a curve and in cases of a sweep.
+
+    These tables are no wider than a terminal.
+    """
     IN_SWEEP_PICTURES = auto()
-    """Over the axes of a sweep."""
+    """Drawn over the axes of a sweep."""
     STATED_WITH_ERROR = auto()
-    """With an estimated error."""
+    """Printed with an estimated error."""
     REQUIRES_FRICTION = auto()
-    """Requires friction."""
+    """Computed only with friction."""
     REQUIRES_GROWTH_LAW = auto()
-    """Requires a law of growth."""
+    """Computed only with a law of crack growth."""
     REQUIRES_SOLID = auto()
-    """Requires a solid."""
+    """Computed only for a solid, not for a plate."""
 
 
 (
@@ -68,7 +71,7 @@ IN_ALL_TABLES = PRINTED_WITH_ERROR | IN_SPECIAL_POINTS_TABLE | IN_SWEEP_PICTURES
 
 @dataclass(frozen=True, repr=False)
 class Observable:
-    """A number that describes a motion.
+    """Description of a number that a motion has, such as an amplitude.
 
     Attributes
     ----------
@@ -80,7 +83,7 @@ class Observable:
         Function that returns the number, given the object at the place. Default: ``float``, for an
         entry of :meth:`fenics_crack.BilinearFrequencies.nearest`.
     flags : ObservableFlag
-        Tables with this number, and requirements.
+        Tables with this number, and conditions.
     """
 
     place: Place
@@ -111,7 +114,10 @@ _make_clamp_row = partial(Observable, Place.CLAMP)
 # ruff: noqa: RUF009  # observables are frozen
 @dataclass(frozen=True, repr=False)
 class Observables:
-    """Numbers at a point and at the crack faces; each default is a row of the table."""
+    """Hold the numbers of a motion at a watched point and at the crack faces.
+
+    Each field's default is the :class:`Observable` with its description.
+    """
 
     omega: Any
     amplitude: Any = _make_point_row("half peak-to-peak", "m",
@@ -196,7 +202,7 @@ OBSERVABLES_BY_NAME: dict[str, Observable] = {
     "reaction_moment": _make_clamp_row("largest moment of the clamp, about its centre", "N m",
         lambda reaction: _max_vector_norm(reaction.moment)),
 }
-"""All observables by name; the keys are columns of tables and files."""
+"""All observables by name; the names are columns of tables and files."""
 # fmt: on
 
 
@@ -206,10 +212,10 @@ def observable_names(
     required_flags: ObservableFlag = IN_FILES_ONLY,
     excluded_flags: ObservableFlag = IN_FILES_ONLY,
 ) -> tuple[str, ...]:
-    """Return the names of observables by place and flags.
+    """Return the names of observables at given places, with given flags.
 
-    Without ``places``, observables of all places are meant. An observable has all of the
-    ``required_flags`` and none of the ``excluded_flags``.
+    Without ``places``, all places count. An observable has all ``required_flags`` and none of the
+    ``excluded_flags``.
     """
     return tuple(
         name
@@ -223,10 +229,10 @@ def observable_names(
 def read_observables(
     place: Place, place_object: Any, excluded_flags: ObservableFlag = IN_FILES_ONLY
 ) -> dict[str, float]:
-    """Return the numbers at a place by name.
+    """Return the numbers at a place by observable name.
 
-    ``place_object`` is the object that each :attr:`Observable.read_number` takes. Observables with
-    any of the ``excluded_flags`` are left out.
+    ``place_object`` is the argument of :attr:`Observable.read_number` at this place. Observables
+    with any of the ``excluded_flags`` are left out.
     """
     names = observable_names(place, excluded_flags=excluded_flags)
     return {name: float(OBSERVABLES_BY_NAME[name].read_number(place_object)) for name in names}

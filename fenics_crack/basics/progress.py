@@ -18,14 +18,17 @@ from typing import Any
 MESSAGE_INTERVAL = 5.0
 """Time between progress messages [s]."""
 LOGGER = logging.getLogger("fenics_crack")
-"""Logger of notes, remarks and warnings for the user."""
+"""Logger of messages for the user: notes, remarks and warnings."""
 _STAGE_LOGGER = LOGGER.getChild("progress")
 _stage_prefixes: list[str] = []
 _progress_functions: list[Callable[[], str]] = []
 
 
 def begin_stage(stage: str) -> None:
-    """Report the work that begins now; "" ends a stage before a progress bar."""
+    """Report the name of the work that begins now; "" ends the previous stage.
+
+    Progress bars begin after a stage "".
+    """
     _STAGE_LOGGER.debug("%s", ": ".join([*_stage_prefixes, stage]) if stage else "")
 
 
@@ -40,26 +43,30 @@ def _append_temporarily(entries: list[Any], entry: Any) -> Iterator[None]:
 
 
 def prefix_stages(stage_prefix: str) -> AbstractContextManager[None]:
-    """Put a prefix before all stages of the block: "16 modes: natural modes"."""
+    """Put a prefix before the stages in a block: "16 modes" gives "16 modes: natural modes"."""
     return _append_temporarily(_stage_prefixes, stage_prefix)
 
 
 def add_progress_text(describe_progress: Callable[[], str]) -> AbstractContextManager[None]:
-    """Add a text to progress messages: "38% of 780 to 880 Hz, 120 points"."""
+    """Add a text to progress messages during a block.
+
+    ``describe_progress`` returns the text for each message: "38% of 780 to 880 Hz, 120 points".
+    """
     return _append_temporarily(_progress_functions, describe_progress)
 
 
 class StageLineHandler(logging.Handler):
-    """Handler that shows the current stage, and a message every :data:`MESSAGE_INTERVAL`.
+    """Handler that shows the stages of a computation during a block.
 
-    On a terminal the current stage is shown at once; elsewhere each message is a line.
+    On a terminal, the current stage is shown at once. A message with the stage's duration follows
+    every 5 s (:data:`MESSAGE_INTERVAL`); elsewhere than on a terminal it is a line.
 
     Parameters
     ----------
     stream : text stream
         Default: standard error.
     keeps_lines : bool
-        Keep a line of each stage that took more than a second; otherwise only messages are shown.
+        Write a line after each stage of more than a second; otherwise only messages are shown.
     """
 
     def __init__(self, stream: Any = None, *, keeps_lines: bool = True) -> None:
@@ -81,10 +88,14 @@ class StageLineHandler(logging.Handler):
             self._show_stage("")
 
     def emit(self, record: logging.LogRecord) -> None:
-        """End the previous stage, and begin the new stage; the lock is held."""
+        """Show the stage in a record in place of the previous stage.
+
+        ``logging`` holds the handler's lock meanwhile.
+        """
         self._show_stage(record.getMessage())
 
     def _show_stage(self, stage: str) -> None:
+        """End the previous stage, and show the new stage; "" shows none."""
         current_time = time.perf_counter()
         previous_stage, self._stage_text = self._stage_text, stage
         if previous_stage:
@@ -103,7 +114,7 @@ class StageLineHandler(logging.Handler):
             self._end_event.set()
 
     def _print_messages_until_end(self, end_event: threading.Event) -> None:
-        """Print the current stage and its duration every few seconds."""
+        """Print the current stage and its duration every 5 s until an event is set."""
         while not end_event.wait(MESSAGE_INTERVAL):
             with self._write_lock:
                 elapsed_seconds = time.perf_counter() - self._start_time
@@ -121,7 +132,7 @@ class StageLineHandler(logging.Handler):
 
 
 class MessageHandler(logging.StreamHandler):
-    """Handler that prints the program's messages on standard error during a block.
+    """Handler that prints notes, remarks and warnings on standard error during a block.
 
     With ``quiet`` only warnings are printed.
     """
@@ -142,10 +153,10 @@ class MessageHandler(logging.StreamHandler):
         LOGGER.propagate = True
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return the message, with "warning" before a warning."""
+        """Return the text of a message; a warning begins with "fenics-crack: warning: "."""
         is_warning = record.levelno >= logging.WARNING
         return f"{'fenics-crack: warning: ' if is_warning else ''}{record.getMessage()}"
 
     def handleError(self, record: logging.LogRecord) -> None:
-        """Raise the error of writing to standard error."""
+        """Raise the error of writing to standard error, which ``logging`` would print."""
         raise

@@ -52,10 +52,10 @@ let them end by themselves.
 def _start_petsc() -> None:
     """Start PETSc with options from a file, the environment and the command line.
 
-    The file is ``~/.petscrc``, the variable PETSC_OPTIONS; of this program's arguments, the options
-    begin with the first ``-crack_``. Later options take precedence. PETSc itself would also read
-    .petscrc and petscrc in the working folder, which can load code. petsc4py would read a petsc.cfg
-    there, with the place of PETSc; slepc4py below, too.
+    They are the file ``~/.petscrc``, the variable PETSC_OPTIONS, and this program's arguments from
+    the first ``-crack_`` on; later options take precedence. The working folder is left meanwhile:
+    PETSc would read .petscrc and petscrc there, which can load code. petsc4py would read a
+    petsc.cfg there, with the place of PETSc; slepc4py, too.
     """
     user_option_text = os.environ.get("PETSC_OPTIONS", "")
     with leave_working_folder():
@@ -73,7 +73,7 @@ if "petsc4py.PETSc" not in sys.modules:  # unless who calls has started it
 
 
 def check_scalar_type() -> None:
-    """Raise InputError unless PETSc computes with real numbers of eight bytes."""
+    """Raise InputError unless PETSc computes with real numbers in double precision."""
     from petsc4py import PETSc
 
     if PETSc.ScalarType is not np.float64:
@@ -87,7 +87,7 @@ check_scalar_type()
 
 
 def list_unread_options() -> list[str]:
-    """Return the options ``-crack_...`` of the command line that PETSc has not read."""
+    """Return options ``-crack_...`` of the command line that PETSc has not used."""
     from petsc4py import PETSc
 
     query_option = partial(ctypes.CDLL(PETSc.__file__).PetscOptionsUsed, None)
@@ -101,7 +101,7 @@ def list_unread_options() -> list[str]:
 
 
 def import_slepc() -> Any:
-    """Return the module SLEPc, started (collective)."""
+    """Import and start SLEPc, and return the module (collective)."""
     with leave_working_folder():
         from slepc4py import SLEPc
     return SLEPc
@@ -121,11 +121,17 @@ def check_communicator(comm: object) -> None:
 
 
 MIN_SLEEP_SECONDS, MAX_SLEEP_SECONDS = 5e-5, 2e-3
-"""Shortest and longest time between two checks [s]: each sleep is twice as long as the last."""
+"""Shortest and longest time between two checks in :func:`wait_until` [s].
+
+Each sleep is twice as long as the last.
+"""
 
 
 def wait_until(is_done: Callable[[], bool]) -> None:
-    """Sleep until a function returns True; MPI itself would wait with a busy processor."""
+    """Sleep until a function returns True.
+
+    MPI itself would wait with a busy processor.
+    """
     sleep_seconds = MIN_SLEEP_SECONDS
     while not is_done():
         time.sleep(sleep_seconds)
@@ -135,7 +141,8 @@ def wait_until(is_done: Callable[[], bool]) -> None:
 def raise_first_error(comm: MPI.Comm, error: Exception | None) -> None:
     """Raise the error of the lowest failing rank on every rank (collective).
 
-    Otherwise a single rank would raise, and the others would wait forever in a collective call.
+    ``error`` is this rank's error, or None. A single rank must not raise alone: the others would
+    wait forever in a collective call.
     """
     rank_errors = [rank_error for rank_error in comm.allgather(error) if rank_error is not None]
     if rank_errors:
@@ -143,9 +150,10 @@ def raise_first_error(comm: MPI.Comm, error: Exception | None) -> None:
 
 
 def call_on_each_rank(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
-    """Call a function on each rank, and return the rank's own result (collective).
+    """Call a function on each rank, and return this rank's result (collective).
 
-    An InputError of the lowest failing rank is raised on every rank.
+    An InputError of the lowest failing rank is raised on every rank. Other exceptions are raised on
+    their rank alone.
     """
     rank_result, rank_error = None, None
     try:
@@ -179,7 +187,8 @@ def collect_garbage(comm: MPI.Comm, *, was_stopped: bool = False) -> None:
     """Free PETSc objects that are no longer referenced (collective).
 
     petsc4py does not free objects when Python deletes them, since ranks may do so in different
-    orders. This holds for the objects of small structures, too, which each rank has for itself.
+    orders. Objects of a single rank are freed, too. With ``was_stopped``, errors of PETSc are
+    ignored: a solver may have been stopped within a step.
     """
     from petsc4py import PETSc
 
@@ -189,14 +198,14 @@ def collect_garbage(comm: MPI.Comm, *, was_stopped: bool = False) -> None:
 
 
 def gather_rows(comm: MPI.Comm, rows: np.ndarray) -> np.ndarray[Any, Any]:
-    """Stack the rows of all ranks, in rank order, on every rank (collective)."""
+    """Stack the rows (n, ...) of all ranks on every rank, in rank order (collective)."""
     return np.concatenate(comm.allgather(np.asarray(rows)), axis=0)
 
 
 def _install_handlers(handler_by_signal: Mapping[signal.Signals, Any]) -> dict[signal.Signals, Any]:
-    """Install signal handlers and return the previous handlers by signal.
+    """Install signal handlers, and return the previous handlers by signal.
 
-    Only the main thread may do so; in other threads nothing is installed and the dict is empty.
+    Only the main thread may do so; in another thread nothing is installed and the dict is empty.
     """
     if threading.current_thread() is not threading.main_thread():
         return {}
@@ -217,10 +226,10 @@ def ignore_stop_signals() -> Iterator[None]:
 
 
 class StopRequest:
-    """Turn Ctrl-C into a request to stop where no result is lost.
+    """Turn Ctrl-C into a request to stop, which the block checks between steps.
 
-    Any of :data:`STOP_SIGNALS` makes the request; a second signal stops at once. After the block,
-    the request goes on to a StopRequest around it.
+    Any of :data:`STOP_SIGNALS` makes the request; a second signal raises KeyboardInterrupt at once.
+    After the block, the request passes to an enclosing StopRequest.
 
     with StopRequest() as stop:
         while not stop.is_requested(comm): ...
@@ -245,10 +254,11 @@ class StopRequest:
             outer_request._is_requested = True
 
     def _request_stop(self, signal_number: int, frame: object) -> None:
+        """Handle a signal: note the request, or raise KeyboardInterrupt at the second signal."""
         if self._is_requested:
             raise KeyboardInterrupt
         self._is_requested = True
 
     def is_requested(self, comm: MPI.Comm) -> bool:
-        """Return True if any rank has a request to stop (collective)."""
+        """Return True if a rank of the communicator has received a stop signal (collective)."""
         return bool(comm.allreduce(self._is_requested, MPI.LOR))

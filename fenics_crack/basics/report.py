@@ -12,28 +12,28 @@ from fenics_crack.basics.tables import Conclusion, Table
 
 @dataclass(frozen=True)
 class Report:
-    """Sentences and tables of a result, and the outcome of the command.
+    """Hold the sentences and tables that a command prints and writes.
 
     Attributes
     ----------
     table : Table
-        Summary in few numbers, written to the .json file.
+        Summary of the result, written to the .json file.
     conclusion : Conclusion
-        Parts of the last sentence, which has the answer.
+        Parts of the closing sentence, with the answer.
     scene : Scene, optional
-        Scene that chooses the units of the printed table, if the table has several.
+        Scene that selects the units of a printed table with several units.
     csv_table : Table, optional
         Table for the .csv file; default: ``table``.
     printed_table : Table, optional
         Table printed as text; default: ``table``.
     notes, warnings : sequences of str
-        Further information, doubts.
-    page_tables : dict of Table
-        Tables of a page by caption; default: the printed table.
-    further_tables : dict of Table
-        Tables below the first table, printed and on a page, by caption.
+        Further information, and doubts about the result.
+    page_tables : dict of str to Table
+        Tables of the HTML page by caption; default: the printed table.
+    further_tables : dict of str to Table
+        Tables below the first table, printed and on the page, by caption.
     remarks : sequence of Remark
-        Unusual values of the scene.
+        Notes on unusual values in the scene.
     has_converged : bool
         False if any part of the result has not converged.
     misses_tolerance : bool
@@ -55,12 +55,12 @@ class Report:
 
     @property
     def closing_sentence(self) -> str:
-        """The last sentence, with the numbers of warnings and remarks."""
+        """Last sentence that the command prints: answer, and numbers of warnings and remarks."""
         return self.conclusion.sentence(len(self.warnings), len(self.remarks))
 
     @property
     def exit_code(self) -> Exit:
-        """The exit code of the command."""
+        """Exit code of the command: DONE, MISSED or NOT_CONVERGED."""
         if not self.has_converged:
             return Exit.NOT_CONVERGED
         return Exit.MISSED if self.misses_tolerance else Exit.DONE

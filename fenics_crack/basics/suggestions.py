@@ -24,7 +24,7 @@ Class = TypeVar("Class")
 MIN_LIKENESS = 0.7
 """Minimum likeness of a misspelt word and the suggested word (ratio of difflib)."""
 SAME_WORD_LIKENESS = 0.85
-"""Minimum likeness of two forms of a word, as "eigenfrequency" and "eigenfrequencies"."""
+"""Minimum likeness of two forms of a word, as "eigenfrequency" and "eigenfrequencies" (difflib)."""
 SEARCH_WORDS_BY_CALL = {
     "fc.solve(scene)": "solve steady periodic stationary forced vibration balance hbm run compute "
     "newton",
@@ -53,12 +53,12 @@ SEARCH_WORDS_BY_CALL = {
     "result.displacement(time)": "displacement displacements x u q solution vector mode shape",
     "result.time": "t times instants",
 }
-"""Words that other programs and people use, by the call to write here.
+"""Search words for each call: names in other programs and everyday words.
 
-A "result" stands for several kinds of results.
+"result" in a call stands for several kinds of results.
 """
 OWN_VERB_BY_FOREIGN_VERB = {"plot": "draw", "show": "draw", "read": "load", "export": "write"}
-"""First word of this package's names, by the first word in other programs."""
+"""First word of this package's names, by the first word of names in other programs."""
 
 
 DESCRIPTION_BY_CLASS_NAME = {
@@ -70,7 +70,10 @@ DESCRIPTION_BY_CLASS_NAME = {
     "bool": "True or False", "Iterable": "a list of values", "int": "a whole number",
     "float": "a number",
 }  # fmt: skip
-"""Words for classes of arguments; Python's own classes are always compared."""
+"""Words for an argument's class in errors, by class name.
+
+An argument with an annotation of these classes is always checked.
+"""
 FACTOR_BY_UNIT_PREFIX = {
     "G": 1e9,
     "M": 1e6,
@@ -90,17 +93,21 @@ FOREIGN_FACTORS_BY_UNIT = {
     "m/s^2": {"g": 9.80665},
     "": {"%": 1e-2},
 }
-"""Factors from other units to a key's unit, by key's unit and other unit."""
+"""Factors from other units to a scene key's unit: first the key's unit, then the other unit."""
 UNIT_SPELLING_TABLE = str.maketrans({"µ": "u", "μ": "u", "²": "^2", "³": "^3", "·": " "})
-"""Table for ``str.translate``: other spellings of units, and the spelling here."""
+"""Table for ``str.translate`` from other spellings of units to the package's spelling."""
 NUMBER_WITH_UNIT_PATTERN = re.compile(r"([+-]?\d*(?:[.,]\d*)?(?:[eE][+-]?\d+)?) *([^\d].*)?")
-"""Pattern with two groups, a number and a unit."""
+"""Pattern of a number with a unit; the two groups may be empty."""
 
 
 def find_similar_names(
     word: object, known_names: Iterable[str], min_likeness: float = MIN_LIKENESS
 ) -> list[str]:
-    """Return the known name most like a word, two if equally like, or none."""
+    """Return the known name most similar to a word.
+
+    Two names if both are equally similar; an empty list below ``min_likeness`` (ratio of difflib, 0
+    to 1).
+    """
     import difflib  # takes a while, and mistakes alone need it
 
     name_by_lower_case = {name.lower(): name for name in known_names}
@@ -119,9 +126,10 @@ def find_similar_names(
 def find_similar_or_longer_names(
     name: str, known_names: Collection[str], min_likeness: float = MIN_LIKENESS
 ) -> list[str]:
-    """Return similar known names; otherwise known names in which a word begins with the name.
+    """Return known names similar to a name, or else longer names.
 
-    A name needs three letters for the second search: "tol" finds "tolerance".
+    A longer name has a word that begins with the name, of three letters or more: "tol" finds
+    "tolerance". ``min_likeness`` is the minimum ratio of difflib for similar names.
     """
     beginning_pattern = re.compile(f"(^|_){re.escape(name)}", re.IGNORECASE)
     longer_names = [
@@ -133,10 +141,10 @@ def find_similar_or_longer_names(
 
 
 def find_calls_by_synonyms(name: str) -> list[str]:
-    """Return the calls with most of a name's words among their search words.
+    """Return the calls whose search words match most words of a name.
 
-    The list is empty if no word matches. With functions ``fc....`` among the calls, calls of a
-    result are left out.
+    :data:`SEARCH_WORDS_BY_CALL` has the search words. The list is empty if no word matches. If
+    functions ``fc....`` match, methods of a result are left out.
     """
     name_words = re.findall("[a-z0-9]+", re.sub("([A-Z])", r"_\1", name[:100]).lower())
     n_matches_by_call = {
@@ -156,14 +164,17 @@ def find_calls_by_synonyms(name: str) -> list[str]:
 
 
 def did_you_mean_text(suggested_names: Sequence[str]) -> str:
-    """Return the question "did you mean ...? " with up to three names; "" without names."""
+    """Return the question "did you mean a or b? " with up to three names.
+
+    "" without names.
+    """
     return f"did you mean {' or '.join(suggested_names[:3])}? " if suggested_names else ""
 
 
 def replacement_question_text(name: str, known_names: Sequence[str]) -> str:
-    """Return a question with replacements for a name that the package lacks.
+    """Return the question "did you mean ...? " for a name missing in the package.
 
-    Without a similar name, and for private names, the text is "".
+    "" for a private name, or without a suggestion.
     """
     if name.startswith("_"):  # notebooks and test programs ask for such names of anything
         return ""
@@ -194,9 +205,9 @@ def replacement_question_text(name: str, known_names: Sequence[str]) -> str:
 def check_options(
     owner_words: str, options: Mapping[str, object], option_names: Collection[str]
 ) -> None:
-    """Raise InputError for a keyword that is not in ``option_names``.
+    """Raise InputError for an option that is not in ``option_names``.
 
-    ``owner_words`` say in the error what has these options: a function, or pictures.
+    ``owner_words`` name the function or the pictures with these options, for the error.
     """
     for key, value in options.items():
         if key not in option_names:
@@ -207,7 +218,11 @@ def check_options(
 
 
 def _class_names_of(value: object) -> set[str]:
-    """Return the names of a value's classes, with the abstract classes that are compared."""
+    """Return the names of a value's classes and base classes.
+
+    Also "Mapping", "Path", "None", "Iterable", "int" and "float" if the value is of this abstract
+    kind.
+    """
     # The name of NumPy's bool_ becomes that of Python's.
     class_names = {base_class.__name__.removesuffix("_") for base_class in type(value).__mro__}
     abstract_class_by_name: dict[str, Any] = {
@@ -226,11 +241,24 @@ def _class_names_of(value: object) -> set[str]:
 def fit_argument_to_annotation(
     key: str, value: Any, annotation: str, known_class_names: Collection[str]
 ) -> Any:
-    """Return a value that fits an annotation: the argument, or the result of a Run.
+    """Return an argument, or the result of a Run if the annotation requires the result.
 
-    Raise InputError if the value is of no class of the annotation. Unless every class there is in
-    ``known_class_names`` or has a description, nothing is checked; a lone ``str`` is left to the
-    function. Classes are compared by name: no module is imported for the check.
+    Classes are compared by name: no module is imported for the check.
+
+    Parameters
+    ----------
+    key, value
+        Name and value of the argument.
+    annotation : str
+        Annotation: class names with " | " between them.
+    known_class_names : collection of str
+        Class names that can be compared, beside :data:`DESCRIPTION_BY_CLASS_NAME`. With any further
+        class in the annotation, or ``str`` alone, nothing is checked.
+
+    Raises
+    ------
+    InputError
+        The argument is of no class in the annotation.
     """
     annotation_class_names = list(
         dict.fromkeys(
@@ -262,9 +290,10 @@ def fit_argument_to_annotation(
 
 
 def with_old_names(**new_name_by_old_name: str) -> Callable[[type[Class]], type[Class]]:
-    """Let a class answer old names of attributes, with a FutureWarning.
+    """Return a class decorator that keeps old names of attributes as properties.
 
-    An old name stays for one version (docs/contributing.md, "What stays").
+    Reading an old name warns with a FutureWarning. Keywords are old names, values are new names. An
+    old name stays for one version (docs/contributing.md, "What stays").
     """
 
     def add_old_names(changed_class: type[Class]) -> type[Class]:
@@ -277,7 +306,7 @@ def with_old_names(**new_name_by_old_name: str) -> Callable[[type[Class]], type[
 
 
 def _read_by_old_name(old_name: str, new_name: str, instance: object) -> Any:
-    """Return an attribute by its new name, and warn that the old name will go."""
+    """Return an attribute of an instance, and warn that the old name will go."""
     class_name = type(instance).__name__
     message = (
         f"{class_name}.{old_name} is {class_name}.{new_name} now; the old name will be refused"
@@ -291,12 +320,19 @@ def check_calls(
     find_scene_keys: Callable[[str], Sequence[str]] | None = None,
     known_class_names: Collection[str] = (),
 ) -> Function:
-    """Decorate a function to check its arguments, and to suggest others.
+    """Decorate a function to check arguments, and to suggest corrections in errors.
 
-    A wrong argument raises a TypeError with suggestions: another argument, a key of the scene from
-    ``find_scene_keys``, or another function. A ``comm`` that is no communicator raises an
-    InputError. Each argument goes through :func:`fit_argument_to_annotation`, with
-    ``known_class_names``.
+    A missing or unknown argument raises a TypeError. It suggests another argument, a key of the
+    scene, or another function. A ``comm`` that is no communicator raises an InputError.
+
+    Parameters
+    ----------
+    function : callable
+        Function to decorate.
+    find_scene_keys : callable, optional
+        Return scene keys similar to an unknown argument's name.
+    known_class_names : collection of str
+        Class names for :func:`fit_argument_to_annotation`, which checks each argument.
     """
     from inspect import signature as signature_of  # takes a while: not for the program
 
@@ -365,12 +401,14 @@ def check_calls(
 
 
 def convert_to_unit_or_none(text: str, unit: str) -> float | None:
-    """Convert a number with a decimal comma, or in another unit, to a unit.
+    """Convert a text with a number, and perhaps a unit, to a given unit.
+
+    The number may have a decimal comma.
 
     Returns
     -------
     float or None
-        Number in ``unit``; None if the text is no number or the unit is unknown.
+        Number in ``unit``; None if the text is no number, or has no unit or an unknown unit.
     """
     number_match = NUMBER_WITH_UNIT_PATTERN.fullmatch(
         text.strip()[:100].translate(UNIT_SPELLING_TABLE)
@@ -393,9 +431,10 @@ def convert_to_unit_or_none(text: str, unit: str) -> float | None:
 
 
 def yield_candidate_values(value: object, unit: str) -> Iterator[object]:
-    """Yield values that may be meant instead of a wrong value.
+    """Yield values that may be meant by a wrong value of a scene's key.
 
-    Candidates are a number or None, a whole number, and a list of numbers.
+    A text yields a number in ``unit`` or None, the whole number if it is one, and a list of
+    numbers. A list yields a list of numbers; texts in it that are no numbers become None.
     """
     if isinstance(value, str):
         number = convert_to_unit_or_none(value, unit)
@@ -411,7 +450,7 @@ def yield_candidate_values(value: object, unit: str) -> Iterator[object]:
 
 
 def format_scene_value(value: object) -> str:
-    """Return a value as text for a scene, numbers in short: "2.1e+11"."""
+    """Return a value as text for a scene; a number is shortened if exact: "2.1e+11"."""
     short_number_text = f"{value:g}" if isinstance(value, float) else ""
     return (
         short_number_text

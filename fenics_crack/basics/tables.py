@@ -26,7 +26,7 @@ from fenics_crack.basics.suggestions import with_old_names
 MAX_PRINTED_ROWS = 40
 """Maximum rows of a table as text and as HTML; files have all rows."""
 N_SELECTED_ROWS = 8
-"""Number of printed rows of a long result: the largest, or spread evenly."""
+"""Number of rows printed of a long result: the rows with largest values, or evenly spread rows."""
 RAD_PER_TURN = 2.0 * math.pi
 """Factor from Hz to rad/s."""
 RAD_PER_S_PER_RPM = RAD_PER_TURN / 60.0
@@ -43,7 +43,7 @@ _NAME_WORDS_BY_UNIT = {
     "m/cycle": "rate",
 }
 UNIT_BY_NAME = {name: observable.unit for name, observable in OBSERVABLES_BY_NAME.items()}
-"""Units of the entries of ``to_dict``; all other entries have no unit."""
+"""Units for the entries of ``to_dict`` by name; all further entries have none."""
 UNIT_BY_NAME |= {
     name: unit for unit, names in _NAME_WORDS_BY_UNIT.items() for name in names.split()
 }
@@ -53,12 +53,12 @@ UNIT_BY_NAME |= {
 @with_old_names(formatted="format_as")
 @dataclass(frozen=True)
 class Table:
-    """Named columns of numbers and words.
+    """Hold a table with named columns of numbers and words.
 
     Attributes
     ----------
     columns : sequence of str
-        Names with their units.
+        Headings with units: "omega [rad/s]".
     rows : sequence of sequences
         Numbers, words, truth values; nan for an unknown value.
     """
@@ -68,18 +68,25 @@ class Table:
 
     @classmethod
     def from_dict(cls, values_by_name: Mapping[str, Any], unit_by_name: Mapping[str, str]) -> Table:
-        """Return a table with a column for each list, or a row for each value."""
+        """Return a table from values by name, with units in the headings.
+
+        If any value is a list, all must be lists, and each becomes a column. Otherwise each value
+        becomes a row with the columns "quantity" and "value".
+        """
         headings = [heading_with_unit(name, unit_by_name.get(name, "")) for name in values_by_name]
         if any(isinstance(column_or_value, list) for column_or_value in values_by_name.values()):
             return cls(headings, [list(row) for row in zip(*values_by_name.values(), strict=True)])
         return cls(("quantity", "value"), list(zip(headings, values_by_name.values(), strict=True)))
 
     def format_as(self, format_name: str) -> str:
-        """Return the table as "text" (the first rows of a long table), "csv" or "json"."""
+        """Return the table as text in the format "text", "csv" or "json".
+
+        "text" has at most 40 rows.
+        """
         return {"text": self._as_text, "csv": self._as_csv, "json": self._as_json}[format_name]()
 
     def html(self, caption: str) -> str:
-        """Return the table for a notebook (the first rows of a long table)."""
+        """Return the table as HTML with a caption, for a notebook; at most 40 rows."""
         tagged_rows = [("th", self.columns)]
         tagged_rows += [
             ("td", [_value_text(value) for value in row]) for row in self.rows[:MAX_PRINTED_ROWS]
@@ -94,7 +101,7 @@ class Table:
         return f"<table><caption>{html.escape(caption)}</caption>{rows_html}</table>"
 
     def save(self, path: str | Path) -> None:
-        """Write the table as JSON if the name ends in ``.json``, else as CSV.
+        """Write the table as CSV, or as JSON if the name ends in ``.json``.
 
         Raises
         ------
@@ -104,6 +111,7 @@ class Table:
         write_file_whole(path, self._as_json() if Path(path).suffix == ".json" else self._as_csv())
 
     def _as_text(self) -> str:
+        """Return the table in aligned columns; at most 40 rows."""
         printed_rows = self.rows[:MAX_PRINTED_ROWS]
         text_columns = []
         for column_index, heading in enumerate(self.columns):
@@ -139,19 +147,18 @@ class Table:
 
 @dataclass(frozen=True)
 class Conclusion:
-    """Parts of the last sentence on a result.
+    """Hold the parts of the closing sentence that a command prints on a result.
 
     Attributes
     ----------
     outcome : str
         How the computation ended: "solved", "not converged".
     answer : str
-        The answer, and its accuracy.
+        Main number of the result, and the accuracy.
     unknown_error_reason : str
         Reason why the error is unknown; "" if the error is known.
     further_clauses : sequence of str
-        The verdict on the stability, and what a reader of the numbers alone would miss. Empty texts
-        are left out.
+        Verdict on the stability, and facts that the numbers do not show. Empty texts are left out.
     """
 
     outcome: str
@@ -160,7 +167,7 @@ class Conclusion:
     further_clauses: Sequence[str] = ()
 
     def sentence(self, n_warnings: int = 0, n_remarks: int = 0) -> str:
-        """Return the sentence, with the numbers of warnings and remarks at the end."""
+        """Return the closing sentence, with the numbers of warnings and remarks at the end."""
         count_by_noun = {"warning": n_warnings, "remark": n_remarks}
         warning_count_text = " and ".join(
             format_count(count, noun) for noun, count in count_by_noun.items() if count
@@ -186,32 +193,35 @@ class Conclusion:
 
 @with_old_names(said="build_conclusion")
 class Described:
-    """A result that describes itself: in one line, as a table in a notebook, as a dict."""
+    """Base class for a result that can show itself: as a line, a table or a dict."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return numbers and words by name, or lists of equal length; SI units.
+        """Return the result's numbers and words by name, or lists of equal length.
 
-        ``pandas.DataFrame`` takes such a dict of lists, and a list of dicts of numbers.
+        Units are SI. ``pandas.DataFrame`` takes a dict of lists, and a list of dicts of numbers.
         """
         raise NotImplementedError
 
     def table(self, *names: str) -> Table:
-        """Return :meth:`to_dict`, or some entries, as a table with units."""
+        """Return the entries of :meth:`to_dict` with these names as a table with units.
+
+        Without ``names``, the table has all entries.
+        """
         values_by_name = self.to_dict()
         return Table.from_dict(
             {name: values_by_name[name] for name in names or values_by_name}, self._unit_by_name()
         )
 
     def _unit_by_name(self) -> Mapping[str, str]:
-        """Return units of the entries of :meth:`to_dict` by name."""
+        """Return the units for entries of :meth:`to_dict` by name."""
         return UNIT_BY_NAME
 
     def _repr_text(self) -> str:
-        """Return the text between the brackets of the one line."""
+        """Return the text between the brackets of ``repr``."""
         return ", ".join(f"{name} = {_value_text(value)}" for name, value in self.to_dict().items())
 
     def build_conclusion(self) -> Conclusion | None:
-        """Return the parts of the last sentence; None if the one line says everything."""
+        """Return the parts of the closing sentence; None if ``repr`` says everything."""
         return None
 
     def __repr__(self) -> str:
@@ -226,10 +236,10 @@ class Described:
 
 
 class Tabular(Described):
-    """A result that is a table: :meth:`to_dict` has lists of equal length."""
+    """Base class for a result whose :meth:`to_dict` has lists of equal length."""
 
     def to_csv(self, path: str | Path) -> None:
-        """Write :meth:`table` as CSV; as JSON if the name ends in ``.json``.
+        """Write :meth:`table` as CSV, or as JSON if the name ends in ``.json``.
 
         Raises
         ------
@@ -239,7 +249,7 @@ class Tabular(Described):
         self.table().save(path)
 
     def to_dataframe(self) -> Any:
-        """Return :meth:`table` as a ``pandas.DataFrame``, without units in the headings.
+        """Return :meth:`to_dict` as a ``pandas.DataFrame``, without units in the headings.
 
         Raises
         ------
@@ -250,9 +260,9 @@ class Tabular(Described):
 
 
 def import_optional(library: str, method: str) -> Any:
-    """Import a library that a single method needs.
+    """Import and return an optional library that a method needs.
 
-    Without the library, the ImportError says how to go on.
+    Without the library, the ImportError names the method and an alternative.
     """
     try:
         return import_module(library)
@@ -268,14 +278,17 @@ def import_optional(library: str, method: str) -> Any:
 # --- numbers for people ---------------------------------------------------------------------------
 
 MIN_REPORTED_ERROR = 1e-5
-"""Relative error below which no number is reported: tables have six digits."""
+"""Relative error below which the text is "less than 0.001 %": tables have six digits."""
 UNITS_WITHOUT_PREFIX = ("", "1", "-", "%", "Hz", "rad/s", "rpm", "rad", "deg", "degrees")
-"""Units shown without a prefix."""
+"""Units that are shown without a prefix such as k or m."""
 _PREFIX_BY_EXPONENT = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
 def choose_factor_and_prefixed_unit(largest_magnitude: float, unit: str) -> tuple[float, str]:
-    """Return factor and prefixed unit for numbers up to a maximum: (1e6, "µm")."""
+    """Return a prefixed unit for numbers, and the factor to it: (1e6, "µm").
+
+    ``largest_magnitude`` is the largest absolute number in ``unit``.
+    """
     exponent = (
         3 * int(np.floor(np.log10(largest_magnitude) / 3.0))
         if 0.0 < largest_magnitude < math.inf
@@ -286,7 +299,7 @@ def choose_factor_and_prefixed_unit(largest_magnitude: float, unit: str) -> tupl
 
 
 def format_quantity(value: float, unit: str) -> str:
-    """Return a number with its unit, "1.452 µm"; without a unit "0.9"."""
+    """Return a number with a prefixed unit as text: "1.452 µm"."""
     factor, unit = (
         (1.0, unit.strip("1-"))
         if unit in UNITS_WITHOUT_PREFIX
@@ -296,7 +309,10 @@ def format_quantity(value: float, unit: str) -> str:
 
 
 def heading_with_unit(quantity_name: str, unit: str) -> str:
-    """Return a heading, "omega [rad/s]"; "rotation.rpm" has its unit in the name."""
+    """Return a column's heading: "omega [rad/s]".
+
+    Without a unit, or if the name ends in the unit ("rotation.rpm"), the heading is the name.
+    """
     return (
         quantity_name
         if unit in ("", "1", quantity_name.rpartition(".")[2])
@@ -305,12 +321,18 @@ def heading_with_unit(quantity_name: str, unit: str) -> str:
 
 
 def choose_frequency_factor_name_unit(in_hertz: bool) -> tuple[float, str, str]:
-    """Return factor from rad/s, name and unit of an axis of load frequencies."""
+    """Return the factor from rad/s, the name and the unit for load frequencies.
+
+    The unit is Hz or rad/s.
+    """
     return (0.5 / math.pi, "load frequency", "Hz") if in_hertz else (1.0, "load frequency", "rad/s")
 
 
 def choose_speed_factor_name_unit(in_rpm: bool) -> tuple[float, str, str]:
-    """Return factor from rad/s, name and unit of an axis of rotor speeds."""
+    """Return the factor from rad/s, the name and the unit for rotor speeds.
+
+    The unit is rpm or rad/s.
+    """
     return (
         (1.0 / RAD_PER_S_PER_RPM, "rotor speed", "rpm") if in_rpm else (1.0, "rotor speed", "rad/s")
     )
@@ -322,16 +344,20 @@ def format_speed(speed: float, in_rpm: bool) -> str:
 
 
 def format_in_unit(factor_name_unit: tuple[float, str, str], *values: float) -> str:
-    """Return values in an axis' unit as text: "50.1 Hz", "50.1 and 50.3 Hz"."""
+    """Return numbers in an axis' unit as text: "50.1 Hz", "50.1 and 50.3 Hz".
+
+    ``factor_name_unit`` comes from :func:`choose_frequency_factor_name_unit` or
+    :func:`choose_speed_factor_name_unit`.
+    """
     factor, _, unit = factor_name_unit
     numbers_text = " and ".join(f"{factor * value:.6g}" for value in values)
     return f"{numbers_text} {unit}".removesuffix(" -")
 
 
 def add_frequency_entries(values_by_name: dict[str, Any]) -> dict[str, Any]:
-    """Return the entries with frequencies and revolutions per minute added.
+    """Return entries with a frequency after "omega" and revolutions per minute after "speed".
 
-    "frequency" [Hz] follows "omega" [rad/s], "rpm" follows "speed" [rad/s]: numbers or lists.
+    "frequency" is in Hz, "rpm" in 1/min; "omega" and "speed" are in rad/s, numbers or lists.
     """
     added_name_and_unit_by_name = {
         "omega": ("frequency", RAD_PER_TURN),
@@ -349,7 +375,7 @@ def add_frequency_entries(values_by_name: dict[str, Any]) -> dict[str, Any]:
 
 
 def hertz_property(attribute_name: str = "omega") -> Any:
-    """Return a property: the frequency [Hz] of an attribute in rad/s."""
+    """Return a property with the frequency [Hz] of an attribute [rad/s]."""
 
     def frequency(self: Any) -> Any:
         return getattr(self, attribute_name) / RAD_PER_TURN
@@ -358,9 +384,9 @@ def hertz_property(attribute_name: str = "omega") -> Any:
 
 
 def format_percent(share: float) -> str:
-    """Return a share in per cent with two significant digits: "2.4 %", "140 %".
+    """Return a ratio in per cent with two significant digits: "2.4 %".
 
-    From 99.5 % on the number is whole.
+    From 99.5 % on the number is whole: "140 %".
     """
     return format(100.0 * share, ".2g" if share < 0.995 else ".0f") + " %"
 
@@ -375,18 +401,24 @@ def format_error(error: float) -> str:
 
 
 def describe_omitted_causes(cause_names: Iterable[str]) -> str:
-    """Name the causes that an error leaves out: "error due to the mesh not included"."""
+    """Return text on causes that an error leaves out; "" without causes.
+
+    An example is "error due to the mesh not included".
+    """
     cause_text = " and the ".join(cause_names)
     return f"error due to the {cause_text} not included" if cause_text else ""
 
 
 def format_count(count: int, noun: str) -> str:
-    """Return a number of things as text: "1 pair", "2 pairs"."""
+    """Return a number with a noun as text: "1 pair", "2 pairs"."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def format_range(values: np.ndarray, number_format: str = ".0f") -> str:
-    """Return minimum and maximum as text, "5 to 40"; "9" if they are equal."""
+    """Return minimum and maximum of values (n,) as text: "5 to 40".
+
+    A single number if both are equal as text.
+    """
     return " to ".join(
         dict.fromkeys(
             format(extreme_function(values), number_format) for extreme_function in (np.min, np.max)
@@ -395,18 +427,18 @@ def format_range(values: np.ndarray, number_format: str = ".0f") -> str:
 
 
 def _python_value(value: Any) -> Any:
-    """Return a NumPy number as a Python number; other values stay."""
+    """Return a NumPy number as a Python number, and another value unchanged."""
     return value.item() if isinstance(value, np.generic) else value
 
 
 def _json_value(value: Any) -> Any:
-    """Return a value for JSON: None instead of nan and infinity."""
+    """Return a value for JSON; nan and infinity become None."""
     value = _python_value(value)
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _value_text(value: Any) -> str:
-    """Return a value as text: "yes" or "no", six digits, "-" for nan."""
+    """Return a table's value as text: "yes", "no", a number with six digits; "-" for nan."""
     value = _python_value(value)
     if isinstance(value, bool):
         return "yes" if value else "no"

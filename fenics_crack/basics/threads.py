@@ -27,11 +27,11 @@ from typing import Any, NamedTuple
 from fenics_crack.basics.errors import InputError
 
 THREAD_COUNT_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS")
-"""Variables that set the number of OpenBLAS's threads."""
+"""Environment variables that set the number of OpenBLAS's threads."""
 RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
-"""Variables with which mpirun gives a process its rank, before MPI is started."""
+"""Environment variables that mpirun sets for each process before MPI is started."""
 DEBIAN_MODULES = ("numpy", "mpi4py")
-"""Modules whose compiled interfaces Debian's DOLFINx, PETSc and SciPy are built for."""
+"""Modules that must have Debian's version for Debian's DOLFINx, PETSc and SciPy."""
 ONE_PROCESS_VARIABLES = {
     "OMPI_MCA_pml": "ob1", "OMPI_MCA_btl": "self", "OMPI_MCA_ess_singleton_isolated": "1",
 }  # fmt: skip
@@ -44,15 +44,15 @@ _lock = threading.RLock()
 
 @cache
 def check_debian_module_versions() -> None:
-    """Check, before they are imported, that NumPy and mpi4py are Debian's.
+    """Check that NumPy and mpi4py have the versions of Debian.
 
-    ``install.sh`` has pinned the versions in this virtual environment; an environment without pins
-    is not checked.
+    ``install.sh`` has written these versions into the virtual environment; another environment is
+    not checked. Neither module is imported.
 
     Raises
     ------
     InputError
-        Another version stands before Debian's.
+        Another version comes first in Python's path.
     """
     pin_file = Path(sys.prefix, "debian-pins.txt")
     version_by_module = (
@@ -80,11 +80,11 @@ def is_started_by_mpirun() -> bool:
 
 @contextmanager
 def run_single_threaded() -> Iterator[None]:
-    """Run a block with one thread of Python, OpenBLAS and OpenMP, and restore the numbers.
+    """Run a block with a single thread of Python, OpenBLAS and OpenMP.
 
-    A number that the user has chosen stays. The user chooses by a variable of
-    :data:`THREAD_COUNT_VARIABLES`; OpenMP heeds only the first. Or the user chooses in the process
-    (by threadpoolctl): the number then differs from OpenBLAS's default.
+    The earlier numbers of threads are restored after the block. A number that the user has set
+    stays: by a variable of :data:`THREAD_COUNT_VARIABLES` (for OpenMP only the first), or in
+    OpenBLAS by threadpoolctl.
     """
     with _lock:
         openblas_count_pairs = (
@@ -118,20 +118,27 @@ def run_single_threaded() -> Iterator[None]:
 
 
 class _OpenBlas(NamedTuple):
-    """A loaded OpenBLAS; Debian and wheels have different names for its functions.
+    """Hold a loaded OpenBLAS; Debian and wheels have different names for the functions.
 
-    ``name_affixes`` are the prefix and the suffix of a function's name.
+    ``name_affixes`` are the prefix and the suffix of a function's name, as "openblas" and "64",
+    with underscores.
     """
 
     library: ctypes.CDLL
     name_affixes: tuple[str, str]
 
     def __call__(self, function_name: str, *arguments: int) -> int:
-        """Call a function by its name without affixes; None becomes 0."""
+        """Call a function by the name without prefix and suffix, and return an integer.
+
+        A function without a result returns 0.
+        """
         return int(getattr(self.library, function_name.join(self.name_affixes))(*arguments) or 0)
 
     def default_thread_count(self) -> int:
-        """Return the number of threads that this OpenBLAS starts by default."""
+        """Return the number of threads that OpenBLAS starts by default.
+
+        The number of processors, or the maximum of this build if smaller.
+        """
         get_config: Any = getattr(self.library, "get_config".join(self.name_affixes))
         get_config.restype = ctypes.c_char_p
         max_threads_match = re.search(rb"MAX_THREADS=(\d+)", get_config())
@@ -141,9 +148,9 @@ class _OpenBlas(NamedTuple):
 
 @lru_cache(maxsize=1)
 def _load_openblas_with_thread_counts(n_imported_modules: int) -> list[tuple[_OpenBlas, int]]:
-    """Return each OpenBLAS of this process, and its default number of threads.
+    """Return each OpenBLAS of this process with the default number of threads.
 
-    The argument only makes the cache search again after imports.
+    ``n_imported_modules`` only makes the cache search again after imports.
     """
     openblas_libraries: list[_OpenBlas] = []
     all_affixes = [*product(("openblas_", "scipy_openblas_"), ("", "64_", "_64"))]
@@ -161,9 +168,9 @@ def _load_openblas_with_thread_counts(n_imported_modules: int) -> list[tuple[_Op
 
 @lru_cache(maxsize=1)
 def _load_openmp_libraries(n_imported_modules: int) -> list[ctypes.CDLL]:
-    """Return each OpenMP of this process: GCC's, LLVM's and Intel's.
+    """Return the OpenMP libraries of this process: GCC's, LLVM's and Intel's.
 
-    The argument only makes the cache search again after imports.
+    ``n_imported_modules`` only makes the cache search again after imports.
     """
     openmp_libraries = map(ctypes.CDLL, list_loaded_libraries(r"lib(?:g|i)?omp"))
     return [
@@ -174,7 +181,10 @@ def _load_openmp_libraries(n_imported_modules: int) -> list[ctypes.CDLL]:
 
 
 def list_loaded_libraries(name_pattern: str) -> list[str]:
-    """Return paths of loaded libraries; a pattern matches the beginning of the file name."""
+    """Return paths of this process's shared libraries with a given name.
+
+    ``name_pattern`` is a regular expression for the beginning of the file name.
+    """
     try:
         memory_map_text = Path("/proc/self/maps").read_text()
     except OSError:
@@ -185,12 +195,15 @@ def list_loaded_libraries(name_pattern: str) -> list[str]:
 
 
 def machine_memory() -> float:
-    """Return the memory of this machine [byte]."""
+    """Return the physical memory of this machine [byte]."""
     return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
 
 
 def process_memory(entry_name: str) -> float:
-    """Return this process's memory [byte] by its name in ``/proc/self/status``, as "VmSize"."""
+    """Return this process's memory [byte] by the entry's name in ``/proc/self/status``.
+
+    "VmSize" is the address space.
+    """
     status_text = Path("/proc/self/status").read_text()
     return 1024.0 * int(status_text.partition(f"{entry_name}:")[2].split()[0])
 
@@ -202,15 +215,16 @@ def address_space_limit() -> float:
 
 
 def remaining_address_space() -> float:
-    """Return the address space that this process may still ask for [byte]."""
+    """Return the address space that this process may still use [byte]; inf without a limit."""
     return address_space_limit() - process_memory("VmSize")
 
 
 @contextmanager
 def set_one_process_variables() -> Iterator[None]:
-    """Set :data:`ONE_PROCESS_VARIABLES` during the block, in which MPI starts.
+    """Set environment variables for Open MPI without mpirun, during a block.
 
-    Nothing is set if mpirun has started this process; a variable that the user has set stays.
+    MPI starts in the block. :data:`ONE_PROCESS_VARIABLES` has the values. Nothing is set if mpirun
+    has started this process; a variable that the user has set stays.
     """
     value_by_variable = {} if is_started_by_mpirun() else ONE_PROCESS_VARIABLES
     added_value_by_variable = {

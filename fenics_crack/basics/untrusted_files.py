@@ -39,17 +39,20 @@ import numpy as np
 MAX_FILE_BYTES = 2**31
 """Maximum bytes of a file with a mesh, a matrix or a result, and of the numbers in it."""
 HIDDEN_VARIABLE_PREFIXES = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "HDF5_")
-"""Prefixes of variables hidden from a reader: it is no rank, and loads no plug-ins."""
+"""Prefixes of environment variables that a reader process does not get.
+
+The process is then no rank of MPI, and HDF5 loads no plug-ins.
+"""
 READER_ENVIRONMENT = {
     "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "HDF5_PLUGIN_PRELOAD": "::",
 }  # fmt: skip
-"""Environment variables that a reader gets."""
+"""Environment variables for a reader process: one thread, no plug-ins."""
 READER_PROGRAM_PATH = Path(__file__).with_name("untrusted_reader.py")
 ENCODING_BY_BYTE_ORDER_MARK = {
     codecs.BOM_UTF32_LE: "UTF-32", codecs.BOM_UTF32_BE: "UTF-32", codecs.BOM_UTF16_LE: "UTF-16",
     codecs.BOM_UTF16_BE: "UTF-16",
 }  # fmt: skip
-"""Names of encodings by byte order mark, the longer marks first."""
+"""Names of refused encodings by byte order mark, the longer marks first."""
 COMMA_NUMBER_PATTERN, POINT_NUMBER_PATTERN = (
     re.compile(rf"[+-]?\d*{mark}\d+(?:[eE][+-]?\d+)?") for mark in (",", r"\.")
 )
@@ -71,10 +74,11 @@ SI_UNIT_AND_FACTOR_BY_UNIT |= {
 
 @contextmanager
 def leave_working_folder() -> Iterator[None]:
-    """Change to the folder of Python's modules while a library looks for settings.
+    """Work in the folder of Python's modules during a block.
 
-    A stranger's folder may hold settings that load code, run programs or change numbers. A folder
-    that this user may not enter, as root's, is left for good.
+    A library may look for settings meanwhile: in a stranger's folder they may load code, run
+    programs or change numbers. If this user may not enter the earlier folder, as root's, the
+    process stays in the new folder.
     """
     working_folder_descriptor = os.open("/proc/self/cwd", os.O_PATH)
     try:
@@ -89,15 +93,15 @@ def leave_working_folder() -> Iterator[None]:
 def regular_file_size(
     path: str | Path, max_bytes: int | None = MAX_FILE_BYTES, *, follows_links: bool = True
 ) -> int:
-    """Return the size of a regular file [byte].
+    """Return the size of a regular file [byte], or refuse the file.
 
-    Devices and pipes are refused, since they need not end. With ``follows_links=False`` a link is
+    Devices and pipes are refused, since they may not end. With ``follows_links=False`` a link is
     refused, too.
 
     Raises
     ------
     OSError
-        There is no such file, or it is larger than ``max_bytes``.
+        There is no such file, it is refused, or it is larger than ``max_bytes`` (None: no limit).
     """
     try:
         file_status = os.stat(path, follow_symlinks=follows_links)
@@ -113,16 +117,17 @@ def regular_file_size(
 def read_regular_file(
     path: str | Path, max_bytes: int | None = 2**26, *, follows_links: bool = True
 ) -> bytes:
-    """Return the whole content of a regular file; OSError from :func:`regular_file_size`.
+    """Return the content of a regular file up to ``max_bytes``, by default 64 MiB.
 
-    The default limit suits scenes and tables: a million rows have 40 MiB.
+    OSError from :func:`regular_file_size`. The default suits scenes and tables: a million rows have
+    40 MiB.
     """
     regular_file_size(path, max_bytes, follows_links=follows_links)
     return Path(path).read_bytes()
 
 
 def read_first_bytes(path: str | Path, n_bytes: int) -> bytes:
-    """Return the first bytes of a regular file of any size.
+    """Return the first ``n_bytes`` of a regular file of any size.
 
     OSError as in :func:`regular_file_size`.
     """
@@ -133,7 +138,7 @@ def read_first_bytes(path: str | Path, n_bytes: int) -> bytes:
 
 @contextmanager
 def copy_to_temporary_folder(path: str | Path, copy_name: str) -> Iterator[Path]:
-    """Copy a file under another name, alone in a temporary folder, during a block.
+    """Copy a file under another name into an empty temporary folder, during a block.
 
     Yields the path of the copy. OSError as in :func:`regular_file_size`.
     """
@@ -143,16 +148,19 @@ def copy_to_temporary_folder(path: str | Path, copy_name: str) -> Iterator[Path]
 
 
 def max_allowed_unpacked_bytes(packed_bytes: int) -> int:
-    """Return the maximum bytes of a compressed file's content.
+    """Return the maximum size [byte] of a compressed file's content.
 
-    The maximum is 50 times the file's size; this program's files take 1 to 10 times. Any file may
-    take 16 MiB: text of this size takes seconds.
+    50 times ``packed_bytes``, but at least 16 MiB, which take seconds as text, and at most 2 GiB.
+    This program's files take 1 to 10 times.
     """
     return min(max(2**24, 50 * packed_bytes), MAX_FILE_BYTES)
 
 
 def file_sha256(path: str | Path) -> str:
-    """Return the SHA-256 of a regular file; OSError from :func:`regular_file_size`."""
+    """Return the SHA-256 of a regular file up to 2 GiB, in hexadecimal digits.
+
+    OSError from :func:`regular_file_size`.
+    """
     n_remaining_bytes, hash_object = regular_file_size(path), hashlib.sha256()
     with open(path, "rb") as file:
         while n_remaining_bytes > 0 and (block := file.read(min(n_remaining_bytes, 2**20))):
@@ -166,8 +174,10 @@ def read_utf8_text(path: str | Path) -> str:
 
     Raises
     ------
-    OSError, ValueError
-        From :func:`read_regular_file`; or the text has another encoding.
+    OSError
+        From :func:`read_regular_file`.
+    ValueError
+        The file has another encoding.
     """
     content = read_regular_file(path)
     for byte_order_mark, encoding_name in ENCODING_BY_BYTE_ORDER_MARK.items():
@@ -179,16 +189,18 @@ def read_utf8_text(path: str | Path) -> str:
 
 
 def read_numbered_csv_rows(path: str | Path) -> list[tuple[int, list[str]]]:
-    """Return number and cells of each line of a CSV file.
+    """Return line number and cells for each line of a CSV file.
 
-    Commas, semicolons or tabs may separate the cells, and numbers may have decimal commas, which
-    become points. Empty lines, lines that begin with #, and a first column without a heading that
-    numbers the rows from 0 are left out.
+    Cells are separated by commas, semicolons or tabs, as in the headings. Decimal commas become
+    points. Empty lines, lines that begin with #, and a first column without a heading that numbers
+    the rows from 0 are left out.
 
     Raises
     ------
-    OSError, ValueError
-        From :func:`read_utf8_text`; or a separator or a decimal mark is ambiguous.
+    OSError
+        From :func:`read_utf8_text`.
+    ValueError
+        The text has another encoding, or a separator or a decimal mark is ambiguous.
     """
     numbered_lines = enumerate(read_utf8_text(path).splitlines(), 1)
     numbered_content_lines = [
@@ -232,12 +244,12 @@ def read_numbered_csv_rows(path: str | Path) -> list[tuple[int, list[str]]]:
 
 
 def _map_decimal_commas_to_points(cells: Sequence[str]) -> dict[str, str]:
-    """Return numbers with decimal points, by cell with a decimal comma.
+    """Return cells with a decimal comma as keys, with a decimal point as values.
 
     Raises
     ------
     ValueError
-        A comma may be another mark.
+        A comma may also separate thousands or cells.
     """
     number_pattern = re.compile(r"[+-]?[\d.,]*\d[\d.,eE+-]*")
     comma_cells = [cell for cell in cells if "," in cell and number_pattern.fullmatch(cell)]
@@ -256,9 +268,14 @@ def _map_decimal_commas_to_points(cells: Sequence[str]) -> dict[str, str]:
 
 
 def convert_heading_to_si(heading: str) -> tuple[str, float]:
-    """Return a heading with its unit converted to SI, and the factor of the numbers.
+    """Convert the unit in a column's heading to SI.
 
-    The unit stands in brackets at the end. Other units stay, with the factor 1.
+    Returns
+    -------
+    heading : str
+        Heading with the SI unit in brackets at the end.
+    factor : float
+        Factor for the column's numbers; 1 if the unit is unknown and the heading unchanged.
     """
     heading_match = re.fullmatch(r"(.*?)\s*[\[(]\s*([^][()]*?)\s*[])]", heading)
     si_unit, factor = (
@@ -271,20 +288,21 @@ def convert_heading_to_si(heading: str) -> tuple[str, float]:
 def open_lines_and_byte_limit(
     path: str | Path, errors: str = "strict"
 ) -> Iterator[tuple[Iterable[str], int]]:
-    """Open a large text file, such as a matrix, which may be packed (.gz, .bz2).
+    """Open a text file by lines, also one compressed as .gz or .bz2.
 
     Yields
     ------
     lines : iterable of str
         The lines of the file.
     max_bytes : int
-        Maximum bytes of the unpacked lines.
+        Maximum size of the lines [byte].
 
     Raises
     ------
-    OSError, ValueError
-        From :func:`regular_file_size`; or the lines, while they are taken, are too many for the
-        size of a packed file.
+    OSError
+        From :func:`regular_file_size`.
+    ValueError
+        While lines are read: a compressed file has more than ``max_bytes``.
     """
     file_size = regular_file_size(path)
     open_function: Any = {".gz": gzip.open, ".bz2": bz2.open}.get(Path(path).suffix)
@@ -299,7 +317,10 @@ def parse_number_rows(
     delimiter: str | None = None,
     max_rows: int | None = None,
 ) -> np.ndarray:
-    """Return the numbers of text lines as rows (n, columns); ValueError from NumPy."""
+    """Return the numbers in lines of text: (n, columns).
+
+    Parameters are those of ``numpy.loadtxt``, which may raise ValueError.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of no lines
         return np.loadtxt(
@@ -308,7 +329,10 @@ def parse_number_rows(
 
 
 def _yield_limited_lines(file: TextIO, max_characters: int) -> Iterator[str]:
-    """Yield lines of a packed file; ValueError beyond a number of characters."""
+    """Yield the lines of an unpacked file.
+
+    ValueError after more than ``max_characters``.
+    """
     while line := file.readline(max_characters + 1):
         max_characters -= len(line)
         if max_characters < 0:
@@ -321,17 +345,27 @@ def _yield_limited_lines(file: TextIO, max_characters: int) -> Iterator[str]:
 def run_reader_for_arrays(
     reader_file: Path, path: Path, max_seconds: int, base_memory_bytes: int = 2**30, **request: Any
 ) -> dict[str, np.ndarray] | str:
-    """Let a separate program read a file (:mod:`fenics_crack.basics.untrusted_reader`).
+    """Read a file in a separate process with limited memory and time.
 
-    Processor time [s] and address space [bytes] of the program are limited. The address space is
-    ``base_memory_bytes`` and four times the bytes that the arrays may take; gmsh needs 0.2 GiB,
-    h5py half as much. The function ``read`` of ``reader_file`` takes ``request`` (JSON) as keyword
-    arguments.
+    Parameters
+    ----------
+    reader_file : Path
+        Python file with a function ``read(path, max_bytes, **request)``, which returns arrays by
+        name.
+    path : Path
+        File to read.
+    max_seconds : int
+        Maximum processor time [s]; the wall-clock time may be four times as long.
+    base_memory_bytes : int
+        Address space [byte] beside four times the bytes that the arrays may take. gmsh needs 0.2
+        GiB, h5py half as much.
+    **request
+        Further arguments of ``read``, as JSON.
 
     Returns
     -------
     dict or str
-        The arrays by name; or the reason why there are none, from the array ``error``.
+        The arrays by name; or a text with the reason why the file cannot be read.
     """
     max_array_bytes = max_allowed_unpacked_bytes(regular_file_size(path, None))
     request_entries = {
@@ -365,9 +399,19 @@ def run_reader_for_arrays(
 def _send_request_for_exit_status(
     reader_file: Path, request_bytes: bytes, array_descriptor: int
 ) -> int:
-    """Send a request to a reader, and return the exit status of its copy.
+    """Send a request to the reader process, and return the exit status of its copy.
 
-    The reader itself waits for the next file.
+    The copy reads the file, while the process waits for further requests. A process that was killed
+    is started again once; 1 without an answer.
+
+    Parameters
+    ----------
+    reader_file : Path
+        Python file with the function ``read``.
+    request_bytes : bytes
+        Request as JSON.
+    array_descriptor : int
+        Descriptor of an open file for the arrays.
     """
     descriptor_message = socket.SOL_SOCKET, socket.SCM_RIGHTS, array("i", [array_descriptor])
     for _ in range(2):  # the one that waits may have been killed meanwhile
@@ -392,9 +436,10 @@ def _send_request_for_exit_status(
 def _start_reader(
     reader_file: Path, process_id: int, thread_id: int
 ) -> tuple[subprocess.Popen[bytes], socket.socket]:
-    """Start a reader, one for each process and thread, and return it with a socket to it.
+    """Start a reader process for ``reader_file``, and return it with a socket to it.
 
-    The reader ends when this socket is closed.
+    Each process and thread of this program has its own, by the last two arguments. The reader ends
+    when this socket is closed.
     """
     environment = {
         name: value

@@ -21,7 +21,10 @@ import numpy as np
 
 
 def serve_requests(reader_file: str, request_socket: socket.socket) -> None:
-    """Read files in copies of this process until the socket is closed."""
+    """Read a file for each request, in a copy of this process.
+
+    The function returns when the socket is closed.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program that asks
     end_with_parent()
     with contextlib.suppress(Exception):  # what fails now fails again in the copy
@@ -47,15 +50,16 @@ def serve_requests(reader_file: str, request_socket: socket.socket) -> None:
 
 
 def end_with_parent() -> None:
-    """Let the system kill this process when its parent has ended (Linux)."""
+    """Let Linux kill this process as soon as the parent process ends."""
     with contextlib.suppress(AttributeError):
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG
 
 
 def set_resource_limit(resource_number: int, soft_limit: int, margin: int = 0) -> None:
-    """Set a soft limit of this process, and a hard limit by a margin above.
+    """Set a soft limit of this process, and a hard limit higher by ``margin``.
 
-    Both stay at or below the present hard limit, at which the system kills the process.
+    The system signals at the soft limit, and kills the process at the hard limit. Neither limit
+    exceeds the earlier hard limit.
     """
     hard_limit = resource.getrlimit(resource_number)[1]
     if not 0 <= hard_limit <= soft_limit + margin:  # infinity may be negative
@@ -64,7 +68,11 @@ def set_resource_limit(resource_number: int, soft_limit: int, margin: int = 0) -
 
 
 def read_requested_file(reader_file: str, array_descriptor: int, request_entries: dict) -> None:
-    """Read a file, and write its arrays, or the error as text, to a descriptor."""
+    """Read a file, and write the arrays as .npz to a file descriptor.
+
+    If the file cannot be read, the only array is "error" with the reason. ``request_entries`` come
+    from :func:`fenics_crack.basics.untrusted_files.run_reader_for_arrays`.
+    """
     os.chdir(request_entries["folder"])
     signal.alarm(request_entries["wait"])
     set_resource_limit(resource.RLIMIT_AS, request_entries["memory"])

@@ -29,17 +29,21 @@ DATASET_ERROR_CLASSES = (
     LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError,
     StopIteration,
 )  # fmt: skip
-"""Errors if a dataset does not fit its field."""
+"""Error classes for a dataset that does not fit its field."""
 _DTYPE_KINDS_BY_FIELD = {
     **dict.fromkeys(("multipliers", "bifurcation_multipliers", "forces"), "bifuc"),
     **dict.fromkeys(("indices", "indptr", "dofs", "cells", "cracks"), "iu"),
     **dict.fromkeys(("undecided", "irregular", "equivalent", "hidden"), "b"),
 }
-"""NumPy kinds by field name, for arrays that may not hold every real number."""
+"""NumPy kinds (``dtype.kind``) by field name; fields not listed allow "bifu", real numbers."""
 
 
 def pack_dataclass(instance: Any, *omitted_names: str) -> Datasets:
-    """Return a dataclass' datasets by name, without the omitted fields."""
+    """Return datasets by field name for a dataclass, without the omitted fields.
+
+    Arrays, numbers and words are unchanged; other values become JSON text, with their arrays as
+    further datasets. None, functions and scenes are left out.
+    """
     datasets: Datasets = {}
     for field_name in (field.name for field in fields(instance) if field.name not in omitted_names):
         field_value = getattr(instance, field_name)
@@ -55,10 +59,16 @@ def pack_dataclass(instance: Any, *omitted_names: str) -> Datasets:
 
 
 def to_json_text(value: Any, dataset_name: str, array_by_name: Datasets) -> str:
-    """Return a value as JSON text, without scenes.
+    """Return a value as JSON text, without scenes and arrays.
 
-    Arrays are added to ``array_by_name``; their names begin with the field's name and stand in
-    the text.
+    Parameters
+    ----------
+    value
+        Dataclass, mapping, tuple, array, number, word or None, also within each other.
+    dataset_name : str
+        Name of the field; an array within the value is named "name.key" or "name.index".
+    array_by_name : dict
+        Dict to which arrays are added by name; the names stand in the text instead.
     """
 
     def to_json_value(value: Any, dataset_name: str) -> Any:
@@ -86,9 +96,9 @@ def to_json_text(value: Any, dataset_name: str, array_by_name: Datasets) -> str:
 
 
 def _is_array_without_words(value: Any) -> bool:
-    """Return True for an array unless it holds words.
+    """Return True for a NumPy array unless it holds words.
 
-    An array with words may have more dimensions than a dataset can.
+    An array with words may have more dimensions than an HDF5 dataset can.
     """
     return isinstance(value, np.ndarray) and value.dtype.kind != "U"
 
@@ -99,7 +109,7 @@ def unpack_dataclass(
     scene: Scene | None = None,
     **other_fields: Any,
 ) -> DataclassType:
-    """Return a dataclass from its fields' datasets; further datasets are ignored.
+    """Return a dataclass from datasets by field name; further datasets are ignored.
 
     Parameters
     ----------
@@ -108,9 +118,9 @@ def unpack_dataclass(
     datasets : mapping
         Datasets by name.
     scene : Scene, optional
-        The file's scene.
+        Value for fields with the type Scene.
     **other_fields
-        Fields that are not in the file.
+        Values for fields that are not among the datasets.
 
     Raises
     ------
@@ -126,7 +136,10 @@ def unpack_dataclass(
 def dataclass_from_json(
     dataclass_type: type[DataclassType], text: str, scene: Scene | None
 ) -> DataclassType:
-    """Return a dataclass from JSON text; raises as :func:`unpack_dataclass`."""
+    """Return a dataclass from JSON text by :func:`to_json_text`, without arrays.
+
+    ``scene`` is the value for fields with the type Scene. Raises as :func:`unpack_dataclass`.
+    """
     instance: DataclassType = _DatasetReader({}, scene).convert_value(dataclass_type, text, "text")
     return instance
 
@@ -135,7 +148,7 @@ _get_field_types = cache(get_type_hints)
 
 
 class _DatasetReader(NamedTuple):
-    """Converter to declared types, with a file's datasets and scene."""
+    """Hold a file's datasets and scene, and convert them to declared types."""
 
     datasets: Mapping[str, Any]
     scene: Scene | None
@@ -146,7 +159,10 @@ class _DatasetReader(NamedTuple):
         stored_content_by_field: Mapping[str, Any],
         known_value_by_field: Mapping[str, Any],
     ) -> Any:
-        """Return a dataclass from stored and known field values."""
+        """Return a dataclass from stored contents and known values by field name.
+
+        Known values are used unchanged; stored contents are converted by :meth:`convert_value`.
+        """
         field_value_by_name = dict(known_value_by_field)
         for field in fields(dataclass_type):
             is_required = field.default is MISSING and field.default_factory is MISSING
@@ -163,9 +179,10 @@ class _DatasetReader(NamedTuple):
             raise ValueError(str(error)) from None  # of the file, whose key is none of the scene's
 
     def convert_value(self, declared_type: Any, stored_content: Any, field_name: str) -> Any:
-        """Return a field's value, or an entry, in the declared type.
+        """Convert a stored content to the declared type of a field.
 
-        ``stored_content`` is a dataset, or a part of a JSON text.
+        ``stored_content`` is a dataset, or a part of a JSON text. ``field_name`` names the field in
+        the ValueError for a wrong type.
         """
         generic_type, inner_types = get_origin(declared_type), get_args(declared_type)
         is_composed = (
@@ -216,9 +233,10 @@ class _DatasetReader(NamedTuple):
 
 
 def check_arrays(datasets: Mapping[str, Any]) -> None:
-    """Raise ValueError unless all numbers in datasets are usable or nan.
+    """Raise ValueError if an array in datasets has wrong or too large numbers.
 
-    Numbers are usable up to ``MAX_ALLOWED_MAGNITUDE``; an array's kind must fit its field.
+    Absolute values above ``MAX_ALLOWED_MAGNITUDE`` are too large; nan is allowed. The array's kind,
+    such as whole numbers, must fit the field.
     """
     for name, array in datasets.items():
         if isinstance(array, np.ndarray):

@@ -14,20 +14,20 @@ import h5py
 import numpy as np
 
 MAX_ENTRIES = 10_000
-"""Maximum number of datasets, attributes, and words in a list."""
+"""Maximum number for each: datasets, attributes, and words in a list."""
 SWEEP_KIND = "sweep"
-"""Kind in a sweep's file, which is filled in while it is read."""
+"""Kind in a sweep's file, whose numbers are read later, while cases are added."""
 ALLOWED_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
-"""HDF5's own filters for packed datasets."""
+"""Allowed compression filters: HDF5's own."""
 ALLOWED_LAYOUTS = {h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS, h5py.h5d.CHUNKED}
-"""Layouts with the data in the file itself."""
+"""Allowed dataset layouts: data in the file itself."""
 
 
 def read(path: str, max_bytes: int) -> dict[str, np.ndarray]:
-    """Return a file's contents as arrays by name.
+    """Return an HDF5 file's contents as arrays by name.
 
-    "head" is a JSON text with attributes, words, columns and array names; "arr_0", "arr_1", ... are
-    these arrays.
+    "head" is a JSON text with attributes, words, columns and array names. "arr_0", "arr_1", ... are
+    the arrays with these names, in order; they take at most ``max_bytes``.
     """
     with h5py.File(path, "r", locking=False) as file:
         contents, arrays = read_contents_and_arrays(file, os.path.getsize(path), max_bytes)
@@ -42,10 +42,14 @@ def read_contents_and_arrays(
 ) -> tuple[dict, list[np.ndarray]]:
     """Read the contents from an open file.
 
+    ValueError for a file with other contents than results, or with more than ``max_bytes`` of
+    numbers. ``file_size`` is in bytes.
+
     Returns
     -------
     contents : dict
-        Attributes, words, array names, and each column's type, shape and offset.
+        "attributes", "words" and "arrays" (names); for a sweep "columns": type, shape and offset
+        [byte] of each dataset.
     arrays : list of array
         The arrays with numbers; empty for a sweep.
     """
@@ -86,7 +90,10 @@ def read_contents_and_arrays(
 
 
 def read_text_attributes(file_or_dataset: h5py.File | h5py.Dataset) -> dict[str, str]:
-    """Return the attributes by name; ValueError unless all are texts."""
+    """Return a file's or dataset's attributes by name.
+
+    ValueError unless all are texts.
+    """
     text_by_name = {}
     for name, attribute in file_or_dataset.attrs.items():
         if not isinstance(attribute, str):
@@ -99,9 +106,10 @@ def read_text_attributes(file_or_dataset: h5py.File | h5py.Dataset) -> dict[str,
 def open_checked_dataset(
     file: h5py.File, name: str, file_size: int, max_bytes: int
 ) -> h5py.Dataset:
-    """Return a dataset with numbers or words in the file itself.
+    """Open a dataset with numbers or words in the file itself.
 
-    ValueError if the dataset lies in another file, is packed in an unknown way, or is too large.
+    ValueError for a link, for data in another file, an unknown compression filter, or more data
+    than ``file_size`` or ``max_bytes`` allow.
     """
     if not isinstance(file.get(name, getlink=True), h5py.HardLink):
         raise ValueError(f"{name!r} is a link")
@@ -135,12 +143,16 @@ def open_checked_dataset(
 
 
 def stated_bytes(dataset: h5py.Dataset) -> int:
-    """Return a dataset's bytes according to shape and type."""
+    """Return a dataset's size [byte] according to its shape and type."""
     return math.prod(dataset.shape) * dataset.dtype.itemsize
 
 
 def read_words(dataset: h5py.Dataset, max_characters: int) -> str | list[str]:
-    """Return a word, or a list of words; ValueError above ``max_characters``."""
+    """Return the word in a dataset, or the list of words.
+
+    ValueError for more than one dimension, more than 10,000 words, or more than ``max_characters``
+    characters.
+    """
     if dataset.ndim > 1 or dataset.size > MAX_ENTRIES:
         raise ValueError(f"{dataset.name!r} is not a list of words")
     word_or_words = dataset.asstr()[()]

@@ -129,9 +129,9 @@ def load(path: str | Path, structure: Structure, contact: OptionalLaw = None) ->
 def unpack_result(
     stored_file: StoredFile, structure: Structure, contact: OptionalLaw = None
 ) -> Result:
-    """Return the result in an open result file (collective).
+    """Return the result in a result file that was read (collective).
 
-    Raises as :func:`load`.
+    ``structure`` and ``contact`` are as in :func:`load`; raises as :func:`load`.
     """
     result_type = result_class(stored_file)
     with stored_file.yield_checked_datasets() as datasets:
@@ -144,12 +144,12 @@ def unpack_result(
 
 
 def result_class(stored_file: StoredFile) -> type[Result]:
-    """Return the class of the result in a file written by :func:`save`.
+    """Return the result's class for a file written by :func:`save`.
 
     Raises
     ------
     InputError
-        The file holds something else.
+        The file holds another kind of result, such as a sweep.
     """
     for result_type in _PACK_UNPACK_FUNCTIONS_BY_CLASS:
         if result_type.KIND == stored_file.kind:
@@ -169,7 +169,10 @@ def result_class(stored_file: StoredFile) -> type[Result]:
 
 
 def _pack_modes(modes: Modes) -> Datasets:
-    """Return the datasets of modes, by node or, without a mesh, by dof (collective)."""
+    """Return modes as datasets by name (collective).
+
+    Mode shapes are by node; without a mesh, by the whole structure's dofs.
+    """
     whole_structure = modes.structure.whole
     if whole_structure.local_nodes_with_cells_or_none is None:
         shapes_by_dof = gather_rows(whole_structure.comm, modes.structure.expand(modes.shapes.T).T)
@@ -185,6 +188,8 @@ def _pack_modes(modes: Modes) -> Datasets:
 
 def _unpack_modes(datasets: Datasets, structure: Structure, contact: OptionalLaw = None) -> Modes:
     """Return modes from their datasets, on any number of ranks (collective).
+
+    ``contact`` is ignored.
 
     Raises
     ------
@@ -249,9 +254,9 @@ def _unpack_modes(datasets: Datasets, structure: Structure, contact: OptionalLaw
 
 
 def _find_node_positions_and_midpoints(nodal_mesh: NodalMesh) -> np.ndarray:
-    """Return the position of each node, then the mean midpoint of the cells around: (n, 2 d).
+    """Return each node's position, and the mean midpoint of the cells around: (n, 2 d) [m].
 
-    Nodes at the same place on opposite crack faces differ in the midpoint.
+    d is the dimension. Nodes at the same place on opposite crack faces differ in the midpoint.
     """
     midpoint_sums = np.zeros_like(nodal_mesh.points)
     cell_counts = np.zeros((len(nodal_mesh.points), 1))
@@ -266,6 +271,10 @@ def _find_node_positions_and_midpoints(nodal_mesh: NodalMesh) -> np.ndarray:
 
 
 def _pack_solution(solution: PeriodicSolution) -> Datasets:
+    """Return a solution as datasets by name: gaps, forces, errors, stability and law.
+
+    The displacement is left out, since it follows from the forces.
+    """
     report_datasets = {
         f"error_{field_name}": report_value
         for field_name, report_value in pack_dataclass(solution.report).items()
@@ -283,6 +292,7 @@ def _pack_solution(solution: PeriodicSolution) -> Datasets:
 def _unpack_solution(
     datasets: Datasets, structure: Structure, contact: OptionalLaw
 ) -> PeriodicSolution:
+    """Return a solution from datasets after checking shapes and law (collective)."""
     gap_coefficients = datasets["gap_coefficients"]
     coefficient_shape = len(gap_coefficients) | 1, gap_coefficients.shape[-1]
     wave_dataset_names = "gap_coefficients", "force_coefficients"
@@ -302,21 +312,25 @@ def _unpack_solution(
 def rebuild_solution(
     datasets: Datasets, structure: Structure, contact: OptionalLaw
 ) -> PeriodicSolution:
-    """Return a solution from its waves, its errors and further fields (collective).
+    """Rebuild a solution from its gap and force coefficients (collective).
+
+    The displacement follows from the forces by the structure's compliance.
 
     Parameters
     ----------
     datasets : dict
-        Fields of the solution, without the displacement, which follows from the force; fields of
-        its stability; fields of its report, such as ``error_truncation``; ``weight`` of a
+        Fields of the solution without the displacement, and fields of its stability. Fields of its
+        error report have the prefix "error", with an underscore; ``weight`` belongs to a unilateral
         constraint.
     structure, contact : Structure, ContactLaw or None
-        Structure and law of the solution.
+        The solution's structure and law.
 
     Raises
     ------
     InputError
-        The solution belongs to another structure.
+        The structure has another number of pairs, or its displacement does not fit the gaps.
+    ValueError
+        The frequency is negative, or the subharmonic below 1.
     """
     gap_coefficients = datasets["gap_coefficients"]
     force_coefficients = datasets["force_coefficients"]
@@ -361,7 +375,10 @@ def rebuild_solution(
 
 
 def _check_n_pairs(n_pairs: int, pair_gaps: np.ndarray) -> None:
-    """Raise InputError unless gaps (..., n_pairs) have as many pairs as the structure."""
+    """Raise InputError unless the last axis of ``pair_gaps`` has ``n_pairs`` entries.
+
+    The gaps come from a file, the number of pairs from the structure.
+    """
     if pair_gaps.shape[-1] != n_pairs:
         requirement_text = f"the structure of the file, with {pair_gaps.shape[-1]} pairs"
         raise InputError("structure", f"{n_pairs} pairs", requirement_text)
@@ -373,10 +390,19 @@ def _check_gap_coefficients(
     gap_coefficients: np.ndarray,
     tolerance: float,
 ) -> None:
-    """Raise InputError unless displacement and gap coefficients agree (collective).
+    """Raise InputError unless the displacement has the file's gaps (collective).
 
-    The tolerance includes rounding of the common motion of crack faces that the load presses
-    together.
+    Parameters
+    ----------
+    structure : Structure
+        Structure with the gaps' definition and clearances.
+    displacement_coefficients : (2H+1, n_local) [m]
+        Displacement in Fourier coefficients, computed anew.
+    gap_coefficients : (2H+1, n_pairs) [m]
+        Gaps in Fourier coefficients, from the file.
+    tolerance : float
+        Allowed difference, relative to the norm of the gaps without clearance. Rounding of a common
+        motion of both crack faces is added.
     """
     closing_coefficients = structure.apply_bt(displacement_coefficients)
     displacement_sizes = structure.sum_over_ranks(
@@ -398,9 +424,9 @@ def _check_gap_coefficients(
 
 
 def _pack_curve(curve: ResponseCurve) -> Datasets:
-    """Return the datasets of a curve with its special points.
+    """Return a curve as datasets by name, with the special points.
 
-    Verdicts on special points of exact orbits follow from their multipliers.
+    The stability at special points is left out: on exact orbits, it follows from their multipliers.
     """
     special_points = curve.at_bifurcations.part(slice(1, -1))
     datasets = pack_dataclass(curve, *_FIELDS_NOT_STORED, "points")
@@ -423,14 +449,16 @@ def _pack_curve(curve: ResponseCurve) -> Datasets:
 
 
 def _pack_orbit_displacements_and_velocities(curve: ResponseCurve) -> Datasets:
-    """Return the states of exact orbits by dof, whose signs are known.
+    """Return exact orbits' states by dof instead of by mode.
+
+    A mode computed anew may have another sign; a dof's sign can be checked.
 
     Returns
     -------
     states : (n, 2, n_dofs)
-        Displacements [m] and velocities [m/s] of the moving modes.
+        Displacements [m] and velocities [m/s] at the n points.
     places : (n, n_pairs)
-        With friction, the gaps [m] at which pairs stick.
+        Only with friction: the tangential gaps [m] at which pairs stick.
     """
     dof_states, sticking_gaps = [], []
     for parameter_value, orbit_state in zip(curve.values.tolist(), curve.points, strict=True):
@@ -446,6 +474,10 @@ def _pack_orbit_displacements_and_velocities(curve: ResponseCurve) -> Datasets:
 
 
 def _unpack_curve(datasets: Datasets, structure: Structure, contact: OptionalLaw) -> ResponseCurve:
+    """Return a curve from datasets after checking law and shapes (collective).
+
+    A structure with many dofs is reduced to massless crack faces first.
+    """
     if not is_small(structure):
         structure = reduce_structure(structure, method="massless")
     _check_law(datasets, contact, structure)
@@ -501,14 +533,31 @@ def _unpack_exact_points(
     count_by_prefix: Mapping[str, int],
     shape_by_name: ShapeByName,
 ) -> tuple[ResponseCurve, Sequence[np.ndarray]]:
-    """Return a curve of exact orbits without special points, and the states there.
+    """Rebuild a curve of exact orbits without special points.
 
     Parameters
     ----------
-    count_by_prefix : dict
-        Numbers of points, "", and of special points, "bifurcation\\_".
+    datasets : dict
+        The file's datasets by name.
+    structure, contact : Structure, ContactLaw or None
+        The curve's structure and law.
+    count_by_prefix : dict of str to int
+        Point count by the prefix of dataset names: "" for all points, "bifurcation" with an
+        underscore for special points.
     shape_by_name : dict
-        Shapes of the datasets checked so far.
+        Shapes that datasets must have; further shapes are added before the check.
+
+    Returns
+    -------
+    curve : ResponseCurve
+        Curve without special points.
+    special_states : (m, n_states)
+        States at the m special points, by mode.
+
+    Raises
+    ------
+    InputError
+        The structure's load, mesh or material differ: the first orbit has a residual above 1e-4.
     """
     dof_signs = _find_dof_signs(structure, datasets["couplings"])
     for prefix, count in count_by_prefix.items():
@@ -537,9 +586,17 @@ def _unpack_balance_points(
     count_by_prefix: Mapping[str, int],
     shape_by_name: ShapeByName,
 ) -> tuple[ResponseCurve, Sequence[np.ndarray]]:
-    """Return a curve of harmonic balance without special points, and the unknowns there.
+    """Rebuild a curve of harmonic balance without special points (collective).
 
-    For the parameters see :func:`_unpack_exact_points`.
+    Parameters and errors are as in :func:`_unpack_exact_points`. The gaps of the first solution are
+    compared to 1e-4.
+
+    Returns
+    -------
+    curve : ResponseCurve
+        Curve without special points.
+    special_unknowns : list of (2H+1, n_pairs)
+        Unknowns at the special points, with as many harmonics as the curve.
     """
     special_dataset_names = [f"bifurcation_{index}" for index in range(len(datasets["kinds"]))]
     unknowns = datasets["unknowns"]
@@ -567,9 +624,18 @@ def _unpack_balance_points(
 def _unpack_states_by_mode(
     datasets: Datasets, prefix: str, curve: ResponseCurve, dof_signs: np.ndarray
 ) -> np.ndarray:
-    """Return states in modal coordinates from the states by dof.
+    """Convert the states in a file from dofs to modal coordinates: (n, n_states).
 
-    ``prefix`` is "" for all points, "bifurcation\\_" for the special points.
+    Parameters
+    ----------
+    datasets : dict
+        The file's datasets by name.
+    prefix : str
+        "" for all points, "bifurcation" with an underscore for the special points.
+    curve : ResponseCurve
+        Curve with the structure at each parameter value.
+    dof_signs : (n_dofs,)
+        From :func:`_find_dof_signs`.
     """
     parameter_values = datasets[f"{prefix}values"]
     dof_states = dof_signs * datasets[f"{prefix}states"]
@@ -591,6 +657,7 @@ def _unpack_states_by_mode(
 
 
 def _pack_history(history: TimeHistory) -> Datasets:
+    """Return a time history as datasets by name; InputError on several ranks."""
     if history.structure.comm.size > 1:
         raise InputError(
             "result", "spread over several ranks", "a time history of a run on one rank"
@@ -604,6 +671,10 @@ def _pack_history(history: TimeHistory) -> Datasets:
 
 
 def _unpack_history(datasets: Datasets, structure: Structure, contact: OptionalLaw) -> TimeHistory:
+    """Return a time history from datasets after checking shapes, load and pairs.
+
+    ``contact`` is ignored.
+    """
     dof_signs = _find_dof_signs(structure, datasets["couplings"])
     n_instants, recorded_dofs = datasets["time"].size, datasets["recorded_dofs"]
     shape_by_name: ShapeByName = {"time": (n_instants,), "recorded_dofs": (recorded_dofs.size,)}
@@ -629,14 +700,18 @@ def _unpack_history(datasets: Datasets, structure: Structure, contact: OptionalL
 
 
 def _stack_gap_and_load_rows(structure: Structure) -> np.ndarray:
-    """Return B^T and the load, which identify a file's dofs: (n_pairs + 2K+1, n_local)."""
+    """Return gap and load rows, to identify dofs: (n_pairs + 2K+1, n_local).
+
+    The rows are B^T for the gaps, and the load's 2K+1 Fourier coefficients [N].
+    """
     return np.vstack([structure.gap.toarray().T, structure.force])
 
 
 def _find_dof_signs(structure: Structure, stored_rows: np.ndarray) -> np.ndarray:
-    """Return the signs (n_local,) of the dofs relative to a file.
+    """Return signs 1 or -1 (n_local,) for a structure's dofs relative to a file.
 
-    Modes computed anew may have other signs. A changed load, or changed pairs, is an InputError.
+    Modes computed anew may have another sign. ``stored_rows`` are :func:`_stack_gap_and_load_rows`
+    in the file; InputError if load or pairs have changed, by more than 1e-6.
     """
     structure_rows = _stack_gap_and_load_rows(structure)
     if stored_rows.shape != structure_rows.shape:
@@ -656,13 +731,14 @@ def _find_dof_signs(structure: Structure, stored_rows: np.ndarray) -> np.ndarray
 
 
 LAW_GAPS = np.concatenate([sign * np.logspace(-12, 1, 27) for sign in (-1.0, 1.0)])
-"""Gaps at which the forces of a user's law are evaluated [m]."""
+"""Gaps for comparing a user's law with a file [m]: 1e-12 to 10, both signs."""
 
 
 def _law_datasets(contact: OptionalLaw, structure: Structure) -> Datasets:
-    """Return datasets to identify a law: name and parameters.
+    """Return datasets that identify a contact law: name and parameters.
 
-    For a user's law, the forces at :data:`LAW_GAPS` take the place of parameters.
+    A user's law has no known parameters. Its forces at :data:`LAW_GAPS`, summed over the pairs, are
+    stored instead.
     """
     attribute_names = (
         "stiffness", "sharpness", "coefficient", "tangential_stiffness", "direction", "turning",
@@ -686,7 +762,10 @@ def _law_datasets(contact: OptionalLaw, structure: Structure) -> Datasets:
 
 
 def _check_law(datasets: Datasets, contact: OptionalLaw, structure: Structure) -> None:
-    """Raise InputError unless the law of the datasets is the given law."""
+    """Raise InputError unless a file's law equals the given contact law.
+
+    Parameters and forces must agree to 1e-9.
+    """
     law_datasets = _law_datasets(contact, structure)
     dataset_names = {"law", "law_stiffness", "law_sharpness", "law_force"} | law_datasets.keys()
     stored_datasets = {
@@ -713,7 +792,7 @@ def _check_law(datasets: Datasets, contact: OptionalLaw, structure: Structure) -
 
 
 _FIELDS_NOT_STORED = ("structure", "contact", "bifurcations", "others", "assessment", "estimate")
-"""Fields left out of a file, or stored in other datasets."""
+"""Result fields that files lack, or hold as other datasets."""
 PackFunction = Callable[[Any], Datasets]
 UnpackFunction = Callable[[Datasets, Structure, OptionalLaw], Result]
 _PACK_UNPACK_FUNCTIONS_BY_CLASS: dict[type[Result], tuple[PackFunction, UnpackFunction]] = {
@@ -722,4 +801,7 @@ _PACK_UNPACK_FUNCTIONS_BY_CLASS: dict[type[Result], tuple[PackFunction, UnpackFu
     ResponseCurve: (_pack_curve, _unpack_curve),
     TimeHistory: (_pack_history, _unpack_history),
 }
-"""Functions to pack and unpack a result, by class; a file of these classes has no structure."""
+"""Functions to convert a result to datasets and back, by class.
+
+Their files do not hold the structure.
+"""

@@ -15,7 +15,11 @@ from fenics_crack.scene.scene import Scene
 
 
 class SavedResult(Tabular):
-    """A frozen dataclass with a scene; :mod:`fenics_crack.files.codec` stores its fields."""
+    """Base class for a result with a scene that can be saved without a structure.
+
+    Subclasses are frozen dataclasses with a class variable ``KIND``, the kind of contents in a
+    file.
+    """
 
     KIND: ClassVar[str]
     scene: Scene | None
@@ -45,7 +49,10 @@ class SavedResult(Tabular):
 
     @classmethod
     def from_stored_file(cls, stored_file: StoredFile) -> Self:
-        """Return the result in an open result file; raises as :meth:`load`."""
+        """Return the result in a result file that was read.
+
+        Raises as :meth:`load`.
+        """
         stored_file.check_kind(cls.KIND)
         with stored_file.yield_checked_datasets() as datasets:
             result = cls._unpack_fields(datasets, stored_file.scene())
@@ -53,10 +60,10 @@ class SavedResult(Tabular):
             return result
 
     def _pack_fields(self) -> Datasets:
-        """Return the datasets of the fields."""
+        """Return the fields as datasets by name."""
         return pack_dataclass(self)
 
     @classmethod
     def _unpack_fields(cls, datasets: Datasets, scene: Scene | None) -> Self:
-        """Return the result from its datasets and the file's scene."""
+        """Return the result from datasets by name, and the file's scene or None."""
         return unpack_dataclass(cls, datasets, scene)

@@ -47,11 +47,11 @@ if TYPE_CHECKING:
 
 
 IDENTIFICATION_KIND = "identification"
-"""Kind in files from ``identify``; the picture comes from ``identify``, too."""
+"""Kind in files from ``identify``."""
 PROGRAM_NAME = "fenics_crack"
-"""Value for the attribute ``program``."""
+"""Value for the attribute ``program`` in every result file."""
 MISSING_FILE_DIGEST = "missing"
-"""Text in place of the digest if a file cannot be read."""
+"""Text in place of a digest for a scene's file that cannot be read."""
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 """First bytes in an HDF5 file."""
 
@@ -65,7 +65,9 @@ def write_result_file(
     *,
     is_compressed: bool = True,
 ) -> None:
-    """Write a file, whole or not at all (collective; rank 0 writes).
+    """Write datasets to an HDF5 result file, whole or not at all (collective).
+
+    Rank 0 writes.
 
     Parameters
     ----------
@@ -74,11 +76,13 @@ def write_result_file(
     path : path
         The file; an older file is replaced once the new file is complete.
     kind : str
-        Kind of the contents, for example "response curve".
+        Kind of result, for example "response curve".
     scene : Scene, optional
         Scene of the result.
+    comm : MPI.Comm
+        Communicator of the ranks that call.
     is_compressed : bool
-        Compress large arrays, which takes 30 times as long.
+        Compress arrays with over 1000 entries, which takes 30 times as long.
 
     Raises
     ------
@@ -109,7 +113,10 @@ def write_result_file(
 
 
 def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
-    """Write the attributes: kind of contents, program, versions and scene."""
+    """Write a result file's attributes: kind, program, versions and scene.
+
+    With a scene also digests of the scene's files.
+    """
     file.attrs.update(
         kind=kind, program=PROGRAM_NAME, version=VERSION, versions=library_versions_text()
     )
@@ -119,7 +126,10 @@ def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
 
 
 def library_versions_text() -> str:
-    """Return library versions as text; SLEPc, DOLFINx and gmsh only if loaded."""
+    """Return library versions as text: "PETSc 3.22.0, NumPy 2.1.0".
+
+    SLEPc, DOLFINx and gmsh only if they are loaded.
+    """
     module_by_name = {"PETSc": PETSc, "SLEPc": sys.modules.get("slepc4py.SLEPc")}
     version_by_name = {
         name: ".".join(map(str, library_module.Sys.getVersion()))
@@ -134,9 +144,9 @@ def library_versions_text() -> str:
 
 @functools.cache
 def program_fingerprint_text() -> str:
-    """Return a text that changes with the program, and with libraries for meshes and assembly.
+    """Return a text that changes with the program or its main libraries.
 
-    The text has sizes and times of the program's sources, and of the libraries' first files.
+    It lists path, size and time for the program's sources, and for each library's main file.
     """
     module_specs = map(
         find_spec, ("dolfinx", "ufl", "ffcx", "basix", "petsc4py", "slepc4py", "gmsh")
@@ -149,17 +159,20 @@ def program_fingerprint_text() -> str:
 
 
 def scene_text(scene: Scene) -> str:
-    """Return a scene as TOML text for a file, with full paths."""
+    """Return a scene as TOML text with absolute paths."""
     return scene_with_full_paths(scene).as_toml()
 
 
 def scene_with_full_paths(scene: Scene) -> Scene:
-    """Return a scene with the full paths of its files."""
+    """Return a scene in which the paths of files are absolute."""
     return with_file_paths(scene, lambda path: str(Path(path).absolute()))
 
 
 def attribute_texts(file: h5py.File) -> dict[str, str]:
-    """Return a file's attributes, and its datasets' attributes by names like "omega/unit"."""
+    """Return attributes of a file and its datasets as texts by name.
+
+    A dataset's attribute has a name like "omega/unit".
+    """
     text_by_name = {name: str(value) for name, value in file.attrs.items()}
     for name, dataset in file.items():
         text_by_name |= {f"{name}/{key}": str(value) for key, value in dataset.attrs.items()}
@@ -167,19 +180,22 @@ def attribute_texts(file: h5py.File) -> dict[str, str]:
 
 
 def locate_column(dataset: h5py.Dataset) -> Column:
-    """Return type, shape and offset for a dataset that is filled in later."""
+    """Return type, shape and offset in the file of a sweep's dataset.
+
+    Numbers are written there later, without HDF5.
+    """
     return Column(dataset.dtype, dataset.shape, dataset.id.get_offset())
 
 
 def column_texts(columns: Mapping[str, Column]) -> dict[str, str]:
-    """Return each column's type, shape and offset as a text by name."""
+    """Return type, shape and offset for a sweep's datasets as texts by name."""
     return {name: str(column) for name, column in columns.items()}
 
 
 def content_digest(attributes: Mapping[str, str], datasets: Mapping[str, Any]) -> str:
-    """Return the SHA-256 digest for attributes and datasets: names, types, shapes and bytes.
+    """Return the SHA-256 for attributes and datasets, in hexadecimal digits.
 
-    The attribute ``digest`` does not count.
+    Names, types, shapes and bytes count, but not the attribute ``digest``.
 
     Parameters
     ----------
@@ -210,7 +226,7 @@ def content_digest(attributes: Mapping[str, str], datasets: Mapping[str, Any]) -
 
 @dataclass(frozen=True)
 class Column:
-    """Type, shape and offset for a dataset that is filled in while the file exists."""
+    """Hold type, shape and offset [byte] for a dataset filled in later."""
 
     dtype: np.dtype[Any]
     shape: tuple[int, ...]
@@ -227,9 +243,11 @@ class Column:
     def read_numbers(
         self, path: Path, first_index: int = 0, count: int | None = None
     ) -> np.ndarray:
-        """Return all numbers, or ``count`` numbers from ``first_index`` on (count,).
+        """Read the dataset's numbers from the file ``path``.
 
-        OSError or ValueError if the file cannot be read, or ends too early.
+        By default all, in the dataset's shape; otherwise ``count`` numbers (count,) from
+        ``first_index`` on, counted along all axes. OSError or ValueError if the file cannot be
+        read, or ends too early.
         """
         start_byte = self.offset + first_index * self.dtype.itemsize
         n_numbers = math.prod(self.shape) if count is None else count
@@ -241,7 +259,7 @@ class Column:
 
 @dataclass(frozen=True)
 class StoredFile:
-    """Contents of a file with a verified digest.
+    """Hold the contents of a result file whose digest was verified.
 
     Attributes
     ----------
@@ -250,9 +268,10 @@ class StoredFile:
     attributes : dict of str to str
         From :func:`attribute_texts`.
     datasets : dict
-        Datasets by name: arrays, numbers and words. Empty for a sweep.
+        Datasets by name: arrays, numbers and words. Empty for a sweep, or if read by
+        :func:`read_result_file_without_numbers`.
     columns : dict of str to Column
-        For a sweep: places of its datasets in the file.
+        For a sweep: the datasets' type, shape and offset.
     """
 
     path: Path
@@ -281,9 +300,10 @@ class StoredFile:
         return scene
 
     def check_files(self, scene: Scene, *, is_required: bool = True) -> None:
-        """Raise InputError if a file for the mesh or matrices has changed.
+        """Raise InputError if the scene's mesh or matrix files have changed.
 
-        A missing file is an error only if ``is_required``.
+        Digests are compared with those stored in this file. A missing file is an error only if
+        ``is_required``.
         """
         key_path_pairs = _list_scene_files(scene)
         for (key, path), stored_digest in zip(
@@ -300,19 +320,19 @@ class StoredFile:
             raise self._older_version_error("checksums of all files of its matrices")
 
     def refusal(self, requirement_text: str) -> InputError:
-        """Return the error for a file that does not meet a requirement."""
+        """Return the InputError for this file with a requirement, printed after "must be"."""
         return InputError("path", str(self.path), requirement_text)
 
     def check_kind(self, kind: str) -> None:
-        """Raise InputError if the file holds another kind of result."""
+        """Raise InputError unless the file holds this kind of result."""
         if self.kind != kind:
             raise self.refusal(f"a file with a {kind}; it holds a {self.kind}")
 
     @contextlib.contextmanager
     def yield_checked_datasets(self) -> Iterator[dict[str, Any]]:
-        """Yield a dict of the datasets that the block may change.
+        """Check the numbers, and yield the datasets as a new dict.
 
-        InputError if the numbers are unusable, or the block raises one of
+        InputError if :func:`check_arrays` refuses the numbers, or the block raises one of
         ``DATASET_ERROR_CLASSES``.
         """
         try:
@@ -327,11 +347,11 @@ class StoredFile:
 
     @property
     def _stored_scene_file_digests(self) -> list[str]:
-        """Digests of the scene's files."""
+        """SHA-256 digests for the scene's files when this file was written."""
         return self.attributes.get("meshes", "").split()
 
     def check_digest(self) -> None:
-        """Raise InputError unless the file is unchanged since writing."""
+        """Raise InputError unless the contents fit the stored digest."""
         stored_digest = self.attributes.get("digest")
         if stored_digest is None:
             raise self._older_version_error("a checksum")
@@ -342,7 +362,7 @@ class StoredFile:
             raise self.refusal("a whole file; this one is damaged: compute it again")
 
     def _older_version_error(self, content: str) -> InputError:
-        """Return the error for a file from an older version without some content."""
+        """Return the InputError for a file by an older version that lacks ``content``."""
         version = self.attributes.get("version", "unknown")
         requirement_text = (
             f"a file with {content}, which older versions did not write (this file: {version})"
@@ -352,9 +372,9 @@ class StoredFile:
 
 
 def read_result_file(path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> StoredFile:
-    """Read a file and verify the digest (collective).
+    """Read a result file, and verify the digest (collective).
 
-    Rank 0 lets a separate program read the file.
+    Rank 0 lets a separate process read the file, since a damaged file may crash HDF5.
 
     Raises
     ------
@@ -365,6 +385,11 @@ def read_result_file(path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> Stored
 
 
 def _read_and_check_result_file(path: Path) -> StoredFile:
+    """Read a result file in a separate process, and check origin and digest.
+
+    Raises as :func:`read_result_file`.
+    """
+
     def refusal(reason: str) -> InputError:
         kinds_text = "an .h5 file that solve, curve or another command wrote"
         return InputError("path", str(path), f"a readable result file, {kinds_text} ({reason})")
@@ -405,7 +430,7 @@ def _read_and_check_result_file(path: Path) -> StoredFile:
 
 
 def _stored_file_from_arrays(path: Path, array_by_name: Mapping[str, np.ndarray]) -> StoredFile:
-    """Return a file's contents from the reader's arrays."""
+    """Return a file's contents from the arrays of ``h5_reader.read``."""
     contents = json.loads(str(array_by_name["head"]))
     array_by_dataset_name = {
         name: array_by_name[f"arr_{array_index}"]
@@ -424,7 +449,10 @@ def _stored_file_from_arrays(path: Path, array_by_name: Mapping[str, np.ndarray]
 
 
 def check_shapes(datasets: Mapping[str, Any], shape_by_name: Mapping[str, tuple[int, ...]]) -> None:
-    """Raise ValueError unless the present datasets have the given shapes; -1 is any length."""
+    """Raise ValueError if a dataset has another shape than required.
+
+    -1 in a shape is any length; a missing dataset is not checked.
+    """
     for name, shape in shape_by_name.items():
         stored_shape = np.shape(datasets[name]) if name in datasets else shape
         has_same_dimension = len(stored_shape) == len(shape)
@@ -436,9 +464,9 @@ def check_shapes(datasets: Mapping[str, Any], shape_by_name: Mapping[str, tuple[
 
 
 def read_result_file_without_numbers(path: str | Path) -> StoredFile:
-    """Return a file without the numbers; the digest is verified with the numbers.
+    """Read a result file, and keep all but the datasets.
 
-    Raises as :func:`read_result_file`. A changed file is read again.
+    The last 32 unchanged files are cached. Raises as :func:`read_result_file`.
     """
     try:
         file_status = os.stat(path)
@@ -452,11 +480,15 @@ def read_result_file_without_numbers(path: str | Path) -> StoredFile:
 
 @functools.lru_cache(maxsize=32)
 def _read_without_numbers_cached(path: Path, file_identity: tuple[int, ...]) -> StoredFile:
+    """Read a result file without datasets; ``file_identity`` changes with the file."""
     return replace(_read_and_check_result_file(path), datasets={})
 
 
 def _list_scene_files(scene: Scene) -> list[tuple[str, str]]:
-    """Return pairs (key, path) for a scene's files, and for the files read with them."""
+    """Return pairs (key, path) for all files that a scene reads.
+
+    They are the files named in the scene, and further files read with them, as for matrices.
+    """
     named_key_path_pairs = file_keys_and_paths(scene)
     # A named file of dofs takes the place of the file beside the matrices.
     has_named_dofs = any(key == "structure.dofs" for key, _ in named_key_path_pairs)
@@ -473,7 +505,10 @@ def _list_scene_files(scene: Scene) -> list[tuple[str, str]]:
 
 
 def list_scene_file_digests(scene: Scene) -> list[str]:
-    """Return SHA-256 digests for a scene's files, and for the files read with them."""
+    """Return SHA-256 digests for all files that a scene reads.
+
+    :data:`MISSING_FILE_DIGEST` for a file that cannot be read.
+    """
     return [_file_digest(path) for _, path in _list_scene_files(scene)]
 
 
@@ -556,11 +591,15 @@ UNIT_AND_MEANING_BY_NAME: dict[str, tuple[str, str]] = {
     "omegas": ("rad/s", "natural frequency of each passage by itself"),
     "omega_errors": ("rad/s", "standard errors of these frequencies"),
 }
-"""Units and meanings by dataset name; a meaning goes axis by axis."""
+"""Unit and meaning by dataset name; a meaning lists the axes in order."""
 
 
 def dataset_attribute_texts(name: str, datasets: Mapping[str, Any]) -> dict[str, str]:
-    """Return a dataset's attributes ``unit`` and ``about``; counts and words have none."""
+    """Return a dataset's attributes ``unit`` and ``about`` (the meaning).
+
+    An attribute is left out if empty, as for counts and words. ``datasets`` tells the parameter of
+    a curve.
+    """
     if name in ("values", "bifurcation_values") and "parameter" in datasets:
         parameter_name = str(datasets["parameter"])  # most are factors
         unit_and_meaning = (
