@@ -366,8 +366,8 @@ class _Sample:
     def find_cost_and_fit_with_omitted(self, fit: _OrderFit) -> tuple[float, _OrderFit]:
         """Repeat a fit with omitted harmonics of the likeliest size.
 
-        The next three harmonics (:data:`N_OMITTED_HARMONICS_TO_FOLD`) are normal random numbers. Their size
-        is the likeliest trial size; 0 changes nothing.
+        The next three harmonics (:data:`N_OMITTED_HARMONICS_TO_FOLD`) are normal random numbers.
+        Their size is the likeliest trial size; 0 changes nothing.
 
         Returns
         -------

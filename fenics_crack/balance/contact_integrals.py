@@ -213,10 +213,9 @@ def integrals_with_uncoupled_pairs(
 ) -> PairIntegrals:
     """Return integrals of contact forces for uncoupled pairs, exact if possible.
 
-    Exact integrals require a piecewise linear law, lambda = k max(0, g), and ``samples`` None.
-    Otherwise ``instants_per_period`` is the number of instants; default:
-    :func:`default_instants_per_period`
-    for each of of its ``n_load_periods`` load the period.
+    Exact integrals require a piecewise linear law, lambda = k max(0, g), and no
+    ``instants_per_period``. Otherwise this is the number of instants at which forces are sampled;
+    default: :func:`default_instants_per_period` for each of ``n_load_periods``, the load periods.
     """
     if instants_per_period is None and is_piecewise_linear(law):
         return ExactIntegrals(law, harmonics)

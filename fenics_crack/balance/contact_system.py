@@ -604,8 +604,8 @@ class Wave:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the given Fourier basis with gaps [m] and contact forces [N].
 
-        ``basis_at_phases`` (n, 2H+1) has a row for each response phase in ``phases`` (n,) [rad]; gaps
-        and forces are (n, n_rows).
+        ``basis_at_phases`` (n, 2H+1) has a row for each response phase in ``phases`` (n,) [rad].
+        Gaps and forces are (n, n_rows).
         """
         contact_law = self.contact
         slow_gap_at_phases = basis_at_phases @ self.slow_gap_coefficients

@@ -133,7 +133,7 @@ def make_missing_curve_error(scene: Scene, console: Console) -> InputError:
     The error's example is a proposed curve through the resonance nearest to the load; empty if no
     curve can be proposed.
     """
-    error = missing_table_error("curve", ", which this command, as a table [curve]")
+    error = missing_table_error("curve", ", which this command needs")
     error.example = ""
     with console.report_stage("natural frequencies"), suppress(InputError):
         study = prepare(scene, console.comm, whole=True)

@@ -133,9 +133,9 @@ class OrbitEquations(CurveSystem):
     def _scaled_rest_state_and_change_along_curve(self) -> np.ndarray:
         """Scaled rest state under the mean load, and its change: (2, n_unknowns).
 
-        start_rest_state, end_rest_state row is the rest state at the curve's start, the second the change to the end.
+        The first row is the rest state at the curve's start, the second the change to the end.
         """
-        start_rest, end_rest = (
+        start_rest_state, end_rest_state = (
             self._scale_state(self.flow(value).rest_state, value)
             for value in (self.start, self.end)
         )

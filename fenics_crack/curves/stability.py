@@ -221,7 +221,7 @@ def _states_after_step_without_contact(
     """Return modal states after one exact step without contact forces.
 
     ``transition_by_step`` is the first result of :meth:`AllModes.transition_and_force_response`.
-    States are the columns (m, 2 n_modes, k) have modal displacements, then velocities, in the second index.
+    ``states`` (m, 2 n_modes, k) have modal displacements, then velocities, in the second index.
     """
     if modes.damping.ndim == 2:
         return np.asarray(transition_by_step @ states)

@@ -487,7 +487,7 @@ class ResidualFlexibility:
     def solve(self, stiffness_factor: Factor, forces: np.ndarray) -> np.ndarray:
         """Return displacements G f by forces f, both (m, n_local) (collective).
 
-        G is the static flexibility without the modes. ``stiffness_factor`` solves with the stiffness.
+        G is the static flexibility without the modes; ``stiffness_factor`` is that of K.
         """
         structure, mode_shapes = self.structure, self.shapes
         modal_forces = structure.sum_over_ranks(forces @ mode_shapes)

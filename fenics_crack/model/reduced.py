@@ -53,7 +53,7 @@ class ReducedBody(Body):
     """Constant data of a reduced structure (:class:`Body`).
 
     ``source`` is the structure that was reduced. ``error_share_removed_by_larger_reduction`` is the
-    its attribute ``share`` of :class:`ReducedStructure`, which explains all other fields.
+    attribute ``share`` of :class:`ReducedStructure`, which explains all other fields.
     """
 
     source: Structure

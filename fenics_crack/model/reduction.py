@@ -328,8 +328,8 @@ def _reduce_to_vectors(
 ) -> ReducedStructure:
     """Reduce a structure to the span of modes and other displacement vectors.
 
-    The basis is made M-orthonormal and K-diagonal, with mass M and stiffness K. ``squared_omegas`` are the
-    squares of the modes' frequencies; ``displacement_vectors`` are (n_local, m).
+    The basis is made M-orthonormal and K-diagonal, with mass M and stiffness K. ``squared_omegas``
+    are the squares of the modes' frequencies; ``displacement_vectors`` are (n_local, m).
     """
     displacement_vectors = orthonormalise_against_basis(
         structure, structure.mass, mode_shapes, displacement_vectors
