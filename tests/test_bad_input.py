@@ -224,7 +224,7 @@ TABLE = [
     ("solve scene.toml mesh.columns=none mesh.rows=none mesh.layout=file mesh.file=missing.msh geometry.width=none geometry.height=none", "crack.edge = 'left': not allowed with mesh.layout = 'file'"),
     ("curve scene.toml curve=none", "curve is missing: give a table [curve] with start, stop, which this command, as a table [curve]"),
     ("curve scene.toml crack=none", "crack is missing: give a table [crack], which this command needs"),
-    ("curve scene.toml contact.law=unilateral contact.stiffness=none", "contact.law = 'unilateral': must be 'penalty' or 'smoothed', or used with reduction.method = 'massless', for a curve"),
+    ("curve scene.toml contact.law=unilateral contact.stiffness=none", "contact.law = 'unilateral': must be 'penalty' or 'smoothed' for a curve; or set reduction.method = 'massless'"),
     ("curve scene.toml curve.parameter=load curve.start=-1 curve.stop=1", "curve.start, curve.stop = (-1.0, 1.0): must be both of one sign: without clearance nothing is left of the motion at 0"),
     ("curve scene.toml curve.parameter=damping curve.start=-1", "curve.start = -1.0: must be a finite number >= 0"),
     ("curve scene.toml curve.parameter=stiffness curve.start=0", "curve.start = 0.0: must be a number > 0 with curve.parameter = 'stiffness'"),

@@ -265,5 +265,5 @@ def check_run_has_motion(run: object) -> None:
     The result must be a periodic solution or a motion in time.
     """
     if not (isinstance(run, Run) and isinstance(run.result, PeriodicSolution | TimeHistory)):
-        requirement = "what fc.solve(scene) or fc.integrate(scene) returns"
+        requirement = "a Run, as fc.solve(scene) or fc.integrate(scene) returns"
         raise InputError("run", type(getattr(run, "result", run)).__name__, requirement)
