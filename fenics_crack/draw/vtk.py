@@ -294,7 +294,8 @@ def stress_at(
     if isinstance(result, TimeHistory):
         time = result.time
         if len(result.recorded_dofs) < structure.n_local:
-            raise InputError("dofs", result.dofs, "None, to record all displacements")
+            recorded_dofs = result.recorded_dofs.tolist()
+            raise InputError("dofs", recorded_dofs, "None, to record all displacements")
         displacement = structure.expand(result.recorded)
     else:
         time = np.linspace(0.0, result.period, 128, endpoint=False)

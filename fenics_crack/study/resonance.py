@@ -40,7 +40,7 @@ N_SEARCH_MODES = 10
 """Number of modes kept in the reduced structure in which a resonance is sought."""
 RELATIVE_AMPLITUDE_TOLERANCE = 0.1
 """Maximum relative error, by truncated harmonics, of a stated resonance amplitude."""
-SEVERAL_MODES_TEXT = "several modes respond together: follow the curve for the amplitude"
+SEVERAL_MODES_TEXT = "several modes answer together: follow the curve for the amplitude"
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class LoadResonance:
     verdict : str
         Verdict on the stability: "stable", "unstable", "irregular" or "undecided".
     unknown : str
-        Reason why there is no amplitude; "" if there is one. If several modes respond together,
+        Reason why there is no amplitude; "" if there is one. If several modes answer together,
         ``value``, ``width`` and ``rest`` are known without an amplitude.
     mesh_error : float
         Relative error of the amplitude due to the mesh; nan if it is not estimated.
