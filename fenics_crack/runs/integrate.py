@@ -70,7 +70,7 @@ def integrate(
     integration_table = scene.integration or Integration()
     if comm.size > 1 and scene.reduction is not None and scene.reduction.method == "off":
         raise InputError(
-            "reduction.method", "off", "'massless' or 'free_interface'; or run it on one rank"
+            "reduction.method", "off", "'massless' or 'free_interface'; or integrate on one rank"
         )
     earlier_motion_file = (
         None

@@ -91,7 +91,9 @@ class Run(StudyWithResult, Generic[ResultType]):
             Dof of the displacement. Default: the watched dof.
         """
         if not isinstance(self.result, ResponseCurve):
-            raise AttributeError("'Run' object has no attribute 'peak'")
+            raise AttributeError(
+                "'Run' object has no attribute 'peak': only a Run of fc.curve(scene) has one"
+            )
         peak, errors = self.result.peak(dof), self.errors
         if errors is None or not errors.parts or dof not in (None, self.watched_dof):
             return peak

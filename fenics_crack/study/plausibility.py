@@ -1278,7 +1278,8 @@ STRUCTURE_REMARK_RULES = (
         "rotation.hub_radius",
         0.0,
         0.01,
-        "the hub radius is measured to a clamp at y = 0; the clamp of the mesh is at y = {1:.4g} m",
+        "the hub radius is measured to a clamp at y = 0; the mesh has its clamp at "
+        "y = {1:.4g} m: move the mesh",
         _clamp_height_ratio_and_height,
     ),
     RemarkRule(
@@ -1317,7 +1318,7 @@ KEY_FIGURE_REMARK_RULES = (
         0.0,
         MAX_SMALL_ROTATION,
         "with an open crack this force moves the {kind} by {1:.2g} m, or {0:.2g} "
-        "rad about the clamp: beyond small displacements; is it in N?",
+        "rad about the clamp: beyond small displacements; is the force in N?",
         _peak_rotation_and_displacement,
     ),
     RemarkRule(

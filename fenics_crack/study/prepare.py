@@ -538,7 +538,7 @@ def contact_law(contact: Contact, structure: Structure | None = None) -> Contact
     if not contact.friction:
         return law
     if structure is not None and structure.tangential is None:
-        requirement = "0, or left out: the structure has no tangential gaps"
+        requirement = "0, or left out, as the structure has no tangential gaps"
         raise InputError("contact.friction", contact.friction, requirement)
     stiffness_per_area = contact.tangential_stiffness_per_area
     if stiffness_per_area is None:

@@ -484,7 +484,7 @@ class CaseSolver:
         damping_ratio = float(mode_damping_ratios[int(nearest_value_by_name["mode"]) - 1])
         if not 0.0 < 2.0 * damping_ratio < 1.0:  # widths to either side where it is looked for
             requirement = (
-                "a damping ratio above 0 and below 0.5 of the mode whose resonance is sought"
+                "above 0 and below 0.5 for the mode whose resonance is sought; change [damping]"
             )
             raise InputError("damping", damping_ratio, requirement)
         start_omega = (1.0 - 2.0 * damping_ratio) * float(nearest_value_by_name["omega_open"])

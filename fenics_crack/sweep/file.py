@@ -283,7 +283,7 @@ class SweepFile:
         """
         if not self._is_file_still_at_path():
             requirement = (
-                "kept in place while the sweep runs; it was removed or replaced: run it again"
+                "kept in place during the sweep; it was moved or replaced: start the sweep anew"
             )
             raise WriteError("path", str(self._path), requirement)
         case_states = np.array(

@@ -923,7 +923,8 @@ def test_vectors_and_shares_are_told_of_solids() -> None:
     thick_solid = solid(**{"geometry.thickness": 1.0, "contact": None})
     remarks = [str(remark_object) for remark_object in remarks_on_scene(thick_solid)]
     assert remarks == [
-        "geometry.thickness = 1: thicker than the solid is wide or high; is it in mm? then give 0.001"
+        "geometry.thickness = 1: thicker than the solid is wide or high; "
+        "is it in mm? then give 0.001"
     ]
 
 
