@@ -313,7 +313,7 @@ class PreparedStructure:
                 name, (-MAX_ALLOWED_MAGNITUDE, MAX_ALLOWED_MAGNITUDE)
             )
             if array.size and not lower_limit <= array.min() <= array.max() < upper_limit:
-                raise ValueError(f"its {name} does not fit")
+                raise ValueError(f"its entry {name!r} has values out of range")
         return n_dofs
 
 

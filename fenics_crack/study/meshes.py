@@ -152,7 +152,7 @@ def _describe_crack_mismatch(structure: Structure, coarser_structure: Structure)
             area_text = (
                 f"crack faces of {coarser_crack_area:.3g} m^2 instead of {crack_area:.3g} m^2"
             )
-            crack_text = f"crack {crack_number} of mesh.coarser differs"
+            crack_text = f"mesh.coarser has another shape of crack {crack_number}"
             return f"{crack_text}: {area_text}, centroid {centroid_distance:.2g} m away"
     return ""
 
