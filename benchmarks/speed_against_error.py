@@ -181,7 +181,7 @@ def statements_of(demo: str, rung: str, quantities: list[Row], messages: str) ->
         "verdict": values.get("verdict", ""),
         "missed": f"error of the gap {helps[1]}, helps: {helps[2]}" if helps else "",
         "mesh": is_varied and error is not None and "mesh" not in left_out(conclusion),
-        "friction": is_varied and "friction left out: about" in conclusion,
+        "friction": is_varied and "friction left out: it would change" in conclusion,
     }
 
 

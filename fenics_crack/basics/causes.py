@@ -20,5 +20,5 @@ OPTIONAL_ERROR_CAUSES = ("mesh", "friction")
 RUN_WORDS_BY_CAUSE = {"mesh": "a run with another mesh", "shift": "a run with a shifted resonance",
               "friction": "a run with friction"}  # fmt: skip
 """Words for the run that varies a cause; by default "a run with more modes"."""
-MISSING_PART_REASON_BY_CAUSE = {"friction": "that at the crack tip itself is not known"}
+MISSING_PART_REASON_BY_CAUSE = {"friction": "the effect of friction at the crack tip is unknown"}
 """Reason why a number has no part from a varied cause."""

@@ -90,7 +90,7 @@ def animate_period(
     >>> magnification = fc.animate_period(solution, "crack.gif", frames=4)
     """
     if Path(path).suffix.lower() != ".gif":
-        raise InputError("path", str(path), "a .gif file")
+        raise InputError("path", str(path), "a file name that ends in .gif")
     begin_stage(Path(path).name)
     fields = PeriodFields(solution, frames, magnification, material)
     on_root(fields.mesh.structure.comm, lambda: _write_gif(solution, fields, Path(path)))

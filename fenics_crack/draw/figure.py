@@ -130,15 +130,19 @@ class Picture:
                 unused_panel.remove()
             axes = axes[:n_panels]
         elif path is not None:
-            raise InputError("path", str(path), "left out with axes: save their figure")
+            raise InputError(
+                "path", str(path), "left out with axes; save the returned figure by savefig(path)"
+            )
         file_kinds = sorted(FigureCanvasAgg.get_supported_filetypes())
         if path is not None and Path(path).suffix[1:].lower() not in ["", *file_kinds]:
             raise InputError(
-                "path", str(path), f"a file of one of the kinds .{', .'.join(file_kinds)}"
+                "path", str(path), f"a file name that ends in .{', .'.join(file_kinds)}"
             )
         self.panels: list[Axes] = list(np.atleast_1d(axes).ravel())
         if len(self.panels) != n_panels:
-            raise InputError("axes", f"{len(self.panels)} axes", f"{n_panels}, one for each panel")
+            raise InputError(
+                "axes", f"{len(self.panels)} axes", f"{n_panels} axes, one for each panel"
+            )
         self.figure: Figure = self.panels[0].figure
 
     def __iter__(self) -> Iterator[Axes]:
@@ -219,7 +223,7 @@ def read_axes_option(picture_options: PictureOptions) -> Any:
     """
     axes, ax = picture_options.get("axes"), picture_options.get("ax")
     if axes is not None and ax is not None:
-        raise InputError("ax", "axes", "left out with axes: one of the two")
+        raise InputError("ax", ax, "left out with axes; give one of the two")
     return axes if ax is None else ax
 
 

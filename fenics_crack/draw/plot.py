@@ -114,7 +114,7 @@ def draw_waves(
     >>> figure = fc.draw_waves([wave], quantity="displacement", path="waves.png")
     """
     if not isinstance(quantity, str):
-        raise InputError("quantity", quantity, "a text")
+        raise InputError("quantity", quantity, "a text, such as 'displacement'")
     [panel] = picture = Picture(**picture_options)
     for wave in waves:
         time = wave.time / period if period else wave.time
@@ -203,8 +203,8 @@ def draw_contact_map(
     structure, law = solution.structure, solution.contact
     pair_points = structure.pair_points
     if pair_points is None or len(pair_points) < 2:
-        n_pairs = None if pair_points is None else len(pair_points)
-        raise InputError("pairs", n_pairs, "two or more, with a mesh")
+        requirement = "two or more contact pairs of a structure from a mesh"
+        raise InputError("pairs", structure.n_pairs, requirement)
     time = np.linspace(0.0, solution.period, instants + 1)
     contact_values, label, unit = solution.contact_force(time), "contact force of a pair", "N"
     has_pressure = law is not None and (is_rigid(law) or np.ndim(law.stiffness) > 0)
@@ -387,7 +387,7 @@ def draw_response(
     >>> figure = fc.draw_response(curve.omega, curves, quantity="displacement", path="response.png")
     """
     if not curves:
-        raise InputError("curves", curves, "one or more")
+        raise InputError("curves", curves, "a dict of at least one curve, {label: values}")
     [panel] = picture = Picture(**picture_options)
     values = np.asarray(values)
     curves = {label: np.asarray(y, float) for label, y in curves.items()}
@@ -474,14 +474,14 @@ def draw_map(
     x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     for axis_name, coordinates in (("x", x), ("y", y)):
         if coordinates.ndim != 1 or len(coordinates) < 2 or not np.all(np.diff(coordinates) > 0.0):
-            raise InputError(axis_name, coordinates, "two or more rising numbers")
+            raise InputError(axis_name, coordinates, "two or more increasing numbers")
     cell_values = np.ma.masked_invalid(np.asarray(values, dtype=float))
     if cell_values.shape != (len(y), len(x)):
         raise InputError(
-            "values", cell_values.shape, f"of shape (len(y), len(x)) = {len(y), len(x)}"
+            "values", cell_values.shape, f"an array of shape (len(y), len(x)) = {len(y), len(x)}"
         )
     if not cell_values.count():
-        raise InputError("values", "nan", "finite somewhere")
+        raise InputError("values", "nan", "an array with at least one finite number")
     minimum, maximum = float(cell_values.min()), float(cell_values.max())
     colour_norm = (LogNorm if 0.0 < 30.0 * minimum <= maximum else Normalize)(minimum, maximum)
     is_doubtful = (
@@ -489,7 +489,7 @@ def draw_map(
     )
     if is_doubtful.shape != cell_values.shape:
         raise InputError(
-            "doubtful", is_doubtful.shape, f"of the shape of values, {cell_values.shape}"
+            "doubtful", is_doubtful.shape, f"an array of the shape of values, {cell_values.shape}"
         )
     [panel] = picture = Picture(**picture_options)
     _draw_coloured_cells(panel, x, y, cell_values, value_label, MISSING_COLOUR, norm=colour_norm)
@@ -590,7 +590,7 @@ def draw_spectrum(
         dof_coefficients = solution.coefficients_at([dof])[:, 0]
         displacements_by_label[solution.structure.dof_name(dof)] = dof_coefficients
     if not displacements_by_label:
-        raise InputError("dof", None, "given where there is no contact pair")
+        raise InputError("dof", None, "given: a dof's number, as there is no contact pair")
     force_coefficients = solution.force_coefficients.sum(axis=1)
     axes = read_axes_option(picture_options)
     n_panels = 1 + bool(np.any(force_coefficients)) if axes is None else min(2, np.size(axes))
@@ -723,7 +723,7 @@ def draw_orbits(
             (displacement_function, is_any_pair_closed, label, "crack faces touch somewhere")
         )
     if not orbit_contents:
-        raise InputError("dof", None, "given where there is no contact pair")
+        raise InputError("dof", None, "given: a dof's number, as there is no contact pair")
     n_panels = len(orbit_contents)
     figure_size, comm = (1.0 + 4.2 * n_panels, 4.4), solution.structure.comm
     picture = Picture(n_panels, n_columns=n_panels, size=figure_size, comm=comm, **picture_options)
@@ -819,7 +819,7 @@ def draw_friction_loops(
     """
     friction_coefficient = friction_coefficient_of(solution.contact)
     if friction_coefficient is None:
-        raise InputError("solution", "no friction", "one with CoulombFriction")
+        raise InputError("solution", repr(solution), "a solution with friction (CoulombFriction)")
     time = np.append(solution.instants(), solution.period)
     (_, tangential_gaps), (normal_forces, friction_forces) = (
         np.hsplit(gaps_or_forces, 2) for gaps_or_forces in solution.gaps_and_forces(time)

@@ -434,7 +434,7 @@ def draw_multipliers(
     >>> figure = fc.draw_multipliers(curve, path="multipliers.png")
     """
     if curve.multipliers is None:
-        raise InputError("stability", False, "True when the curve is followed")
+        raise InputError("stability", False, "True; follow the curve again with stability=True")
     [panel] = picture = Picture(**picture_options)
     parameter_values = axis_factor_name_and_unit(curve.parameter, in_hertz)[0] * curve.values
     multipliers, moduli = curve.multipliers, np.abs(curve.multipliers)
@@ -466,7 +466,7 @@ def draw_multipliers(
             )
     if is_undecided.any():
         is_known = np.isfinite(moduli[is_undecided])
-        label = "undecided" if is_known.all() else "undecided; at 1 where unknown"
+        label = "undecided" if is_known.all() else "undecided; drawn at 1 if unknown"
         undecided_moduli = np.where(is_known, moduli[is_undecided], 1.0)
         panel.plot(
             parameter_values[is_undecided],
@@ -478,7 +478,7 @@ def draw_multipliers(
         )
     if n_above := int(np.sum(moduli > 2.0)):  # else all others would be a line
         panel.set_ylim(top=2.0)
-        panel.plot([], [], " ", label=f"{n_above} of {len(moduli)} lie above")
+        panel.plot([], [], " ", label=f"{n_above} of {len(moduli)} points lie above")
     _label_parameter_axis(panel, curve, in_hertz)
     panel.set_ylabel("modulus of the largest multiplier [-]")
     return picture.finish()

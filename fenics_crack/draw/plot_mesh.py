@@ -182,7 +182,9 @@ def draw_modes(
     mode_numbers = range(1, len(modes.omega) + 1)
     numbers = list(mode_numbers if numbers is None else numbers)
     if not numbers or any(mode_number not in mode_numbers for mode_number in numbers):
-        raise InputError("numbers", numbers, f"one or more of 1 to {mode_numbers[-1]}")
+        raise InputError(
+            "numbers", numbers, f"one or more mode numbers from 1 to {mode_numbers[-1]}"
+        )
     check_count("columns", columns, 1)
     columns = min(columns, len(numbers))
     mesh = NodalMesh(modes.structure)

@@ -98,7 +98,9 @@ def draw_posterior(
     x, *second_keys = [key for key in (x, y) if key is not None] or found.unknown[:2]
     for name, key in zip("xy", (x, *second_keys), strict=False):
         if key not in found.unknown or second_keys == [x]:
-            raise InputError(name, key, f"one or two different ones of {', '.join(found.unknown)}")
+            raise InputError(
+                name, key, f"one of {', '.join(found.unknown)}, with x different from y"
+            )
     [panel] = picture = Picture(size=(6.0, 4.6), **picture_options)
     if not second_keys:
         _draw_density(panel, found, x)
@@ -311,7 +313,7 @@ def _draw_differences_from_extrapolation(
     label_axis(panel.yaxis, "difference from the extrapolated value", "%")
     count_in_scene = verification.counts[cause][0]
     size_label = f"element size over that of the scene ({count_in_scene} elements)"
-    inverse_number_label = f"{count_in_scene} {cause} of the scene over their number"
+    inverse_number_label = f"{count_in_scene} {cause} of the scene over the number used"
     panel.set_xlabel(size_label if cause == "mesh" else inverse_number_label)
 
 
@@ -390,7 +392,7 @@ def _draw_contributions(
     for cause in verification.causes:
         panel.plot([], [], "o", ms=7, color=colours[cause], label=LABELS_BY_CAUSE.get(cause, cause))
     panel.plot([], [], "o", ms=7, color="grey", mfc="none", label="factor of safety 3")
-    panel.plot([], [], color="black", lw=1.6, label="all together")
+    panel.plot([], [], color="black", lw=1.6, label="all causes together")
     if verification.causes:
         panel.text(
             1.02, len(quantity_names) - 0.3, "observed order", transform=axis_transform, fontsize=9

@@ -322,7 +322,8 @@ def stress_at(
     if isinstance(result, TimeHistory):
         time = result.time
         if len(result.recorded_dofs) < structure.n_local:
-            raise InputError("dofs", "some", "None, to record all displacements")
+            recorded_dofs = result.recorded_dofs.tolist()
+            raise InputError("dofs", recorded_dofs, "None, to record all displacements")
         displacement = structure.expand(result.recorded)
     else:
         time = np.linspace(0.0, result.period, 128, endpoint=False)
@@ -407,7 +408,9 @@ def write_fronts(found: StressIntensity, path: str | Path) -> None:
     >>> fc.write_fronts(along, "fronts.vtu")  # doctest: +SKIP
     """
     if found.K_III is None:
-        raise InputError("found", "of a plate", "of a solid, whose cracks have fronts")
+        raise InputError(
+            "found", repr(found), "stress intensities of a solid; a plate has no crack fronts"
+        )
 
     def write_file() -> None:
         front_edges = [
@@ -470,7 +473,7 @@ class PeriodFields:
         if magnification is not None:
             check_number("magnification", magnification, 0.0, excludes_bound=True)
         if material is not None and not isinstance(material, Material):
-            raise InputError("material", material, "that of a scene (scene.material), or None")
+            raise InputError("material", material, "a Material, such as scene.material, or None")
         structure = solution.structure.whole
         self.mesh, self.material = NodalMesh(structure), material
         assert structure.pair_areas is not None

@@ -216,7 +216,9 @@ def _make_conclusion_of_solution(run: StudyWithResult) -> Conclusion:
     tolerance, faces_text = run.scene.harmonic_balance.tolerance, word_for_crack_faces(run.scene)
     misses_tolerance = tolerance is not None and error_report.total > tolerance
     return Conclusion(
-        "solved, but the tolerance is missed" if misses_tolerance else "solved",
+        "solved, but the error exceeds harmonic_balance.tolerance"
+        if misses_tolerance
+        else "solved",
         f"at {frequency_text} the {run.watched_description} is {amplitude_text} half "
         f"peak-to-peak{error_text}",
         unknown_error_reason,
@@ -262,7 +264,10 @@ def _list_crack_and_verdict_sentences(
         and friction_error_estimate.gci > min_reported_error
         and not run.scene.has_friction
     ):
-        sentences.append(f"friction left out: about {format_percent(friction_error_estimate.gci)}")
+        sentences.append(
+            "friction left out: it would change the "
+            f"displacement by about {format_percent(friction_error_estimate.gci)}"
+        )
     return [
         *sentences,
         *list_stability_sentences(solution.stability, solution.amplitude(run.watched_dof)),
@@ -290,7 +295,8 @@ def _make_conclusion_of_curve(run: StudyWithResult) -> Conclusion:
     )
     if peak.at_end and peak.index == len(response_curve) - 1 and not response_curve.complete:
         answer_text = (
-            f"the response of the {run.watched_description} grows up to where the curve ended, "
+            f"the response of the {run.watched_description} still rises where the curve ended, "
+            "with "
         )
         answer_text += f"{amplitude_text} half peak-to-peak at {location_text}"
     elif peak.at_end:
@@ -353,11 +359,11 @@ def _make_conclusion_of_history(run: StudyWithResult) -> Conclusion:
         f"at {frequency_text} the {displacement_description} is {amplitude_text} half peak-to-peak"
     )
     change_text = (
-        f"{history.periods} of {integration_table.periods} periods: one period shows no change"
+        f"{history.periods} of {integration_table.periods} periods: two are needed to see a change"
     )
     if np.isfinite(history.settled):
         change_text = (
-            f"{history.periods} periods: relative change over the last one {history.settled:.2g}"
+            f"{history.periods} periods: relative change over the last period {history.settled:.2g}"
         )
     if (distance_from_settled := history.distance) < 1.0:
         change_text += f", estimated distance from the settled motion {distance_from_settled:.2g}"

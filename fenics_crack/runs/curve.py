@@ -120,11 +120,11 @@ def _check_curve_is_possible(study: Study) -> None:
     """
     structure = study.structure
     if not structure.sum_over_ranks(np.abs(structure.force[1:]).sum()):
-        requirement_text = "one that changes in time, for a curve: nothing vibrates"
+        requirement_text = "one that changes in time, such as excitation.force_sin"
         raise InputError("load", "steady", requirement_text)
     if is_rigid(required_contact_law(study)) and not structure.light_lips:
         requirement_text = (
-            "'penalty' or 'smoothed', or used with reduction.method = 'massless', for a curve"
+            "'penalty' or 'smoothed' for a curve; or set reduction.method = 'massless'"
         )
         raise InputError("contact.law", "unilateral", requirement_text)
 
@@ -188,7 +188,7 @@ def iterate_curve_studies(scene_or_study: Scene | Study, comm: MPI.Comm) -> Iter
         yield from iterate_studies_with_more_modes(unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS)
         return
     if scene.reduction is not None:
-        requirement_text = "'massless', or left out, for a run-up: it has one basis for all speeds"
+        requirement_text = "'massless', or left out, for a curve over the rotor speed"
         scene.reduction.require(
             scene.reduction.method in (None, "massless"), "method", requirement_text
         )
@@ -261,9 +261,9 @@ def _describe_mode_choice(study: Study, mode_error: float) -> str:
     if mode_error <= tolerance:
         return f"chosen for an error of {tolerance:g}: {n_modes} modes"
     error_text = (
-        f"error by {n_modes} modes {format_percent(mode_error)}"
+        f"the error due to {n_modes} modes is {format_percent(mode_error)}"
         if mode_error < math.inf
-        else "error unknown"
+        else f"the error due to {n_modes} modes is unknown"
     )
     remedy_text = f"what helps: {scene.modes_key} = {2 * n_modes}"
     return f"{error_text}, but {format_percent(tolerance)} was requested; {remedy_text}"

@@ -69,7 +69,9 @@ def integrate(
     """
     integration_table = scene.integration or Integration()
     if comm.size > 1 and scene.reduction is not None and scene.reduction.method == "off":
-        raise InputError("reduction.method", "off", "a reduction, or one rank, for this command")
+        raise InputError(
+            "reduction.method", "off", "'massless' or 'free_interface'; or integrate on one rank"
+        )
     earlier_motion_file = (
         None
         if integration_table.initial is None
@@ -152,7 +154,7 @@ def _read_initial_motion_file(path: str, comm: MPI.Comm) -> StoredFile:
     except InputError as error:
         raise InputError("integration.initial", error.value, error.allowed) from None
     if motion_file.kind not in (PeriodicSolution.KIND, TimeHistory.KIND):
-        raise InputError("integration.initial", path, "the file of a solution or an integration")
+        raise InputError("integration.initial", path, "the file of a result of solve or integrate")
     return motion_file
 
 
@@ -190,7 +192,9 @@ def _start_state_from_run(
         *points_of_meshes
     )
     if not all(whole_structure.comm.allgather(has_same_mesh)):
-        integration_table.require(False, "initial", "a result of the same mesh")
+        integration_table.require(
+            False, "initial", "a result on the mesh of this scene; compute it again"
+        )
     if isinstance(structure, ReducedStructure):
         mass_products = multiply_columns(whole_structure.mass, local_states.T).T
         modal_states = whole_structure.sum_over_ranks(mass_products @ structure.basis)
@@ -213,16 +217,15 @@ def _choose_method(study: Study, integration_table: Integration, law: ContactLaw
     is_closed_form = method_name in ("events", "exponential")
     if has_massless_faces and not is_closed_form:
         requirement_text = (
-            "'events' or 'exponential' where crack faces have no mass, or reduction.method = "
+            "'events' or 'exponential' for crack faces without mass; or set reduction.method = "
         )
         requirement_text += "'free_interface'"
     elif is_closed_form and not is_small(structure):
-        requirement_text = f"another with {structure.n_dofs} dofs, or reduction.method = 'massless'"
+        requirement_text = f"'central_difference' with {structure.n_dofs} dofs; "
+        requirement += "or set reduction.method = 'massless'"
     elif is_closed_form and is_rigid(law) and not has_massless_faces:
-        requirement_text = (
-            "'central_difference' with contact.law = 'unilateral', or reduction.method = "
-        )
-        requirement_text += "'massless'"
+        requirement_text = "'central_difference' with contact.law = 'unilateral'; "
+        requirement_text += "or set reduction.method = 'massless'"
     if requirement_text:
         raise InputError("integration.method", method_name, requirement_text)
     if is_closed_form and not is_unilateral(law):

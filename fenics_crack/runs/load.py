@@ -68,7 +68,9 @@ def make_run_from_file(
     result_type, scene = result_class(result_file), result_file.scene()
     if scene is None:
         raise InputError(
-            "path", str(result_file.path), f"a {result_type.KIND} saved with its scene"
+            "path",
+            str(result_file.path),
+            f"a {result_type.KIND} saved with its scene, as Run.save does",
         )
     on_root(comm, lambda: result_file.check_files(scene))
     if issubclass(result_type, ResponseCurve) and scene.curve is not None:
@@ -82,10 +84,8 @@ def make_run_from_file(
     except InputError as error:
         if error.key == "path":
             raise
-        difference_text = f"{error.key} {error.allowed}"
-        requirement_text = (
-            f"a result of this version's structure ({difference_text}); compute it again"
-        )
+        difference_text = f"{error.key} must be {error.allowed}"
+        requirement_text = f"a result that fits this version: {difference_text}; compute it again"
         raise InputError("path", str(result_file.path), requirement_text) from None
     law = getattr(result, "contact", None)
     if friction_of(law) is not None:

@@ -101,7 +101,9 @@ class Run(StudyWithResult, Generic[ResultType]):
             Dof of the displacement. Default: the watched dof.
         """
         if not isinstance(self.result, ResponseCurve):
-            raise AttributeError("'Run' object has no attribute 'peak'")
+            raise AttributeError(
+                "'Run' object has no attribute 'peak': only a Run of fc.curve(scene) has one"
+            )
         peak, errors = self.result.peak(dof), self.errors
         if errors is None or not errors.parts or dof not in (None, self.watched_dof):
             return peak
@@ -277,5 +279,5 @@ def check_run_has_motion(run: object) -> None:
     The result must be a periodic solution or a motion in time.
     """
     if not (isinstance(run, Run) and isinstance(run.result, PeriodicSolution | TimeHistory)):
-        requirement_text = "what fc.solve(scene) or fc.integrate(scene) returns"
+        requirement_text = "a Run, as fc.solve(scene) or fc.integrate(scene) returns"
         raise InputError("run", type(getattr(run, "result", run)).__name__, requirement_text)

@@ -59,9 +59,9 @@ from fenics_crack.study.solve import (
 
 FILE_KIND = "prepared structure"
 CHANGEABLE_KEYS_TEXT = (
-    "a key that needs no mesh: the frequency, force_mean, force_cos and force_sin of the load, "
-    "damping, clearances, the contact law and its friction, harmonics, the tolerance, [curve]; "
-    "else the scene itself is solved"
+    "only load frequency, force_mean, force_cos, force_sin, damping, clearance, contact law, "
+    "friction, harmonics, tolerance and [curve] can change in a prepared structure; "
+    "for other changes solve the scene"
 )
 """Keys that may change for a prepared file, in words for an error message."""
 NODE_ARRAY_NAMES = ("points", "dofs", "cells")
@@ -99,7 +99,7 @@ class GatheredCsrMatrix:
         """
         matrix = sparse.csr_matrix((self.data, self.indices, self.indptr), shape)
         if np.diff(matrix.indptr).min(initial=0) < 0:
-            raise ValueError("its rows do not follow one another")
+            raise ValueError("the row starts of a matrix decrease")
         matrix.check_format(full_check=True)
         return matrix
 
@@ -313,7 +313,7 @@ class PreparedStructure:
                 name, (-MAX_ALLOWED_MAGNITUDE, MAX_ALLOWED_MAGNITUDE)
             )
             if array.size and not lower_limit <= array.min() <= array.max() < upper_limit:
-                raise ValueError(f"its {name} does not fit")
+                raise ValueError(f"its entry {name!r} has values out of range")
         return n_dofs
 
 
@@ -384,13 +384,19 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
     scene, structure = prepared.scene, prepared.structure
     if scene.speed > 0.0 or scene.disk is not None:
         table_name = "disk" if scene.disk is not None else "rotation"
-        raise InputError(table_name, "given", "left out, for a file: it holds structures at rest")
-    if structure.pairs.pressure_matrix is not None:
-        raise InputError("geometry.kind", "solid", "'plate', or matrices, for a file")
-    if not structure.light_lips or not isinstance(structure.whole.damping, DampingRule):
-        requirement_text = (
-            "reduced to crack faces without mass, and damped by [damping], for a file"
+        raise InputError(
+            table_name,
+            "a table",
+            "left out for a prepared structure, which is at rest; solve the scene itself",
         )
+    if structure.pairs.pressure_matrix is not None:
+        raise InputError(
+            "geometry.kind",
+            "solid",
+            "'plate' for a prepared structure; or give matrices in [structure]",
+        )
+    if not structure.light_lips or not isinstance(structure.whole.damping, DampingRule):
+        requirement_text = "reduced with reduction.method = 'massless', and damped by [damping]"
         raise InputError("structure", repr(structure), requirement_text)
     coarser_study_or_reason = prepare_coarser_study_or_reason(prepared)
     study_and_coarser_study = (
@@ -474,7 +480,7 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
     stored_file.check_kind(FILE_KIND)
     file_scene = stored_file.scene()
     if file_scene is None:
-        raise stored_file.refusal("one with its scene")
+        raise stored_file.refusal("a prepared structure with its scene; compute it again")
     stored_file.check_files(file_scene, is_required=False)
     scene = file_scene.replace(changes)
     file_dependencies = dependencies_of_structure(file_scene, MPI.COMM_SELF)
@@ -496,7 +502,7 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
                 if needs_mesh(file_scene.replace({changed_key: changed_value})):
                     break
         raise InputError(
-            changed_key, changed_value, f"{CHANGEABLE_KEYS_TEXT}, for {stored_file.path}"
+            changed_key, changed_value, f"as in {stored_file.path}: {CHANGEABLE_KEYS_TEXT}"
         )
     unavailable_quantities = [
         quantity_name
@@ -505,7 +511,8 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
     ]
     if unavailable_quantities:
         requirement_text = (
-            "those of points and crack faces, for a file; else the scene itself is solved"
+            "quantities of points and crack faces in a prepared structure; "
+            "for others solve the scene"
         )
         raise InputError("output.quantities", unavailable_quantities, requirement_text)
     _weight_matrix_between_scene_loads(file_scene, scene)
@@ -575,7 +582,7 @@ def weight_matrix_of_load_rows(file_load_rows: np.ndarray, scene: Scene) -> np.n
     )
     if is_no_combination_of_file_rows or (scene.has_other_loads and not has_same_load_rows):
         requirement_text = (
-            f"in the directions of the file's, without other loads; or {CHANGEABLE_KEYS_TEXT}"
+            f"in the direction of the file's force, without other loads: {CHANGEABLE_KEYS_TEXT}"
         )
         raise InputError("excitation.force_sin", scene.excitation.force_sin, requirement_text)
     return weight_matrix

@@ -357,7 +357,7 @@ class Campbell(SavedResult):
             crossing_text = f"engine order {order} meets mode {mode} at "
             if math.isfinite(resonance.value):
                 crossing_text += (
-                    f"{_speed_in_words(resonance.value)} at the load, {resonance.in_words}; "
+                    f"{_speed_in_words(resonance.value)} under the load, {resonance.in_words}; "
                     "estimated at "
                 )
             crossing_text += _speed_in_words(speed)
@@ -375,11 +375,13 @@ class Campbell(SavedResult):
                 crossing_text += " after" if len(kinds_at_crossing) > 1 else ""
                 crossing_text += " (bilinear estimate)" if "bilinear" in kinds_at_crossing else ""
                 crossing_text += (
-                    f"; it would be {', '.join(other_state_texts)}" if other_state_texts else ""
+                    f"; the crack would be {', '.join(other_state_texts)}"
+                    if other_state_texts
+                    else ""
                 )
             yield (
-                crossing_text
-                + f"; there d ln f / d ln n = {self.stiffening(speed, order * speed):.2g}"
+                text
+                + f"; at this speed d ln f / d ln n = {self.stiffening(speed, order * speed):.2g}"
             )
 
     def stiffening(self, speed: float, omega: float) -> float:
@@ -490,7 +492,7 @@ class Campbell(SavedResult):
         ]
         return Conclusion(
             outcome_text,
-            f"engine order {order} meets {', '.join(crossing_texts) or 'none of them'}",
+            f"engine order {order} meets {', '.join(crossing_texts) or 'none of these modes'}",
         )
 
     def _repr_text(self) -> str:
@@ -540,7 +542,9 @@ def campbell(
     >>> diagram = fc.campbell(blade, [0.0, 150.0, 300.0], count=2)
     """
     if scene.disk is not None:
-        requirement_text = "left out of a Campbell diagram; nodal_diameters has its frequencies"
+        requirement_text = (
+            "left out for a Campbell diagram; fc.nodal_diameters gives frequencies of bladed disks"
+        )
         raise InputError("disk", "a table", requirement_text)
     scene.given("rotation")
     _, rotation_axis = scene.axis_point_and_direction
@@ -550,7 +554,7 @@ def campbell(
         speed_array.ndim == 1 and len(speed_array) > 1 and bool(np.all(np.diff(speed_array) > 0.0))
     )
     if not (is_rising and speed_array[0] >= 0.0 and np.isfinite(speed_array[-1])):
-        raise InputError("speeds", speeds, "two or more finite numbers, rising from 0 or more")
+        raise InputError("speeds", speeds, "two or more finite numbers >= 0 that increase [rad/s]")
     requested_scene = scene
     scene = with_crack_length(scene.replace({"rotation.speed": float(speed_array[-1])}), comm)
     top_structure = assemble_or_reuse_structure(scene, comm)
@@ -652,7 +656,7 @@ def report_of_campbell(diagram: Campbell) -> Report:
         crossing_text for order in orders for crossing_text in diagram.yield_crossing_texts(order)
     ]
     if not notes and load_engine_order is None:
-        notes = [f"engine orders 1 to {MAX_REPORTED_ORDER} meet none"]
+        notes = [f"engine orders 1 to {MAX_REPORTED_ORDER} meet no mode at these speeds"]
     if coriolis_text := describe_coriolis(diagram.coriolis):
         speed_axis = choose_speed_factor_name_unit(scene.is_speed_in_rpm)
         notes.append(f"at {format_in_unit(speed_axis, diagram.speed[-1])} {coriolis_text}")

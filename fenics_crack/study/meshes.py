@@ -54,7 +54,7 @@ def prepare_coarser_study_or_reason(study: Study) -> tuple[Study, tuple[int, int
         )
     element_counts = count_elements(structure), count_elements(coarser_study.structure)
     if not element_counts[1] < element_counts[0]:
-        return "a coarser one has as many elements"
+        return "a coarser mesh has as many elements: refine the mesh"
     fine_and_coarser_structure = structure, coarser_study.structure
     fine_extents, coarser_extents = (
         np.array(mesh_extents(meshed_structure.whole))
@@ -66,7 +66,7 @@ def prepare_coarser_study_or_reason(study: Study) -> tuple[Study, tuple[int, int
     # Curved sides differ by less than an element.
     if np.any(np.abs(coarser_extents - fine_extents) > coarser_element_length):
         extents_text = " x ".join(f"{side_length:.4g}" for side_length in coarser_extents)
-        return f"mesh.coarser is another part, of {extents_text} m"
+        return f"mesh.coarser is the mesh of another part, which measures {extents_text} m"
     if scene.mesh.layout == "file" and (
         mismatch_text := _describe_crack_mismatch(*fine_and_coarser_structure)
     ):
@@ -88,16 +88,19 @@ def make_coarser_scene_or_reason(scene: Scene) -> Scene | str:
     if not scene.mesh.error:
         return "mesh.error = false"
     if 1 in (scene.mesh.lip_elements, scene.mesh.patches):
-        return "one element or patch along the crack is too few to estimate its error"
+        return (
+            "one element or patch along the crack is too few: "
+            "raise mesh.lip_elements or mesh.patches"
+        )
     if scene.mesh.layout == "file":
         if scene.mesh.coarser is None:
-            return "mesh.coarser is not given"
+            return "mesh.coarser, the file of a coarser mesh, is not given"
         key_changes: dict[str, Any] = {"mesh.file": scene.mesh.coarser, "mesh.coarser": None}
         return scene.replace(key_changes | _patch_key_changes(scene, 0.5))
     with suppress(InputError):  # the grid's lines miss the crack
         if (coarser_scene := refine_scene_or_none(scene, 0.5)) is not None:
             return coarser_scene
-    return "a grid of half as many columns and rows has no lines along the crack"
+    return "a grid of half as many mesh.columns and mesh.rows has no line along the crack"
 
 
 def _coarser_over_fine_element_length(
@@ -128,7 +131,7 @@ def _describe_crack_mismatch(structure: Structure, coarser_structure: Structure)
         counts_text = (
             f"{len(coarser_areas_and_points)} instead of {len(areas_and_points_of_cracks)}"
         )
-        return f"mesh.coarser has another number of cracks, {counts_text}"
+        return f"mesh.coarser has another number of cracks: {counts_text}"
     for crack_number, (
         (pair_areas, pair_points),
         (coarser_pair_areas, coarser_pair_points),
@@ -146,9 +149,11 @@ def _describe_crack_mismatch(structure: Structure, coarser_structure: Structure)
             abs(coarser_crack_area - crack_area) > relative_tolerance * crack_area
             or centroid_distance > relative_tolerance * crack_size
         ):
-            area_text = f"crack faces of {coarser_crack_area:.3g} m^2 instead of {crack_area:.3g}"
-            crack_text = f"mesh.coarser has another crack {crack_number}"
-            return f"{crack_text}: {area_text}, their middle {centroid_distance:.2g} m away"
+            area_text = (
+                f"crack faces of {coarser_crack_area:.3g} m^2 instead of {crack_area:.3g} m^2"
+            )
+            crack_text = f"mesh.coarser has another shape of crack {crack_number}"
+            return f"{crack_text}: {area_text}, centroid {centroid_distance:.2g} m away"
     return ""
 
 

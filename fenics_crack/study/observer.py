@@ -161,7 +161,7 @@ def _clamp_and_rayleigh_mass_factor(whole_structure: Structure) -> tuple[Clamp, 
 
     The factor is 0 for other damping. A structure without matrices raises InputError.
     """
-    check_has_matrices(whole_structure, "its clamp")
+    check_has_matrices(whole_structure, "forces at its clamp")
     assert whole_structure.clamp is not None  # the scene has been checked
     clamp, damping_rule = whole_structure.clamp, whole_structure.damping
     return clamp, damping_rule.mass if isinstance(damping_rule, RayleighDamping) else 0.0
@@ -488,7 +488,9 @@ class _TipsAndIntensityRowsMaker:
 
                 tips_and_rows = front_functionals(self.scene, structure)
             if not tips_and_rows[0]:
-                raise InputError("crack", "a crack without a tip", "one that ends in the structure")
+                raise InputError(
+                    "crack", "a crack without a tip", "one with a tip inside the structure"
+                )
             return tips_and_rows
         tips, displacement_rows, force_rows = structure.whole.compute_once(self)
         unit_vectors = np.eye(structure.n_dofs)

@@ -669,13 +669,15 @@ MAX_PLAUSIBLE_SIDE = 20.0
 """Maximum plausible side of a plate, radius or extent [m]; larger values get a remark."""
 MAX_PLAUSIBLE_TIP_SPEED = 1000.0
 """Maximum plausible speed of a blade tip [m/s]; the longest blades have 700."""
-TIP_SPEED_TEXT_TEMPLATE = "the blade tip moves at {:.3g} m/s, where the fastest have 700"
+TIP_SPEED_TEXT_TEMPLATE = "the blade tip moves at {:.3g} m/s; the fastest blades reach 700 m/s"
 MAX_PLAUSIBLE_DAMPING = 0.05
 """Maximum plausible ratio of critical damping; larger values get a remark."""
 MIN_REPORTED_CORIOLIS_CHANGE = 0.01
 """Minimum relative change of a frequency by the Coriolis force that gets a remark. Errors of usual
 meshes are as large."""
-CORIOLIS_TEXT_TEMPLATE = "the Coriolis force, left out, would move one of the first modes by {:.2%}"
+CORIOLIS_TEXT_TEMPLATE = (
+    "the Coriolis force, left out, would change one of the first natural frequencies by {:.2%}"
+)
 SCENE_KEY_PREFIXES_OF_KEY_FIGURES = (
     "material.",
     "geometry.",
@@ -774,7 +776,9 @@ def _iterate_remarks(
             )
             for unit, unit_factor in rule.factor_by_unit.items():
                 if rule.lower_limit <= unit_factor * checked_number <= rule.upper_limit:
-                    remark_text += f"; in {unit}? then {unit_factor * float(np.max(value)):g}"  # type: ignore[call-overload]
+                    remark_text += (
+                        f"; is it in {unit}? then give {unit_factor * float(np.max(value)):g}"  # type: ignore[call-overload]
+                    )
                     break
             yield Remark(key, list(value) if isinstance(value, tuple) else value, remark_text)
 
@@ -1079,11 +1083,11 @@ def _missed_first_omega_and_text(
     unit = FACTOR_AND_UNIT_BY_CURVE_PARAMETER[curve_table.parameter][1]
     first_omega_range = key_figures.omega_open[0], key_figures.omega_tied[0]
     range_text = format_in_unit(choose_frequency_factor_name_unit(True), *first_omega_range)
-    end_and_range_text = f"{curve_table.stop:g} {unit}: the first is between {range_text}"
+    end_and_range_text = f"{curve_table.stop:g} {unit}: the first resonance is between {range_text}"
     if proposed_curve_table is not None:
         end_and_range_text += (
-            f"; start = {proposed_curve_table.start:g} and stop = {proposed_curve_table.stop:g} "
-            "hold one"
+            f"; give curve.start = {proposed_curve_table.start:g} and "
+            f"curve.stop = {proposed_curve_table.stop:g}"
         )
     return float(first_omega_range[0]), end_and_range_text
 
@@ -1133,8 +1137,8 @@ def _linear_gap_motion_and_verb(
 # --- tables of remarks ----------------------------------------------------------------------------
 
 FACTOR_BY_MILLIMETRE_UNIT = MappingProxyType({"mm": 1e-3})
-ROTOR_SIZE_TEXT = "larger than any rotor"
-METAL_DAMPING_TEXT = "of critical damping, metals have 0.0001 to 0.01"
+ROTOR_SIZE_TEXT = "in m, this is larger than any rotor"
+METAL_DAMPING_TEXT = "metals have 0.0001 to 0.01 of critical damping"
 FORCE_KEYS_TEXT = "excitation.force_sin excitation.force_cos"
 STIFFNESS_KEYS_TEXT = "contact.stiffness contact.stiffness_per_area"
 FIRST_FREQUENCY_TEXT_TEMPLATE = (
@@ -1145,14 +1149,14 @@ SCENE_REMARK_RULES = (
         "material.young",
         1e7,
         1.5e12,
-        "in Pa, steel has 2.1e11, and most solids from 1e7 to 1.5e12",
+        "in Pa, steel has 2.1e11, and most solids have 1e7 to 1.5e12",
         factor_by_unit={"GPa": 1e9, "MPa": 1e6},
     ),
     RemarkRule(
         "material.density",
         50.0,
         25000.0,
-        "in kg/m^3, steel has 7850, and most solids from 50 to 25000",
+        "in kg/m^3, steel has 7850, and most solids have 50 to 25000",
         factor_by_unit={"g/cm^3": 1e3, "t/mm^3": 1e12, "kg/mm^3": 1e9},
     ),
     RemarkRule("material.poisson", 0.0, 0.49, "most solids have 0 to 0.49, steel 0.3"),
@@ -1161,7 +1165,7 @@ SCENE_REMARK_RULES = (
             f"geometry.{side}",
             0.0,
             MAX_PLAUSIBLE_SIDE,
-            "a {kind} of {:g} m",
+            "the longest side of the {kind} is {:g} m",
             _longest_side_or_none,
             FACTOR_BY_MILLIMETRE_UNIT,
         )
@@ -1193,7 +1197,7 @@ SCENE_REMARK_RULES = (
         "mesh.size",
         0.0,
         1.0,
-        "longer than the {kind}'s shorter side",
+        "elements are longer than the {kind}'s shorter side",
         lambda size, scene: size / _shorter_side(scene),
         FACTOR_BY_MILLIMETRE_UNIT,
     ),
@@ -1215,7 +1219,7 @@ SCENE_REMARK_RULES = (
         "tip_timing.probes",
         RAD_PER_TURN,
         math.inf,
-        "all of them within {:.3g} degrees; in rad?",
+        "all probes lie within {:.3g} degrees; are they in rad? then give degrees",
         lambda angles, _: np.ptp(angles) or None,
     ),
     RemarkRule(
@@ -1229,14 +1233,15 @@ SCENE_REMARK_RULES = (
         "growth.rate",
         1e-20,
         1e-9,
-        "in m in a cycle at 1 MPa m^0.5, steels have 5e-12 to 1.4e-10",
-        factor_by_unit={"mm in a cycle": 1e-3},
+        "in m per cycle at 1 MPa m^0.5, steels have 5e-12 to 1.4e-10",
+        factor_by_unit={"mm per cycle": 1e-3},
     ),
     RemarkRule(
         "excitation.wave",
         0.0,
         0.0,
-        "{1} harmonics leave out {0:.2%} of what changes in it (root mean square)",
+        "{1} harmonics leave out {0:.2%} of the time-varying load (root mean square); "
+        "raise excitation.wave_harmonics",
         lambda _, scene: (
             read_load_coefficients_and_residual(scene.excitation, scene.dimension)[1],
             scene.excitation.wave_harmonics,
@@ -1246,7 +1251,7 @@ SCENE_REMARK_RULES = (
         FORCE_KEYS_TEXT,
         1.0,
         1.0,
-        "no force at all: excitation.force_sin, force_cos and force_mean are zero",
+        "no force acts: excitation.force_sin, force_cos and force_mean are zero; give one of them",
         lambda _, scene: scene.has_other_loads or bool(scene.excitation.first_force_key),
     ),
 )
@@ -1255,14 +1260,14 @@ STRUCTURE_REMARK_RULES = (
         "structure.model mesh.file",
         0.0,
         MAX_PLAUSIBLE_SIDE,
-        "a structure of {1:.3g} m x {0:.3g} m; is the mesh in mm?",
+        "the structure measures {1:.3g} m x {0:.3g} m; is the mesh in mm? lengths are in m",
         lambda _, __, structure: (max(e := mesh_extents(structure)), min(e)),
     ),
     RemarkRule(
         "excitation.point",
         0.0,
         RELATIVE_POSITION_TOLERANCE,
-        "no node is there: the force acts on the nearest one, at {1}",
+        "no node is at this point: the force acts on the nearest node, at {1}",
         _relative_distance_and_node_text,
     ),
     RemarkRule(
@@ -1280,16 +1285,16 @@ STRUCTURE_REMARK_RULES = (
         "rotation.hub_radius",
         0.0,
         0.01,
-        "counted from a clamp at y = 0; that of the mesh is at y = {1:.4g} m",
+        "the hub radius is measured to a clamp at y = 0; the mesh has its clamp at "
+        "y = {1:.4g} m: move the mesh",
         _clamp_height_ratio_and_height,
     ),
     RemarkRule(
         "rotation.hub_radius rotation.center",
         0.0,
         0.2,
-        "the axis is not below the middle of "
-        "the clamp: so the centrifugal force bends the blade, by about {1:.3g} MPa at the clamp, "
-        "{0:.2g} of its direct stress",
+        "the rotor axis is not below the middle of the clamp: the centrifugal force bends the "
+        "blade, by about {1:.3g} MPa at the clamp, {0:.2g} times its tensile stress there",
         _clamp_bending_ratio_and_stress,
     ),
 )
@@ -1309,29 +1314,33 @@ KEY_FIGURE_REMARK_RULES = (
         _make_frequency_unit_check(1.0 / RAD_PER_TURN),
     ),
     RemarkRule(
-        "curve.start", 1.0, 0.0, "no resonance from there to {1}", _missed_first_omega_and_text
+        "curve.start",
+        1.0,
+        0.0,
+        "the curve has no resonance between this start and {1}",
+        _missed_first_omega_and_text,
     ),
     RemarkRule(
         FORCE_KEYS_TEXT,
         0.0,
         MAX_SMALL_ROTATION,
-        "with an open crack it moves the {kind} by {1:.2g} m, {0:.2g} "
-        "rad about the clamp: beyond small displacements; in N?",
+        "with an open crack this force moves the {kind} by {1:.2g} m, or {0:.2g} "
+        "rad about the clamp: beyond small displacements; is the force in N?",
         _peak_rotation_and_displacement,
     ),
     RemarkRule(
         "mesh.patches mesh.lip_elements mesh.file",
         4,
         math.inf,
-        "elements or patches longer than a quarter of the crack; 4 to 20 along each face are usual",
+        "elements or patches are longer than a quarter of the crack; use 4 to 20 along each face",
         _n_face_elements_or_none,
     ),
     RemarkRule(
         STIFFNESS_KEYS_TEXT,
         1.0,
         math.inf,
-        "at most {:.2g} of the {faces}' static stiffness: they "
-        "penetrate each other; 100 to 10000 times is usual, or contact.law = 'unilateral'",
+        "at most {:.2g} times the {faces}' static stiffness, so that they penetrate each other; "
+        "100 to 10000 times is usual; or use contact.law = 'unilateral'",
         lambda _, __, figures: np.max(figures.contact_stiffness_ratio),
     ),
     RemarkRule(
@@ -1339,7 +1348,7 @@ KEY_FIGURE_REMARK_RULES = (
         0.0,
         1e6,
         "at least {:.2g} times the {faces}' static stiffness: numerically "
-        "rigid, and hard to solve; contact.law = 'unilateral' is rigid contact",
+        "rigid, and hard to solve; use contact.law = 'unilateral' for rigid contact",
         lambda _, __, figures: np.min(figures.contact_stiffness_ratio),
     ),
     RemarkRule(
@@ -1347,7 +1356,7 @@ KEY_FIGURE_REMARK_RULES = (
         10.0,
         math.inf,
         "the law is rounded over {1:.2g} m, and the {faces} "
-        "move by {2:.2g} m: contact acts on open {faces}",
+        "move by {2:.2g} m: contact acts on open {faces}; raise contact.sharpness",
         lambda k, _, figures: (k * figures.peak_gap_motion, 1.0 / k, figures.peak_gap_motion),
     ),
     RemarkRule(
@@ -1362,14 +1371,14 @@ KEY_FIGURE_REMARK_RULES = (
         "damping.mass damping.stiffness",
         0.0,
         MAX_PLAUSIBLE_DAMPING,
-        "{:.3g} " + METAL_DAMPING_TEXT + ", at the first natural frequency",
+        "the damping ratio at the first natural frequency is {:.3g}; " + METAL_DAMPING_TEXT,
         lambda _, __, figures: float(figures.damping_ratios[0]),
     ),
     RemarkRule(
         "harmonic_balance.harmonics",
         0,
         0,
-        "harmonics up to H w reach {1} modes, and {2} are kept: raise {3}",
+        "the harmonics reach the frequencies of {1} modes, but {2} modes are kept: raise {3}",
         lambda _, scene, figures: (
             max(figures.n_modes_below_highest_harmonic - figures.n_kept_modes, 0),
             figures.n_modes_below_highest_harmonic,
@@ -1390,9 +1399,8 @@ METHOD_REMARK_RULES = (
         "contact.law",
         0.0,
         0.0,
-        "rigid contact of pairs that keep their mass: solve gives no "
-        "verdict on stability, and curve needs 'penalty' or 'smoothed', or reduction.method = "
-        "'massless'",
+        "rigid contact of crack faces with mass: solve gives no verdict on stability, "
+        "and curve is refused; use 'penalty', 'smoothed', or reduction.method = 'massless'",
         _count_rigid_pairs_with_mass,
     ),
 )

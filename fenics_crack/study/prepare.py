@@ -186,7 +186,9 @@ def _find_watched_displacements(
         full_point_key = f"output.points.{point.key}"
         if sector_structure.nodes is None:
             raise InputError(
-                full_point_key, point.values, "left out: the structure has no positions"
+                full_point_key,
+                point.values,
+                "left out, as the structure has no positions; or give structure.model",
             )
         node_position, node_dofs = sector_structure.nodes.find_nearest_position_and_dofs(
             sector_structure.comm, full_point_key, point.values
@@ -328,17 +330,19 @@ def estimate_and_check_memory(
         needed_bytes = _estimate_needed_memory(scene, structure, is_run_up)
     if needed_bytes > byte_limit:
         memory_text = (
-            f"{needed_bytes / 2**30:.3g} GiB of this machine's {machine_bytes / 2**30:.3g}"
+            f"{needed_bytes / 2**30:.3g} GiB of this machine's {machine_bytes / 2**30:.3g} GiB"
         )
         size_text = f"{structure.n_dofs} degrees of freedom need {memory_text}"
         if scene.structure is not None:
             mass_path = scene.structure.mass
             raise InputError(
-                "structure.mass", mass_path, f"that of a smaller structure: {size_text}"
+                "structure.mass", mass_path, f"the file of a smaller structure: {size_text}"
             )
         mesh_key = {"grid": "columns", "file": "file"}.get(scene.mesh.layout, "size")
         mesh_key_value = getattr(scene.mesh, mesh_key)
-        raise InputError(f"mesh.{mesh_key}", mesh_key_value, f"that of a coarser mesh: {size_text}")
+        raise InputError(
+            f"mesh.{mesh_key}", mesh_key_value, f"changed to a coarser mesh: {size_text}"
+        )
     return needed_bytes
 
 
@@ -493,10 +497,12 @@ def scene_contact_law(scene: Scene, structure: Structure) -> ContactLaw | None:
     )
     if contact_table.friction and not has_massless_faces:  # pairs that stick must give a little
         condition_text = (
-            "with friction of crack faces that keep their mass; or reduction.method = 'massless'"
+            "with friction of crack faces with mass; or set reduction.method = 'massless'"
         )
         contact_table.require(contact_table.law == "penalty", "law", f"'penalty' {condition_text}")
-        contact_table.given("tangential_stiffness_per_area", f"given [N/m^3] {condition_text}")
+        contact_table.given(
+            "tangential_stiffness_per_area", f"given: a stiffness [N/m^3], {condition_text}"
+        )
     return contact_law(contact_table, structure)
 
 
@@ -529,12 +535,12 @@ def contact_law(contact: Contact, structure: Structure | None = None) -> Contact
     >>> law = fc.contact_law(scene.contact, structure)
     """
     if not isinstance(contact, Contact):
-        raise InputError("contact", contact, "the contact table of a scene")
+        raise InputError("contact", contact, "a Contact, such as scene.contact")
     law = _make_normal_contact_law(contact, structure)
     if not contact.friction:
         return law
     if structure is not None and structure.tangential is None:
-        requirement_text = "0, or left out, of a structure without tangents"
+        requirement_text = "0, or left out, as the structure has no tangential gaps"
         raise InputError("contact.friction", contact.friction, requirement_text)
     stiffness_per_area = contact.tangential_stiffness_per_area
     if stiffness_per_area is None:
@@ -555,7 +561,7 @@ def _required_pair_areas(
     """
     if structure is None or structure.pair_areas is None:
         requirement_text = (
-            "used with a structure made from a mesh: contact_law(scene.contact, structure)"
+            "used with a structure from a mesh: call contact_law(scene.contact, structure)"
         )
         raise InputError(f"contact.{stiffness_key}", stiffness_per_area, requirement_text)
     return structure.pair_areas

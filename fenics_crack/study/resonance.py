@@ -40,7 +40,7 @@ N_SEARCH_MODES = 10
 """Number of modes kept in the reduced structure in which a resonance is sought."""
 RELATIVE_AMPLITUDE_TOLERANCE = 0.1
 """Maximum relative error, by truncated harmonics, of a stated resonance amplitude."""
-SEVERAL_MODES_TEXT = "several modes answer together: see the curve"
+SEVERAL_MODES_TEXT = "several modes answer together: follow the curve for the amplitude"
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class LoadResonance:
     verdict : str
         Verdict on the stability: "stable", "unstable", "irregular" or "undecided".
     unknown : str
-        Reason why there is no amplitude; "" if there is one. If several modes respond together,
+        Reason why there is no amplitude; "" if there is one. If several modes answer together,
         ``value``, ``width`` and ``rest`` are known without an amplitude.
     mesh_error : float
         Relative error of the amplitude due to the mesh; nan if it is not estimated.
@@ -177,7 +177,7 @@ def find_study_resonance(
                 engine_order, scene.speed, estimated_omega, squared_omega_slopes[mode_index]
             )
             if math.isnan(crossing_speed):
-                raise ConvergenceError(f"engine order {engine_order} does not meet it")
+                raise ConvergenceError(f"engine order {engine_order} does not meet this mode")
             run_up_structure = RunUpStructure(
                 RitzProjection.of_range(whole_structure, crossing_speed, crossing_speed, n_modes),
                 crossing_speed,

@@ -95,12 +95,12 @@ class StructureFile:
             )
         except (InputError, *DATASET_ERROR_CLASSES) as error:
             self._cached_prepared_files[:] = [None]
-            self._print_line(f"{self._path}: not used, {error}")
+            self._print_line(f"{self._path} is not used: {error}")
             return None
         self._noted_structures_and_scenes[:] = [(shared_structure, scene)]
         self._n_stored_bytes = _count_dataset_bytes(pack_dataclass(prepared_file))
-        source_text = f"the structure is taken from here ({self._n_stored_bytes / 1e6:.3g} MB)"
-        self._print_line(f"{self._path}: {source_text}; --fresh computes it anew")
+        source_text = f"the structure is read from this file ({self._n_stored_bytes / 1e6:.3g} MB)"
+        self._print_line(f"{self._path}: {source_text}; --fresh computes it again")
         return shared_structure
 
     def note_shared_structure(self, shared_structure: SharedStructure, scene: Scene) -> None:
@@ -147,7 +147,7 @@ class StructureFile:
             try:
                 if n_dataset_bytes > MAX_DATASET_BYTES:
                     raise InputError(
-                        "path", str(self._path), f"of at most {MAX_DATASET_BYTES / 1e6:g} MB"
+                        "path", str(self._path), f"a file of at most {MAX_DATASET_BYTES / 1e6:g} MB"
                     )
                 write_result_file(
                     dataset_by_name,
@@ -158,7 +158,7 @@ class StructureFile:
                     is_compressed=False,
                 )
             except InputError as error:
-                self._print_line(f"the structure is not kept: {error}")
+                self._print_line(f"the structure is not kept for the next command: {error}")
 
 
 def _gather_prepared_structure(

@@ -111,7 +111,7 @@ def required_contact_law(study: Study) -> ContactLaw:
     """Return a study's contact law; InputError without a crack."""
     if study.contact is None:
         if study.scene.structure is not None:
-            requirement_text = "given: the path of a Matrix Market file, for this command"
+            requirement_text = "given: the path of a Matrix Market file, which this command needs"
             raise InputError("structure.gap", None, requirement_text)
         # The crack of a file is no table.
         table_name = "contact" if study.scene.mesh.layout == "file" else "crack"

@@ -210,7 +210,10 @@ def build_sweep_geometry(
     structure = many_mode_study.structure
     if not is_small(structure):
         reduction_method = "off" if scene.reduction is None else scene.reduction.method
-        requirement_text = f"one that leaves fewer than {structure.n_dofs} coordinates"
+        requirement_text = (
+            f"'massless' for a sweep of a structure with {structure.n_dofs} dofs; "
+            "or 'free_interface' with fewer modes"
+        )
         raise InputError("reduction.method", reduction_method, requirement_text)
     make_requested_rows_and_readers(many_mode_study)
     crack_lengths = [crack.length for crack in many_mode_study.scene.crack_by_name.values()]
@@ -290,7 +293,7 @@ def _find_load_point_row_by_name(scene: Scene, structure: Structure) -> dict[str
 # --- a case ---------------------------------------------------------------------------------------
 
 
-FREQUENCIES_ONLY_STATUS = "natural frequencies alone"
+FREQUENCIES_ONLY_STATUS = "only natural frequencies were computed"
 """Text in the column ``status`` for a case with natural frequencies only."""
 CaseValues = dict[str, Any]
 """Values of a sweep case by column name.
@@ -486,7 +489,7 @@ class CaseSolver:
         damping_ratio = float(mode_damping_ratios[int(nearest_value_by_name["mode"]) - 1])
         if not 0.0 < 2.0 * damping_ratio < 1.0:  # widths to either side where it is looked for
             requirement_text = (
-                "above 0 and below 0.5 of critical, of the mode, with sweep.at_resonance"
+                "above 0 and below 0.5 for the mode whose resonance is sought; change [damping]"
             )
             raise InputError("damping", damping_ratio, requirement_text)
         start_omega = (1.0 - 2.0 * damping_ratio) * float(nearest_value_by_name["omega_open"])
@@ -516,7 +519,7 @@ class CaseSolver:
         except REFUSAL_EXCEPTIONS:
             return {
                 "verdict": "undecided",
-                "remark": f"; {UNDECIDED_PREFIX}no multipliers were found",
+                "remark": f"; {UNDECIDED_PREFIX}the Floquet multipliers could not be computed",
             }
         if stability.reason:
             remark_text = f"; {stability.verdict}: {stability.reason}"

@@ -32,7 +32,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from fenics_crack.basics.atomic_files import partial_file, report_write_errors, write_bytes_at
-from fenics_crack.basics.errors import N_LOWEST_MODES, InputError, WriteError
+from fenics_crack.basics.errors import N_LOWEST_MODES, WriteError
 from fenics_crack.basics.observables import (
     OBSERVABLES_BY_NAME,
     REQUIRES_FRICTION,
@@ -150,6 +150,10 @@ REQUIRED_COLUMN_NAMES = {
     "harmonics",
 }
 """Columns that each sweep file must have; files from earlier versions may lack other columns."""
+COLUMNS_REQUIREMENT_TEXT = (
+    "a sweep with all columns; this file is damaged or older: compute it again in a new folder"
+)
+"""Requirement on a sweep's file, for an error message."""
 BLANK_VALUE_BY_TYPE_KIND: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
 """Values that mean "no value", by the letter of the NumPy type ("f" float, "i" integer, "S"
 text)."""
@@ -222,7 +226,7 @@ class SweepFile:
     ) -> None:
         self._path, self._unit_and_type_by_column = path, unit_and_type_by_column(scene)
         with report_write_errors(
-            path, "path", "a file that can be written, by one sweep at a time"
+            path, "path", "a file that can be written, and that no other sweep writes"
         ):
             new_header = (
                 None
@@ -280,7 +284,9 @@ class SweepFile:
         converged, any other case failed.
         """
         if not self._is_file_still_at_path():
-            requirement_text = "left alone while the sweep runs; it has been removed or replaced"
+            requirement_text = (
+                "kept in place during the sweep; it was moved or replaced: start the sweep anew"
+            )
             raise WriteError("path", str(self._path), requirement_text)
         case_states = np.array(
             [
@@ -572,16 +578,18 @@ def _read_matching_header(path: Path, scene: Scene) -> store.StoredFile:
             if stored_scene is not None
             else ""
         )
-        path_text = f"{path}{difference_text and f', begun with {difference_text}'}"
-        requirement_text = "the file of the same scene; for another one choose a new folder"
-        raise InputError("path", path_text, requirement_text)
+        begun_text = f" (this one was begun with {difference_text})" if difference_text else ""
+        requirement_text = (
+            f"a sweep of the same scene{begun_text}; for another scene choose a new folder"
+        )
+        raise sweep_header.refusal(requirement)
     if (version := sweep_header.attributes["version"]) != VERSION:
         raise sweep_header.refusal(
-            f"a new name: it was begun by version {version}, this is {VERSION}"
+            f"a sweep that version {VERSION} began; version {version} began it: choose a new folder"
         )
     sweep_header.check_files(stored_scene)
     if not _unit_and_type_by_dataset(scene).keys() <= sweep_header.columns.keys():
-        raise sweep_header.refusal("a whole sweep")
+        raise sweep_header.refusal(COLUMNS_REQUIREMENT_TEXT)
     scene_of_sweep(sweep_header)
     return sweep_header
 
@@ -600,9 +608,11 @@ def _check_omitted_options_match(
         for option_name in sorted({*stored_option_names} ^ {*omitted_options})
     ]
     if changed_option_texts:
-        path_text = f"{sweep_header.path}, begun with {', '.join(changed_option_texts)}"
-        requirement_text = "continued as it was begun; for other columns choose a new folder"
-        raise InputError("path", path_text, requirement_text)
+        begun_text = f"this one was begun with {', '.join(changed_option_texts)}"
+        requirement_text = (
+            f"a sweep with the same options ({begun_text}); for others choose a new folder"
+        )
+        raise sweep_header.refusal(requirement)
 
 
 # --- reading --------------------------------------------------------------------------------------
@@ -627,7 +637,7 @@ def scene_of_sweep(sweep_header: store.StoredFile) -> Scene:
     sweep_header.check_kind(KIND)
     scene = sweep_header.scene()
     if scene is None or scene.sweep is None:
-        raise sweep_header.refusal("a sweep with its scene")
+        raise sweep_header.refusal("a sweep with its scene; compute it again in a new folder")
     n_column_bytes, unit_and_type_by_dataset = 0, _unit_and_type_by_dataset(scene)
     for column_name in sorted(
         unit_and_type_by_dataset.keys() & (sweep_header.columns.keys() | REQUIRED_COLUMN_NAMES)
@@ -635,15 +645,17 @@ def scene_of_sweep(sweep_header: store.StoredFile) -> Scene:
         stored_column = sweep_header.columns.get(column_name)
         if stored_column is None:
             requirement_text = (
-                f"a sweep with a column {column_name!r}: this one is of an older version"
+                f"a sweep with the column {column_name!r}; this one is of an older version"
             )
-            raise sweep_header.refusal(f"{requirement_text}; solve it anew in another folder")
+            raise sweep_header.refusal(f"{requirement_text}: compute it again in a new folder")
         column_type = np.dtype(unit_and_type_by_dataset[column_name][1])
         if stored_column.shape != scene.given("sweep").shape or stored_column.dtype != column_type:
-            raise sweep_header.refusal("a whole sweep")
+            raise sweep_header.refusal(COLUMNS_REQUIREMENT_TEXT)
         n_column_bytes += stored_column.n_bytes
     if n_column_bytes > MAX_FILE_BYTES:
-        raise sweep_header.refusal(f"a sweep with at most {MAX_FILE_BYTES} bytes of columns")
+        raise sweep_header.refusal(
+            f"a sweep with at most {MAX_FILE_BYTES / 2**30:g} GiB of columns; sweep fewer values"
+        )
     return scene
 
 
@@ -690,7 +702,7 @@ def _read_flat_column_by_name(
             for column_name in column_names
         }
     except (OSError, ValueError):
-        raise sweep_header.refusal("a whole sweep") from None
+        raise sweep_header.refusal(COLUMNS_REQUIREMENT_TEXT) from None
 
 
 def _replace_unconfirmed_states(
@@ -753,10 +765,10 @@ def read_column_by_name(sweep_header: store.StoredFile, scene: Scene) -> dict[st
             map(int, np.unravel_index(int(np.argmax(is_damaged)), axes_shape))
         )
         damage_text = (
-            f"{is_damaged.sum()} of its cases are damaged, the first at {first_damaged_index}"
+            f"{is_damaged.sum()} of its cases are damaged, the first at index {first_damaged_index}"
         )
         raise sweep_header.refusal(
-            f"a whole sweep: {damage_text}; the command sweep computes them again"
+            f"undamaged: {damage_text}; run the same command again to compute them"
         )
     for column_name, (_, type_name) in (
         {"state": ("", "u1")} | unit_and_type_by_column(scene)
@@ -799,7 +811,7 @@ def read_gap_and_force_coefficients(
     waves = _read_intact_coefficients(sweep_header, index)
     if waves is None:
         requirement_text = (
-            f"a whole sweep: its case {index} is damaged; the command sweep computes it again"
+            f"undamaged: its case {index} is damaged; run the same command again to compute it"
         )
         raise sweep_header.refusal(requirement_text)
     return waves

@@ -105,7 +105,11 @@ class Plan:
             for case_number in range(math.prod(self.shape))
         ):
             reason = self._scene_or_reason_by_number(0)
-            raise InputError("sweep.over", reason, "values of which a combination can be used")
+            raise InputError(
+                "sweep.over",
+                self._swept_values_by_key,
+                f"values that can be used in at least one case; the first is refused: {reason}",
+            )
 
     def _split_case_numbers_into_chunks(
         self, geometry_independent_keys: set[str]

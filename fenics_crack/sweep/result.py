@@ -81,7 +81,7 @@ from fenics_crack.sweep.file import (
 from fenics_crack.sweep.jobs import Manager, Worker, serve_jobs
 from fenics_crack.sweep.plan import Plan
 
-SCENES_WITHOUT_PEAK_TEXT = "without contact, and with [rotation]"
+SCENES_WITHOUT_PEAK_TEXT = "without contact or with [rotation]"
 """Description of scenes for which no largest response over the frequency is sought."""
 CASE_STATE_NAMES = np.array([state.name.lower() for state in CaseState])
 """Names "pending", "converged" and "failed" of a case's state, by state (0, 1, 2)."""
@@ -148,7 +148,9 @@ def run_sweep(
         position for position in natural if position not in range(last_axis_length)
     ]:
         raise InputError(
-            "natural", wrong_positions, f"places on the last axis, 0 to {last_axis_length - 1}"
+            "natural",
+            wrong_positions,
+            f"positions on the last axis, from 0 to {last_axis_length - 1}",
         )
     managers: list[Manager] = []
 
@@ -342,7 +344,10 @@ class SweepResult(Tabular):
             self.converged & (self["verdict"] == "undecided")
         )
         return [
-            (case_index, status.partition(UNDECIDED_PREFIX)[2] or "its reason is not kept")
+            (
+                case_index,
+                status.partition(UNDECIDED_PREFIX)[2] or "the file does not state the reason",
+            )
             for case_index, status in indices_and_statuses
         ]
 
@@ -469,7 +474,9 @@ class SweepResult(Tabular):
         except (IndexError, ValueError, TypeError):
             is_converged = False
         if not is_converged:
-            raise InputError("index", index, f"that of a case that converged, of {self.shape}")
+            raise InputError(
+                "index", index, f"the index of a converged case in a sweep of shape {self.shape}"
+            )
         return case_index
 
     # --- shown ------------------------------------------------------------------------------------
@@ -586,7 +593,9 @@ class SweepResult(Tabular):
             )
         elif largest_error > 0.0 and not n_unknown_errors:
             error_text = format_error(largest_error)
-            clause_texts.append(f"largest estimated error by modes and harmonics {error_text}")
+            clause_texts.append(
+                f"the largest estimated error due to modes and harmonics is {error_text}"
+            )
         verdict_names, verdict_counts = np.unique(self["verdict"][is_converged], return_counts=True)
         verdict_texts = [
             f"{verdict_count} {verdict}"
@@ -677,7 +686,7 @@ def iterate_texts_by_reason(
         n_further_cases = sum(map(len, further_groups))
         yield (
             f"{format_count(n_further_cases, 'case')} {outcome_text} for other reasons: "
-            "column status of the table"
+            "see the column status of the table"
         )
 
 

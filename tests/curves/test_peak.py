@@ -180,7 +180,7 @@ def test_own_axes(masses: fc.ResponseCurve) -> None:
 
     panel = Figure().subplots()
     assert fc.draw_curve(masses, ax=panel) is panel.figure and panel.lines
-    catch_error(lambda: fc.draw_curve(masses, ax=panel, axes=panel), "ax", "axes")
+    catch_error(lambda: fc.draw_curve(masses, ax=panel, axes=panel), "ax", panel)
 
 
 def test_short_words() -> None:

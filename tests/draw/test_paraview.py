@@ -363,4 +363,4 @@ def test_what_has_no_mesh_cannot_be_drawn(tmp_path: Path) -> None:
         "structure",
         "made from matrices",
     )
-    catch_error(lambda: fc.draw_contact_map(fc.solve_linear(structure, 0.5)), "pairs", None)
+    catch_error(lambda: fc.draw_contact_map(fc.solve_linear(structure, 0.5)), "pairs", 2)

@@ -350,7 +350,7 @@ def test_multipliers(results: dict[str, Any]) -> None:
     sorted_points = (table[np.lexsort(table.T)] for table in (drawn_points, expected_points))
     assert np.allclose(*sorted_points)
     is_undecided = curve.verdicts == "undecided"
-    crosses = dots["undecided; at 1 where unknown"]
+    crosses = dots["undecided; drawn at 1 if unknown"]
     assert len(crosses) == is_undecided.sum() < len(curve)
     pairs = np.sum(~is_undecided & (np.abs(curve.multipliers.imag) > 1e-9))
     assert len(dots.get("a complex pair", [])) == pairs

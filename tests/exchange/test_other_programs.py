@@ -108,7 +108,10 @@ def test_from_matrices_to_a_verdict(scene: Scene) -> None:
 def test_from_the_shell(folder: Path, run_command: RunCommand) -> None:
     """Modes are drawn on the model's bricks; a load beside its nodes gets a remark."""
     words = [str(folder / "scene.toml"), "--set", "excitation.point=[0.001,0.02,0.0]"]
-    assert "no node is there: the force acts on the nearest one" in run_command("check", *words).err
+    assert (
+        "no node is at this point: the force acts on the nearest node"
+        in run_command("check", *words).err
+    )
     assert main(["modes", *words, "--output", str(folder)]) == 0
     assert main(["plot", str(folder / "modes.h5")]) == 0
     assert (folder / "modes.png").exists()

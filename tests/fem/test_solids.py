@@ -411,7 +411,7 @@ def test_the_tip_of_a_solid_is_its_farthest_node_from_the_axis() -> None:
         rotor_scene = box.replace(axes | {speed: 6000.0})
         [remark] = remarks_on_scene(rotor_scene, structure)
         assert f"the blade tip moves at {6000.0 * tip_radius:.3g} m/s" in str(remark)
-        assert str(remark).endswith("in rpm? then 628.319")
+        assert str(remark).endswith("is it in rpm? then give 628.319")
         assert not remarks_on_scene(rotor_scene.replace({speed: 600.0}), structure)
 
 
@@ -788,7 +788,9 @@ def test_a_mesh_in_mm_is_told(tmp_path: Path) -> None:
     study = fc.prepare(scene, whole=True)
     remarks = remarks_on_scene(scene, study.structure, find_key_figures(study))
     assert [remark.key for remark in remarks] == ["material.young", "mesh.file"]
-    assert str(remarks[1]).endswith("a structure of 6 m x 90 m; is the mesh in mm?")
+    assert str(remarks[1]).endswith(
+        "the structure measures 6 m x 90 m; is the mesh in mm? lengths are in m"
+    )
     rotor = {"rotation.rpm": 3000.0, "rotation.hub_radius": 0.2, "material.young": 2.1e11}
     catch_error(
         lambda: fc.build_structure(scene.replace(rotor)),
@@ -921,7 +923,8 @@ def test_vectors_and_shares_are_told_of_solids() -> None:
     thick_solid = solid(**{"geometry.thickness": 1.0, "contact": None})
     remarks = [str(remark_object) for remark_object in remarks_on_scene(thick_solid)]
     assert remarks == [
-        "geometry.thickness = 1: thicker than the solid is wide or high; in mm? then 0.001"
+        "geometry.thickness = 1: thicker than the solid is wide or high; "
+        "is it in mm? then give 0.001"
     ]
 
 
@@ -1056,9 +1059,9 @@ def test_a_clamp_of_a_file_that_is_not_where_radii_begin(tmp_path: Any) -> None:
     ):
         nodes = replace(structure.nodes, points=structure.nodes.points + offset)
         [remark] = remarks_on_scene(scene, structure.with_places(nodes, structure.pairs))
-        clamp_text = "counted from a clamp at y = 0"
+        clamp_text = "the hub radius is measured to a clamp at y = 0"
         assert str(remark).startswith(f"rotation.hub_radius = {rotating.HEIGHT:g}: {clamp_text}")
-        assert str(remark).endswith(position_text)
+        assert str(remark).endswith(f"{position_text}: move the mesh")
         remarks = remarks_on_scene(grid, structure.with_places(nodes, structure.pairs))
         assert [remark.key for remark in remarks] == ["geometry.thickness"]
 
@@ -1167,7 +1170,7 @@ def test_coriolis_force_of_a_whirling_bar() -> None:
     scene = Scene.from_mapping(BAR | PUSHED | {"rotation": {"rpm": 6000.0} | place})
     [remark] = remarks_on_scene(scene, shaft)
     max_shift = np.abs(relative_coriolis_shifts(fc.solve_modes(shaft, 4), speed * axis)).max()
-    assert str(remark).startswith("rotation.rpm = 6000: the Coriolis force, left out, would move")
+    assert str(remark).startswith("rotation.rpm = 6000: the Coriolis force, left out, would change")
     assert str(remark).endswith(f"by {max_shift:.2%}")
     diagram = fc.campbell(scene, [0.0, speed], 2)
     assert diagram.coriolis == pytest.approx(whirl_omegas / modes.omega - 1.0, abs=2e-3)

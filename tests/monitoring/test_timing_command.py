@@ -143,7 +143,8 @@ def test_units_of_a_record_without_a_resonance(tmp_path: Path, timing: RunComman
     rows = [[60.0 * row[0], *row[1:]] for row in rows]
     path = write_table(tmp_path / "record.csv", "speed [Hz]," + names.format("rad"), rows)
     assert (
-        f"{speed_warning} 2.07e+04 m/s, where the fastest have 700" in timing(path, sets=radius).err
+        f"{speed_warning} 2.07e+04 m/s; the fastest blades reach 700"
+        in timing(path, sets=radius).err
     )
 
 

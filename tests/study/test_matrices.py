@@ -112,7 +112,7 @@ def test_rigid_contact_of_masses_gets_a_remark(run_command: RunCommand) -> None:
     for more_options, is_remarked in ((), True), (("--set", "reduction.method=massless"), False):
         messages = run_command(*words, "--set", "contact.law=unilateral", *more_options).err
         assert (
-            "remark: contact.law = unilateral: rigid contact of pairs" in messages
+            "remark: contact.law = unilateral: rigid contact of crack faces" in messages
         ) == is_remarked
 
 

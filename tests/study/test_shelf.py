@@ -146,7 +146,7 @@ def test_second_solve_imports_no_mesher(plate: Path, path: Path) -> None:
     words = ["solve", str(plate), "--set", "excitation.frequency=790"]
     command = [sys.executable, "-c", PROGRAM, *words]
     process = subprocess.run(command, capture_output=True, text=True, check=False, env=no_rank())
-    assert f"{path.name}: the structure is taken from here" in process.stderr, process.stderr
+    assert f"{path.name}: the structure is read from this file" in process.stderr, process.stderr
     assert process.stdout.splitlines()[-1] == "[]"
 
 

@@ -117,7 +117,7 @@ def test_natural_frequencies_alone(whole: SweepResult, scene: fc.Scene, tmp_path
     """At some places of the last axis nothing else is found; elsewhere all is the same."""
     path, options = tmp_path / "part.h5", {"verdicts": False, "natural": [1]}
     part = run_sweep(scene, path, MPI.COMM_SELF, **options)  # type: ignore[arg-type]
-    assert np.all(part["status"][:, 1] == "natural frequencies alone")
+    assert np.all(part["status"][:, 1] == "only natural frequencies were computed")
     assert np.all(np.isnan(part["response"][:, 1])) and part.converged[:, 0].all()
     np.testing.assert_array_equal(part["omega_open_1"], whole["omega_open_1"])
     np.testing.assert_allclose(part["response"][:, 0], whole["response"][:, 0], rtol=1e-6)
@@ -139,7 +139,8 @@ def test_cases_of_a_file_are_asked_alike(scene: fc.Scene, tmp_path: Path) -> Non
         catch_error(
             partial(run_sweep, scene, path, MPI.COMM_SELF, **options),
             "path",
-            f"{path}, begun with {first_words}",
+            str(path),
+            names=f"begun with {first_words}",
         )
     second_sweep = run_sweep(scene, path, MPI.COMM_SELF, judged=False)
     assert second_sweep.complete and np.all(second_sweep["verdict"] == first_sweep["verdict"])
