@@ -39,7 +39,7 @@ class NodalMesh:
 
     def __init__(self, structure: Structure) -> None:
         if structure.nodes is None or structure.drawable_nodes is None:
-            raise InputError("structure", "made from matrices", "made from a mesh")
+            raise InputError("structure", "made from matrices", "a structure made from a mesh")
         whole_structure = structure.whole
         nodes, comm = structure.nodes, whole_structure.comm
         self.structure = whole_structure

@@ -117,7 +117,7 @@ def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
     size = request["size"]
     n_bulk_cells, n_front_cells = estimate_bulk_and_front_cells(size, fronts)
     if n_bulk_cells + n_front_cells > request["cells"]:
-        requirement = f"so that there are at most {request['cells']:.0e} cells: about"
+        requirement = f"such that the mesh has at most {request['cells']:.0e} cells: about"
         refused_key = "mesh.size" if n_bulk_cells > n_front_cells else "mesh.lip_elements"
         raise Refusal(refused_key, f"{requirement} {n_bulk_cells + n_front_cells:.2g} would be")
     try:
@@ -150,10 +150,10 @@ def _import_part(path: str, unit: str) -> Tags:
     try:
         solid_dim_tags = gmsh.model.occ.importShapes(path, highestDimOnly=True)
     except Exception as error:
-        raise Refusal("geometry.file", f"readable by gmsh ({error})") from None
+        raise Refusal("geometry.file", f"a CAD file that gmsh can read ({error})") from None
     if len(solid_dim_tags) != 1 or solid_dim_tags[0][0] != 3:
         n_solids = sum(dimension == 3 for dimension, _ in solid_dim_tags)
-        raise Refusal("geometry.file", f"a file with one solid: it has {n_solids or 'none'}")
+        raise Refusal("geometry.file", f"a file with one solid; this file has {n_solids or 'none'}")
     if (mm_per_unit := MILLIMETRES_BY_UNIT[unit]) != 1.0:
         gmsh.model.occ.dilate(solid_dim_tags, 0.0, 0.0, 0.0, mm_per_unit, mm_per_unit, mm_per_unit)
     gmsh.model.occ.synchronize()
@@ -256,8 +256,8 @@ def _find_names_and_face_tags(
         point_distances = pairwise_triangle_distances(np.array([point]), part_triangles)[0]
         if point_distances.min() > MAX_FACE_POINT_DISTANCE_RATIO * part_size:
             position_text = ", ".join(f"{1e-3 * coordinate:.4g}" for coordinate in point)
-            raise Refusal("geometry.faces", f"points on faces: ({position_text}) of {name} is"
-                          f" {point_distances.min():.3g} mm away from the nearest one")  # fmt: skip
+            raise Refusal("geometry.faces", f"points on faces; the point ({position_text}) m of"
+                          f" {name} is {point_distances.min():.3g} mm from the nearest")  # fmt: skip
         face_tags_by_name.setdefault(name, set()).add(triangle_faces[point_distances.argmin()])
     return face_tags_by_name.items()
 
@@ -333,13 +333,13 @@ def insert_cracks(
                 part_triangles
             )
             problem = (
-                f"misses the part{_describe_part_extent(crack, part_triangles)}"
+                f"the crack misses the part{_describe_part_extent(crack, part_triangles)}"
                 if not inner_dim_tags
-                else "lies in a face of it" if np.any(is_on_part_face)
-                else f"is in {len(inner_dim_tags)} pieces"
+                else "the crack lies in a face of the part" if np.any(is_on_part_face)
+                else f"the crack is in {len(inner_dim_tags)} pieces"
             )  # fmt: skip
             raise Refusal(f"{crack['key']}.point", f"such that the crack is one surface inside the"
-                          f" part: it {problem}")  # fmt: skip
+                          f" part; {problem}")  # fmt: skip
         crack_face_dim_tags += inner_dim_tags
     fragments, children = (
         occ.fragment(solid_dim_tags, crack_face_dim_tags)
@@ -369,7 +369,7 @@ def insert_cracks(
         [*enumerate(cracks_rims_and_fronts)]
     ):
         if len(surface_dim_tags) != 1 or any(rim & other_rim for other_rim in rims[:crack_index]):
-            requirement = "such that the crack crosses and touches no other one"
+            requirement = "such that the crack neither crosses nor touches another crack"
             raise Refusal(f"{crack['key']}.point", requirement)
         if len(part_triangles):
             _check_crack_is_inside(crack, surface_dim_tags[0][1], front, part_triangles)
@@ -385,7 +385,7 @@ def _describe_part_extent(crack: CrackData, part_triangles: np.ndarray) -> str:
     )
     middle_read_as_mm = 1e-3 * np.array(crack["middle"])
     unit_hint = (
-        "; in mm?"
+        "; give the point in m, not in mm"
         if np.any(middle_read_as_mm)
         and np.all((start <= middle_read_as_mm) & (middle_read_as_mm <= end))
         else ""
@@ -487,8 +487,10 @@ def _check_crack_is_inside(
         or pairwise_triangle_distances(centre, part_triangles).min()
         < MIN_LIGAMENT_IN_ELEMENTS * shortest_length
     ):
-        problem = "lies in a face of it" if front["curves"] else "has no front in it"
-        raise Refusal(key, f"such that the crack is inside the part: it {problem}")
+        problem = (
+            "lies in a face of the part" if front["curves"] else "has no front inside the part"
+        )
+        raise Refusal(key, f"such that the crack is inside the part; the crack {problem}")
     points, end_points = front["points"], front["ends"]
     distances_to_nearest_end = np.linalg.norm(points[:, None] - end_points, axis=2).min(
         axis=1, initial=np.inf
@@ -496,8 +498,8 @@ def _check_crack_is_inside(
     points_off_ends = points[distances_to_nearest_end > 2.0 * shortest_length]
     ligament = pairwise_triangle_distances(points_off_ends, part_triangles).min(initial=np.inf)
     if ligament < MIN_LIGAMENT_IN_ELEMENTS * shortest_length:
-        raise Refusal(key, "farther from the surface: of its front some is"
-                      f" {ligament / shortest_length:.2g} of an element away")  # fmt: skip
+        raise Refusal(key, "farther from the surface: a part of the crack front is only"
+                      f" {ligament / shortest_length:.2g} element lengths away")  # fmt: skip
 
 
 def estimate_bulk_and_front_cells(size: float, fronts: list[FrontData]) -> tuple[float, float]:
