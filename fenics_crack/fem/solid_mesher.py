@@ -256,8 +256,11 @@ def _find_names_and_face_tags(
         point_distances = pairwise_triangle_distances(np.array([point]), part_triangles)[0]
         if point_distances.min() > MAX_FACE_POINT_DISTANCE_RATIO * part_size:
             position_text = ", ".join(f"{1e-3 * coordinate:.4g}" for coordinate in point)
-            raise Refusal("geometry.faces", f"points on faces; the point ({position_text}) m of"
-                          f" {name} is {point_distances.min():.3g} mm from the nearest")  # fmt: skip
+            requirement = (
+                f"points on faces; the point ({position_text}) m of {name} is"
+                f" {point_distances.min():.3g} mm away from the nearest face"
+            )
+            raise Refusal("geometry.faces", requirement)
         face_tags_by_name.setdefault(name, set()).add(triangle_faces[point_distances.argmin()])
     return face_tags_by_name.items()
 
