@@ -225,7 +225,7 @@ TABLE = [
     ("curve scene.toml curve=none", "curve is missing: give a table [curve] with start, stop, which this command, as a table [curve]"),
     ("curve scene.toml crack=none", "crack is missing: give a table [crack], which this command needs"),
     ("curve scene.toml contact.law=unilateral contact.stiffness=none", "contact.law = 'unilateral': must be 'penalty' or 'smoothed', or used with reduction.method = 'massless', for a curve"),
-    ("curve scene.toml curve.parameter=load curve.start=-1 curve.stop=1", "curve.start, curve.stop = (-1.0, 1.0): must be both of one sign: without clearance nothing is left of the motion at 0"),
+    ("curve scene.toml curve.parameter=load curve.start=-1 curve.stop=1", "curve.start, curve.stop = (-1.0, 1.0): must be both > 0 or both < 0, as without clearance the motion vanishes at 0"),
     ("curve scene.toml curve.parameter=damping curve.start=-1", "curve.start = -1.0: must be a finite number >= 0"),
     ("curve scene.toml curve.parameter=stiffness curve.start=0", "curve.start = 0.0: must be a number > 0 with curve.parameter = 'stiffness'"),
     ("integrate scene.toml crack=none", "crack is missing: give a table [crack], which this command needs"),

@@ -173,7 +173,7 @@ def find_branch_start_point(
     branch_words = (
         f"branch from {bifurcation_kind} at {system.parameter_name} = {system.value(parameter):g}"
     )
-    raise ConvergenceError(f"{branch_words}: no point of another branch was found next to it")
+    raise ConvergenceError(f"{branch_words}: no point of the other branch was found nearby")
 
 
 def _branch_tangent(

@@ -100,7 +100,7 @@ class Peak(Described, LargestResponse):
         if self.at_end:
             damping_words = RISING_AT_END_TEXT
         elif math.isnan(self.damping):
-            damping_words = "the load's own harmonic has no half-power width"
+            damping_words = "damping unknown: no half-power width at the load frequency"
         error_words = f"error {self.error:.2g}"
         if not math.isnan(self.omega_error):
             error_words += f", of the frequency {self.omega_error:.2g}"

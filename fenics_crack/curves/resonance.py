@@ -138,13 +138,12 @@ def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
     """
     if problem.has_friction or not is_unilateral(problem.contact) or problem.subharmonic != 1:
         contact_requirement = (
-            "the penalty law or the constraint, without friction, and subharmonic = 1,"
+            "UnilateralPenalty or UnilateralConstraint without friction, with subharmonic = 1,"
             " for a phase resonance"
         )
         raise InputError("contact", problem.contact, contact_requirement)
-    load_requirement = "one that moves a damped mode"
     if not all_modes(problem.structure).damping.any():
-        raise InputError("load", "no damped mode answers to it", load_requirement)
+        raise InputError("damping", 0.0, "> 0, as it limits the amplitude at resonance")
     start_omega = from_omega * (1.0 - MIN_RESOLVED_DISTANCE)  # a linear phase is then not 0
     equations = BalanceAlongFrequency(problem, start_omega, 0.5 * start_omega)
     start_unknown = Solver(equations.problem_at(start_omega)).solve().slow_gap_coefficients
@@ -160,7 +159,8 @@ def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
     )
     complex_work = exciting_harmonic.complex_work(contact_point)
     if not abs(complex_work.imag) > MAX_LOCATION_RESIDUAL * abs(complex_work):
-        raise InputError("load", "no damped mode answers to it", load_requirement)
+        load_requirement = "a load that excites a mode whose damping is not almost 0"
+        raise InputError("load", float(abs(problem.structure.force).max()), load_requirement)
 
     def phase_cosine(path_point: PathPoint) -> float:
         complex_work = exciting_harmonic.complex_work(
@@ -175,7 +175,9 @@ def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
         equations, start_path_point, PATH_TO_RESONANCE_OPTIONS, [_PhaseResonanceEvent(phase_cosine)]
     ).find_terminal_point_or_none()
     if resonance_path_point is None:
-        raise ConvergenceError(f"resonance: not met by the response from {from_omega:.6g} rad/s on")
+        raise ConvergenceError(
+            f"no resonance was found on the curve from {from_omega:.6g} rad/s on"
+        )
     problem = replace(equations.problem, omega=equations.value(resonance_path_point.parameter))
     resonance_system = ResonanceSystem(
         problem,
@@ -275,7 +277,7 @@ def _find_order_crossing_and_resonance_rate(
         )
         resonance_rate = (point.omega - omega) / order / (next_speed - speed)
         speed, omega = next_speed, point.omega
-    raise ConvergenceError(f"resonance: its order does not meet it next to {speed:.6g} rad/s")
+    raise ConvergenceError(f"the engine order meets no resonance near the speed {speed:.6g} rad/s")
 
 
 def _small_problem_and_start_omega(
@@ -464,6 +466,8 @@ def follow_resonance(
     )
     if n_multimode_points:
         point_count_text = f"{n_multimode_points} of {format_count(len(curve), 'point')}"
-        remark = f"at {point_count_text} several modes answer together"
+        remark = (
+            f"at {point_count_text} several modes answer together: another response may be larger"
+        )
         curve = replace(curve, status=f"{curve.status}; {remark}")
     return curve

@@ -159,7 +159,7 @@ def find_attractor(
                     last_state,
                 )
     description = "does not settle: " + describe_closest_return(
-        states_at_periods, orbit_equations.subharmonic, "it"
+        states_at_periods, orbit_equations.subharmonic, "the motion"
     )
     return Attractor(
         None,

@@ -79,6 +79,10 @@ COMPARED_STEP_GMRES_TOLERANCE = 0.25
 """Relative residual of GMRES for a step that is only compared with another step."""
 MULTIPLIER_TOLERANCE = 1e-6
 """Accuracy of Floquet multipliers. A smaller ||mu| - 1| is inconclusive."""
+NEUTRAL_MULTIPLIER_TEXT = (
+    "the largest Floquet multiplier has modulus 1 within its accuracy: a bifurcation, or no damping"
+)
+"""Reason for undecided stability if the largest ||mu| - 1| is inconclusive."""
 INSTANTS_PER_BLOCK = 2048
 """Instants with sines and cosines in memory together."""
 INSTANTS_PER_PERIOD = 512
@@ -749,10 +753,10 @@ def find_orbit(
             return None
     except (ConvergenceError, np.linalg.LinAlgError, ValueError) as error:
         if failure_reasons is not None and isinstance(error, BudgetError):
-            budget_text = f"its budget of {search.allowed_taylor_pieces:,} pieces"
+            budget_text = f"its limit of {search.allowed_taylor_pieces:,} Taylor series"
             failure_reasons.append(
                 f"the search for an exact orbit ended at {budget_text}; use fewer pairs"
-                " (mesh.patches) or modes"
+                " (mesh.patches) or fewer modes"
             )
         return None
     orbit = PeriodicOrbit(

@@ -826,7 +826,7 @@ def test_begins_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(continuation, "search_initial_orbit", lost)
     catch_error(
         lambda: fc.continue_frequency(expected_curve.structure, 0.6, 0.9, STOP, tolerance=1e-2),
-        names=r"no exact orbit at 0.6 rad/s: lost",
+        names=r"no exact orbit was found at 0.6 rad/s: lost",
         kind=fc.ConvergenceError,
     )
 
