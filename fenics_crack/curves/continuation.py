@@ -390,9 +390,7 @@ class Continuation(GrowingCurve):
         **steps: Unpack[StepOptions],
     ) -> None:
         if parameter == "resonance":
-            raise InputError(
-                "parameter", parameter, "another parameter: use follow_resonance for this one"
-            )
+            raise InputError("parameter", parameter, "another parameter: use follow_resonance")
         step_limits = StepLimits(**steps)
         fit_argument_to_annotation("problem", problem, "Problem", ("Problem",))
         fit_argument_to_annotation("stability", stability, "bool", ())
@@ -403,9 +401,7 @@ class Continuation(GrowingCurve):
         if problem.samples is not None:
             check_count("samples", problem.samples, 4 * problem.harmonics + 1)
             if tolerance is not None:
-                raise InputError(
-                    "samples", problem.samples, "left out with a tolerance; give one of the two"
-                )
+                raise InputError("samples", problem.samples, "left out with a tolerance")
         check_range(problem, parameter, start, end)
         if 0.0 < start < end and parameter in ("omega", "damping", "speed"):  # may not reach 0
             allowed_return_fraction = min(step_limits.turning_back, 0.9 * start / (end - start))

@@ -634,8 +634,7 @@ def split_cracks(
     is_split[_front_edges_or_tips(crack_facets[:, :n_corners], outer_facets)] = False
     facet_labels = label_connected_rows(crack_corners)
     unsplit_labels = np.setdiff1d(facet_labels, facet_labels[is_split[crack_corners].any(axis=1)])
-    requirement = "a finer mesh, with nodes of the crack that are not on the crack front"
-    check_mesh(not len(unsplit_labels), "all nodes of a crack on its front", requirement)
+    check_mesh(not len(unsplit_labels), "all nodes of a crack on its front", "a finer mesh")
 
     # Each crack facet has two sides. Sides are connected if they share a star, the set of cells
     # around a node that is not cut by the crack.

@@ -352,7 +352,9 @@ def _read_ansys(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
             raise ValueError(reason) from None
     if other_type_numbers and not cells:
         types_text = ", ".join(map(str, sorted(other_type_numbers)))
-        raise ValueError(f"none of its elements (types {types_text}) is a solid that is read")
+        raise ValueError(
+            f"none of its elements (types {types_text}) is a solid element that is read"
+        )
 
 
 READERS_BY_ENDING: dict[str, Callable[[Path, NodePositions, CellLabels], None]] = {
