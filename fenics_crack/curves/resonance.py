@@ -138,7 +138,7 @@ def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
     """
     if problem.has_friction or not is_unilateral(problem.contact) or problem.subharmonic != 1:
         contact_requirement = (
-            "UnilateralPenalty or UnilateralConstraint without friction, with subharmonic = 1,"
+            "of the law 'penalty' or 'unilateral', without friction and with subharmonic = 1,"
             " for a phase resonance"
         )
         raise InputError("contact", problem.contact, contact_requirement)

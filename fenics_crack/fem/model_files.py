@@ -341,9 +341,7 @@ def _read_ansys(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
                         )
                     node_labels = []
         except (ValueError, KeyError, IndexError) as error:
-            requirement = (
-                "a node without rotation angles or a whole tetrahedron or brick, as CDWRITE writes"
-            )
+            requirement = "a node without rotation angles, or a whole tetrahedron or brick"
             reason = (
                 str(error)
                 if "line" in str(error)

@@ -433,7 +433,7 @@ def test_no_branch_of_twice_the_period_from_a_fold(stop: Continuation) -> None:
     fold = curve.bifurcation("period_doubling", 0.6, 0.6, curve.points[0])
     catch_error(
         lambda: find_branch_start_point(doubled_family, fold, 0.05),
-        names="another branch",
+        names="the other branch",
         kind=fc.ConvergenceError,
     )
 

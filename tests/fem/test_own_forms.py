@@ -298,7 +298,7 @@ def test_refused() -> None:
         ("space", {"space": vectors(mesh, 3)}, "order 1 or 2"),
         ("space", {"space": compat.function_space(mesh, 1, vectors=False)}, "order 1 or 2"),
         ("space", {"space": space.sub(0)}, "order 1 or 2"),
-        ("stiffness", {"space": vectors(solid, 1)}, "2 arguments, 0 of them"),
+        ("stiffness", {"space": vectors(solid, 1)}, "2 test and trial functions, 0 of them"),
         ("stiffness", {"stiffness": 1.0}, "= 'float'"),
         ("stiffness", {"stiffness": x}, "1 arguments, 1 of them"),
         ("stiffness", {"stiffness": -1.0 * stiffness}, "negative eigenvalue"),
