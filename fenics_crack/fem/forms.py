@@ -168,8 +168,10 @@ def _assemble_parts_and_places(
 
 def _check_space(space: Any) -> None:
     """Raise InputError unless a structure can have displacements in a space."""
-    requirement = "a vector-valued Lagrange space of order 1 or 2, not a subspace, with a component"
-    requirement += " for each dimension of the mesh (of a plate gdim = 2)"
+    requirement = (
+        "a vector-valued Lagrange space of order 1 or 2, not a subspace, with a component"
+        " for each dimension of the mesh (of a plate gdim = 2)"
+    )
     with report_read_errors("space", type(space).__name__, requirement):
         mesh, element = space.mesh, space.ufl_element()
         is_usable = (
@@ -207,8 +209,10 @@ def _make_part_mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMe
     """
     if crack is None:
         return PartMesh(mesh, None, {}, {}, ())
-    requirement = "(facet_tags, lower, upper): facet tags of the space's mesh, and the tags of both"
-    requirement += " crack faces"
+    requirement = (
+        "(facet_tags, lower, upper): facet tags of the space's mesh, and the tags of both"
+        " crack faces"
+    )
     with report_read_errors("crack", type(crack).__name__, requirement):
         facet_tags, *lower_and_upper_tags = crack
         lower_tag, upper_tag = map(index, lower_and_upper_tags)
@@ -267,8 +271,7 @@ def _find_corner_numbers_and_positions(
             f"{n_facets} facets of tag {part_mesh.tags_by_group[face_name][0]}, {n_inner} of them"
             " inside the mesh"
         )
-        requirement = "two tags of boundary facets, which have a cell on one side only"
-        raise InputError("crack", problem, requirement)
+        raise InputError("crack", problem, "two tags of boundary facets, with a cell on one side")
     numbers = mesh.geometry.index_map().local_to_global(corners.ravel().astype(np.int32))
     positions = mesh.geometry.x[corners][..., : topology.dim]
     return gather_rows(comm, np.reshape(numbers, corners.shape)), gather_rows(comm, positions)

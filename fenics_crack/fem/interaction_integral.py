@@ -156,8 +156,10 @@ def _check_tips_are_resolved(scene: Scene, tips: list[Tip], face_points: np.ndar
         clearance = tip.domain_radius / RADIUS_TO_CLEARANCE
         problem = f"{tip.name}, {clearance:.3g} m from an edge, a bend or another crack"
         required_clearance = element_length / RADIUS_TO_CLEARANCE
-        requirement = f"a tip at least {required_clearance:.3g} m away, for stress intensities; or"
-        requirement += " use shorter elements along the crack"
+        requirement = (
+            f"a tip at least {required_clearance:.3g} m away, for stress intensities; or"
+            " use shorter elements along the crack"
+        )
         raise InputError("crack", problem, requirement)
 
 

@@ -185,8 +185,9 @@ def _read_matrices_columns_and_model(
     for name, labelled_matrix in (
         labelled_matrix_by_name.items() if labelled_stiffness.labels is not None else ()
     ):
-        requirement = "a matrix with the same dofs as structure.stiffness"
-        with report_read_errors(name, getattr(table, name), requirement):
+        with report_read_errors(
+            name, getattr(table, name), "a matrix with the same dofs as structure.stiffness"
+        ):
             labelled_matrix_by_name[name] = LabelledMatrix(
                 labelled_matrix.with_rows_of(labelled_stiffness), labelled_stiffness.labels
             )
@@ -203,8 +204,9 @@ def _read_matrices_columns_and_model(
         requirement = "positive definite; give each row a mass > 0, or condense rows without mass"
         raise InputError("mass", f"no mass at {place_text}", requirement)
     if table.model is not None:
-        requirement = "the input file of the program that wrote the matrices"
-        with report_read_errors("model", table.model, requirement):
+        with report_read_errors(
+            "model", table.model, "the input file of the program that wrote the matrices"
+        ):
             model = read_model(Path(table.model))
     path_by_name = {
         name: path for name in ROW_FILE_KEYS if (path := getattr(table, name)) is not None
@@ -531,8 +533,8 @@ class _TwinNodes:
             place_text += f", one of them is node {model.labels[worst_node]}"
             requirement = (
                 "a model with two nodes at each place of a crack, as cracks neither branch"
+                " nor cross"
             )
-            requirement += " nor cross"
             raise InputError("model", f"more than two nodes at {place_text}", requirement)
         if not len(self.first_nodes):
             problem = (

@@ -261,8 +261,10 @@ def _select_cells(
         is_flat = len(positions) > 0 and np.ptp(positions[:, 2]) == 0.0
         check_mesh(is_flat, "no plane mesh", "a plane mesh, with the same z at every node")
     cell_kinds = {kind for group_dimension, _, _, kind, _ in groups if group_dimension == dimension}
-    requirement = "a mesh of tetrahedra, or of hexahedra with 27 nodes: with 20 nodes,"
-    requirement += " a unit pressure would give negative forces at the corners"
+    requirement = (
+        "a mesh of tetrahedra, or of hexahedra with 27 nodes: with 20 nodes,"
+        " a unit pressure would give negative forces at the corners"
+    )
     check_mesh(cell_kinds.isdisjoint((17, 29)), "hexahedra with 20 nodes", requirement)
     is_one_cell_kind = (
         len(cell_kinds) == 1 and cell_kinds <= _FACET_KIND_BY_CELL_KIND[dimension].keys()
@@ -693,9 +695,11 @@ def check_parts_do_not_overlap(
             kind, cells.n_corners, cell_positions[near_cell_index], points[near_point_index]
         )
     ):
-        requirement = "a mesh whose cells share nodes where they touch (gmsh: BooleanFragments or"
-        requirement += " Coherence Mesh), except at the faces of named cracks"
-        requirement += " ('crack', or 'lower_lip' and 'upper_lip')"
+        requirement = (
+            "a mesh whose cells share nodes where they touch (gmsh: BooleanFragments or"
+            " Coherence Mesh), except at the faces of named cracks"
+            " ('crack', or 'lower_lip' and 'upper_lip')"
+        )
         problem = "cells that overlap, or touch without a node of both,"
         raise _mesh_error(problem, points[near_point_index[is_covered][0]], requirement)
 

@@ -42,8 +42,8 @@ def clearance_of(scene: Scene, pairs: Pairs) -> np.ndarray:
     if n_cracks and len(crack_clearances) != n_cracks:
         requirement = (
             f"[crack] alone, for all cracks, or one table for each of the {n_cracks} cracks of the"
+            " mesh file, from bottom to top: first [crack], then [[cracks]]"
         )
-        requirement += " mesh file, from bottom to top: first [crack], then [[cracks]]"
         raise InputError("cracks", f"{len(crack_clearances)} tables with [crack]", requirement)
     return np.asarray(crack_clearances[pairs.cracks % len(crack_clearances)])
 

@@ -332,7 +332,7 @@ def test_refused() -> None:
             r"'\d lower and \d upper nodes'",
         ),
         ("thickness", {"thickness": 0.0}, "> 0"),
-        ("clearance", {"clearance": [1.0]}, " 4$"),
+        ("clearance", {"clearance": [1.0]}, " 4 with"),
     ]
     for key, change, names in cases:
         arguments = {"space": space} | valid_forms | options | change
