@@ -259,4 +259,6 @@ with tempfile.TemporaryDirectory() as folder:
     except fc.InputError as error:
         print(error)
 """
-    assert fresh(program) == "structure = 'made from matrices': must be made from a mesh"
+    assert (
+        fresh(program) == "structure = 'made from matrices': must be a structure made from a mesh"
+    )

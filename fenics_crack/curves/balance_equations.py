@@ -61,7 +61,9 @@ class BalanceEquations(CurveSystem):
         if problem.static_above is None:
             problem = problem.with_common_cutoff(self._common_cutoff(problem, start, end))
         if problem.has_projected_constraint:
-            contact_requirement = 'a penalty, or a structure of reduce_structure(method="massless")'
+            contact_requirement = (
+                "UnilateralPenalty; or reduce_structure(structure, method='massless')"
+            )
             raise InputError("contact", problem.contact, contact_requirement)
         self.problem, self.start, self.end = problem, start, end
         self._unvaried_compliance_model = ModalCompliance(
@@ -318,7 +320,7 @@ class BalanceAlongLoadFactor(_BalanceOfVariedStructure):
         super().check_value(structure, key, value)
         if structure.whole.rotation is not None:
             parameter_requirement = (
-                "another one: the structure rotates, and its mean load is partly centrifugal"
+                "another parameter, as the mean load includes the centrifugal force of rotation"
             )
             raise InputError("parameter", "load", parameter_requirement)
 
@@ -332,7 +334,9 @@ class BalanceAlongDampingFactor(_BalanceOfVariedStructure):
     def check_value(cls, structure: Structure, key: str, value: float) -> None:
         check_number(key, value, 0.0)
         if structure.damping is None:
-            raise InputError("parameter", "damping", "another one: the structure has no damping")
+            raise InputError(
+                "parameter", "damping", "another parameter: the structure has no damping"
+            )
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
         damping_factor_and_change = (self.start, self.end - self.start)
@@ -385,7 +389,7 @@ class BalanceAlongFrictionFactor(BalanceEquations):
     def vary_problem(cls, problem: Problem, value: float) -> Problem:
         unvaried_friction_law = friction_of(problem.contact)
         if unvaried_friction_law is None:
-            raise InputError("parameter", "friction", "another one: the law has no friction")
+            raise InputError("parameter", "friction", "another parameter: this law has no friction")
         friction_coefficient = np.multiply(value, unvaried_friction_law.coefficient)
         return replace(
             problem, contact=replace(unvaried_friction_law, coefficient=friction_coefficient)
@@ -460,7 +464,7 @@ def as_run_up_structure(structure: Structure) -> RunUpStructure:
     Such a structure comes from :func:`fenics_crack.run_up_structure`.
     """
     if not isinstance(structure, RunUpStructure):
-        requirement = "one of run_up_structure(structure, start, stop, modes)"
+        requirement = "a structure as fc.run_up_structure(structure, start, stop, modes) returns"
         raise InputError("structure", repr(structure), requirement)
     return structure
 

@@ -178,7 +178,7 @@ def find_branch_start_point(
         f"branch from {bifurcation_kind} at {system.parameter_name}"
         f" = {system.value(bifurcation_parameter):g}"
     )
-    raise ConvergenceError(f"{branch_text}: no point of another branch was found next to it")
+    raise ConvergenceError(f"{branch_text}: no point of the other branch was found nearby")
 
 
 def _branch_tangent(

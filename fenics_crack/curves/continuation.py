@@ -412,7 +412,7 @@ class Continuation(GrowingCurve):
         **steps: Unpack[StepLimitsKeywords],
     ) -> None:
         if parameter == "resonance":
-            raise InputError("parameter", parameter, "another one: follow_resonance follows it")
+            raise InputError("parameter", parameter, "another parameter: use follow_resonance")
         step_limits = StepLimits(**steps)
         fit_argument_to_annotation("problem", problem, "Problem", ("Problem",))
         fit_argument_to_annotation("stability", stability, "bool", ())
@@ -423,7 +423,7 @@ class Continuation(GrowingCurve):
         if problem.samples is not None:
             check_count("samples", problem.samples, 4 * problem.harmonics + 1)
             if tolerance is not None:
-                raise InputError("samples", problem.samples, "left out where a tolerance is given")
+                raise InputError("samples", problem.samples, "left out with a tolerance")
         check_range(problem, parameter, start, end)
         if 0.0 < start < end and parameter in ("omega", "damping", "speed"):  # may not reach 0
             allowed_return_fraction = min(step_limits.turning_back, 0.9 * start / (end - start))
@@ -539,14 +539,16 @@ def check_range(problem: Problem, parameter: str, start: float, end: float) -> N
     structure = problem.structure
     check_choice("parameter", parameter, EQUATIONS_CLASS_BY_PARAMETER)
     if is_rigid(problem.contact) and parameter == "stiffness":
-        raise InputError("parameter", parameter, "another one: a rigid contact has no stiffness")
+        raise InputError(
+            "parameter", parameter, "another parameter: rigid contact has no stiffness"
+        )
     end_keys = ("omega_start", "omega_end") if parameter == "omega" else ("start", "end")
     for end_key, value in zip(end_keys, (start, end), strict=True):
         EQUATIONS_CLASS_BY_PARAMETER[parameter].check_value(structure, end_key, value)
     if start == end:
         raise InputError(end_keys[1], end, f"different from {end_keys[0]}")
     if parameter == "load" and start * end <= 0.0 and not np.any(structure.clearance):
-        requirement = "both of one sign: without clearance nothing is left of the motion at 0"
+        requirement = "both > 0 or both < 0, as without clearance the motion vanishes at 0"
         raise InputError("start, end", (start, end), requirement)
 
 
@@ -564,9 +566,11 @@ def _find_start_orbit(
         check_initial(problem, initial)
     search_result = search_initial_orbit(problem, initial)
     if search_result.orbit is None:
-        failure_words = f"no exact orbit at {problem.omega:g} rad/s: {search_result.outcome_text}"
+        failure_words = (
+            f"no exact orbit was found at {problem.omega:g} rad/s: {search_result.outcome_text}"
+        )
         advice_words = (
-            "with harmonics in place of a tolerance the curve of harmonic balance is followed"
+            "give harmonics instead of a tolerance to follow the curve by harmonic balance"
         )
         raise ConvergenceError(f"{failure_words}; {advice_words}")
     return search_result.orbit

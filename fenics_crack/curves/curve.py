@@ -48,6 +48,7 @@ from fenics_crack.motion.flow import ContactFlow, exact_flow_or_none
 from fenics_crack.motion.motions import ObservedMotion, Record
 from fenics_crack.motion.orbit import (
     MULTIPLIER_TOLERANCE,
+    NEUTRAL_MULTIPLIER_TEXT,
     OBSERVED_HARMONICS,
     PeriodicOrbit,
     orbit_through_state,
@@ -372,7 +373,11 @@ class ResponseCurve(ObservedMotion, Tabular):
         Raises InputError for a harmonic-balance curve.
         """
         if not isinstance(self.system, OrbitEquations):
-            raise InputError("curve", self.method, "one of exact orbits")
+            raise InputError(
+                "curve",
+                self.method,
+                "a curve of exact orbits, followed with a tolerance and without harmonics",
+            )
         flow, omega = self.system.flow(float(self.values[index])), float(self.omega[index])
         iterations = int(self.iterations[index])
         return orbit_through_state(flow, omega, self.points[index], self.subharmonic, iterations)
@@ -470,8 +475,8 @@ class ResponseCurve(ObservedMotion, Tabular):
         """
         if self.multipliers is None:
             raise AttributeError(
-                "stability: unknown of a curve followed with stability = False; "
-                "fc.judge_curve(curve) returns the curve with it"
+                "the stability is not known, as the curve was followed with stability = False; "
+                "fc.judge_curve(curve) returns the curve with its stability"
             )
         return np.asarray(np.abs(self.multipliers) < 1.0 - MULTIPLIER_TOLERANCE)
 
@@ -501,10 +506,10 @@ class ResponseCurve(ObservedMotion, Tabular):
         if self.undecided is None or not self.undecided[index]:
             return ""
         if self.exact:
-            return "its largest multiplier is 1 to its accuracy"
+            return NEUTRAL_MULTIPLIER_TEXT
         if self.undecided.all():
-            return "no exact orbit is accepted for any point of the curve"
-        return self.assessment(index).rejection_reason or "its largest multiplier is 1 to rounding"
+            return "no exact orbit was found that is close enough to any point of the curve"
+        return self.assessment(index).rejection_reason or NEUTRAL_MULTIPLIER_TEXT
 
     @property
     def resolution(self) -> float:

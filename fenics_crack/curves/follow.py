@@ -183,7 +183,9 @@ def continue_parameter(
     )
     error_tolerance = remaining_options.get("tolerance")
     if error_tolerance is not None and harmonics is not None:
-        raise InputError("tolerance", error_tolerance, "left out where harmonics are given")
+        raise InputError(
+            "tolerance", error_tolerance, "left out with harmonics; give one of the two"
+        )
     if error_tolerance is not None and not is_small(structure):
         structure = reduce_structure(structure, method="massless")
     subharmonic = 1 if subharmonic is None else subharmonic
@@ -267,7 +269,7 @@ def _find_other_curve(
             curve = growing_curve.unjudged_curve
             start_solution = curve.orbit(-1) if curve.exact else curve.solution(-1)
         else:
-            growing_curve.status += ", not by the first solution found at its start"
+            growing_curve.status += ", not by the first solution found at the start"
             return growing_curve
     return None
 
@@ -324,11 +326,15 @@ def follow_branch(
     check_options("follow_branch", options, CurveOptions.__annotations__)
     for key in ("harmonics", "samples", "subharmonic", "initial", "tolerance"):
         if key in options:
-            raise InputError(key, options.get(key), "left out: it follows from the curve")
+            raise InputError(key, options.get(key), "left out; the value of the curve is used")
     start = float(curve.values.min()) if start is None else start
     end = float(curve.values.max()) if end is None else end
     if not min(start, end) < bifurcation.value < max(start, end):
-        raise InputError("start, end", (start, end), f"on either side of {bifurcation.value:g}")
+        raise InputError(
+            "start, end",
+            (start, end),
+            f"on either side of the bifurcation at {bifurcation.value:g}",
+        )
     period_factor = 2 if bifurcation.kind == "period_doubling" else 1
     branch_problem = replace(
         curve.problem,
@@ -373,7 +379,7 @@ def run_to_end(
             if find_other_curve is not None and growing_curve.has_returned:
                 other_growing_curve = find_other_curve(growing_curve)
                 if other_growing_curve is None and not growing_curve.complete:
-                    growing_curve.status += " (no other curve was met from its end on)"
+                    growing_curve.status += " (no other curve was found from the end on)"
                 growing_curve = other_growing_curve or growing_curve
         except ConvergenceError as error:
             growing_curve.status = str(error)
@@ -385,7 +391,7 @@ def run_to_end(
         curve_words = f"curve in {curve.parameter} from {curve.values[0]:g}"
         end_words = f"{curve.status} at {curve.values[-1]:g} after {len(curve)} points"
         raise ConvergenceError(
-            f"{curve_words}: {end_words}; they are the error's .found", found=curve
+            f"{curve_words}: {end_words}; the error's attribute found has this curve", found=curve
         )
     return curve
 

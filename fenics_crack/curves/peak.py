@@ -100,7 +100,7 @@ class Peak(Described, LargestResponse):
         if self.at_end:
             damping_text = RISING_AT_END_TEXT
         elif math.isnan(self.damping):
-            damping_text = "the load's own harmonic has no half-power width"
+            damping_text = "damping unknown: no half-power width at the load frequency"
         error_text = f"error {self.error:.2g}"
         if not math.isnan(self.omega_error):
             error_text += f", of the frequency {self.omega_error:.2g}"

@@ -145,13 +145,12 @@ def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
     """
     if problem.has_friction or not is_unilateral(problem.contact) or problem.subharmonic != 1:
         contact_requirement = (
-            "the penalty law or the constraint, without friction, and subharmonic = 1,"
+            "of the law 'penalty' or 'unilateral', without friction and with subharmonic = 1,"
             " for a phase resonance"
         )
         raise InputError("contact", problem.contact, contact_requirement)
-    load_requirement = "one that moves a damped mode"
     if not all_modes(problem.structure).damping.any():
-        raise InputError("load", "no damped mode answers to it", load_requirement)
+        raise InputError("damping", 0.0, "> 0, as it limits the amplitude at resonance")
     start_omega = from_omega * (1.0 - MIN_RESOLVED_DISTANCE)  # a linear phase is then not 0
     frequency_equations = BalanceAlongFrequency(problem, start_omega, 0.5 * start_omega)
     start_unknown = (
@@ -169,7 +168,8 @@ def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
     )
     complex_work = exciting_harmonic.complex_work(contact_point)
     if not abs(complex_work.imag) > MAX_LOCATION_RESIDUAL * abs(complex_work):
-        raise InputError("load", "no damped mode answers to it", load_requirement)
+        load_requirement = "a load that excites a mode whose damping is not almost 0"
+        raise InputError("load", float(abs(problem.structure.force).max()), load_requirement)
 
     def phase_cosine(path_point: PathPoint) -> float:
         complex_work = exciting_harmonic.complex_work(
@@ -187,7 +187,9 @@ def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
         [_PhaseResonanceEvent(phase_cosine)],
     ).find_terminal_point_or_none()
     if resonance_path_point is None:
-        raise ConvergenceError(f"resonance: not met by the response from {from_omega:.6g} rad/s on")
+        raise ConvergenceError(
+            f"no resonance was found on the curve from {from_omega:.6g} rad/s on"
+        )
     problem = replace(
         frequency_equations.problem, omega=frequency_equations.value(resonance_path_point.parameter)
     )
@@ -313,7 +315,7 @@ def _find_order_crossing_and_resonance_rate(
             (resonance_point.omega - resonance_omega) / engine_order / (next_speed - speed)
         )
         speed, resonance_omega = next_speed, resonance_point.omega
-    raise ConvergenceError(f"resonance: its order does not meet it next to {speed:.6g} rad/s")
+    raise ConvergenceError(f"the engine order meets no resonance near the speed {speed:.6g} rad/s")
 
 
 def _small_problem_and_start_omega(
@@ -513,6 +515,8 @@ def follow_resonance(
     )
     if n_multimode_points:
         point_count_text = f"{n_multimode_points} of {format_count(len(curve), 'point')}"
-        remark_text = f"at {point_count_text} several modes answer together"
+        remark_text = (
+            f"at {point_count_text} several modes answer together: another response may be larger"
+        )
         curve = replace(curve, status=f"{curve.status}; {remark_text}")
     return curve

@@ -57,6 +57,7 @@ from fenics_crack.motion.flow import exact_flow_or_error
 from fenics_crack.motion.orbit import (
     MAX_MODES_FOR_MONODROMY,
     MULTIPLIER_TOLERANCE,
+    NEUTRAL_MULTIPLIER_TEXT,
     PeriodicOrbit,
     eigenvalues,
     find_orbit,
@@ -135,7 +136,9 @@ def monodromy_of_linear_flow(
             float(np.linalg.norm(scaled_matrix)) for scaled_matrix in scaled_change_and_matrix
         )
     if not np.all(np.isfinite(extrapolated_matrix)):
-        raise ConvergenceError("linear flow: its steps cannot resolve the disturbances")
+        raise ConvergenceError(
+            "linear flow: the time steps are too long for the growth of disturbances"
+        )
     return extrapolated_matrix
 
 
@@ -247,7 +250,8 @@ def _assess_solution_with_law(
     law = solution.contact if contact is None else contact
     check_law(structure, law, allows_rigid=True)
     if solution.structure.n_dofs != structure.n_dofs:
-        raise InputError("solution", f"{solution.structure.n_dofs} dofs", "of this structure")
+        requirement = f"a solution with {structure.n_dofs} dofs, as the structure has"
+        raise InputError("solution", f"{solution.structure.n_dofs} dofs", requirement)
     return replace(solution, structure=structure, contact=law).assessment
 
 
@@ -321,8 +325,10 @@ def shoot(
         )
         orbit = reconverged_orbit or orbit
     if orbit is None or not orbit.residual <= tolerance:
-        residual_text = "" if orbit is None else f"; closest {orbit.residual:.1e}"
-        raise ConvergenceError(f"shooting: no periodic orbit near the solution{residual_text}")
+        residual_text = "" if orbit is None else f"; the smallest residual is {orbit.residual:.1e}"
+        raise ConvergenceError(
+            f"shooting: no periodic orbit was found near the solution{residual_text}"
+        )
     return orbit
 
 
@@ -420,9 +426,7 @@ def attractors(structure: Structure, solution: PeriodicSolution) -> tuple[Attrac
     solution_verdict = stability_of(assessment).verdict if can_form_monodromy else "no exact flow"
     nearest_orbit = assessment.nearest_orbit if can_form_monodromy else None
     if solution_verdict != "unstable" or nearest_orbit is None:
-        requirement = (
-            f"an unstable one by its exact orbit, of at most {MAX_MODES_FOR_MONODROMY} modes"
-        )
+        requirement = f"unstable, with an exact orbit of at most {MAX_MODES_FOR_MONODROMY} modes"
         raise InputError("solution", solution_verdict, requirement)
     orbit_equations = FlowOrbitEquations(
         nearest_orbit.flow, nearest_orbit.omega, nearest_orbit.state, nearest_orbit.subharmonic
@@ -504,7 +508,7 @@ def stability_of(assessment: Assessment) -> Stability:
         return Stability(multipliers, "undecided", np.nan, reason=assessment.rejection_reason)
     undecided_reason, largest_modulus = assessment.rejection_reason, abs(orbit.multipliers[0])
     if not undecided_reason and abs(largest_modulus - 1.0) <= MULTIPLIER_TOLERANCE:
-        undecided_reason = "its largest multiplier is 1 to rounding: a bifurcation, or no damping"
+        undecided_reason = NEUTRAL_MULTIPLIER_TEXT
     stability_verdict = (
         "undecided" if undecided_reason else "stable" if largest_modulus < 1.0 else "unstable"
     )
@@ -560,10 +564,11 @@ def _stability_by_linear_flow(
         undecided_reason = "the error of the solution is unknown"
     elif solution_error > LARGE_ERROR:
         undecided_reason = (
-            f"the truncated harmonics change it by {format_percent(solution_error)}; use more"
+            f"the truncated harmonics change the solution by {format_percent(solution_error)}; "
+            "use more harmonics"
         )
     elif abs(largest_modulus - 1.0) <= max(MULTIPLIER_TOLERANCE, multiplier_uncertainty):
-        undecided_reason = "its largest multiplier is 1 within its uncertainty"
+        undecided_reason = NEUTRAL_MULTIPLIER_TEXT
     stability_verdict = (
         "undecided" if undecided_reason else "stable" if largest_modulus < 1.0 else "unstable"
     )

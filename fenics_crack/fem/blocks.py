@@ -94,9 +94,9 @@ class _GradedFace:
             abs(tip_position - coarse_end_position) * relative_lengths[-1] / relative_lengths.sum()
         )
         if self.tip_element_length < MIN_RELATIVE_CELL_SIZE * max(plate_width, plate_height):
-            requirement = "smaller, for this crack: the element at its tip is only "
+            requirement = "smaller: the element at the tip of this crack would be only"
             raise InputError(
-                "mesh.grading", mesh.grading, f"{requirement}{self.tip_element_length:.1g} m"
+                "mesh.grading", mesh.grading, f"{requirement} {self.tip_element_length:.1g} m long"
             )
 
     def covers(self, start: float, stop: float) -> bool:
@@ -182,14 +182,14 @@ def check_cell_count(
     factor_bytes = estimate_factor_bytes(n_dofs, solid=scene.dimension == 3)
     assembled_bytes = 1500.0 * n_dofs  # bytes of mesh and matrices
     needed_bytes, machine_bytes = max(assembled_bytes, factor_bytes), machine_memory()
-    refusal_reason = f"{n_cells:.2g} are more than {allowed_cells:.0e}"
+    refusal_reason = f"{n_cells:.2g} cells are more than {allowed_cells:.0e}"
     if n_cells <= allowed_cells:
         memory_text = (
-            f"{needed_bytes / 2**30:.0f} GiB of this machine's {machine_bytes / 2**30:.3g}"
+            f"{needed_bytes / 2**30:.0f} GiB, but this machine has {machine_bytes / 2**30:.3g} GiB"
         )
-        refusal_reason = f"to solve {n_cells:.2g} takes about {memory_text}"
+        refusal_reason = f"to solve {n_cells:.2g} cells takes about {memory_text}"
     if n_cells > allowed_cells or needed_bytes > machine_bytes:
-        requirement = f"so that there are fewer cells{size_note}: {refusal_reason}"
+        requirement = f"such that the mesh has fewer cells{size_note}: {refusal_reason}"
         raise InputError(f"mesh.{mesh_key}", getattr(scene.mesh, mesh_key), requirement)
 
 
@@ -942,8 +942,8 @@ def meshing_refusal(scene: Scene, reason_text: str) -> InputError:
     )
     geometry_kind = scene.geometry.kind
     requirement = (
-        f"such that gmsh can mesh the {geometry_kind} ({reason_text}): not as small beside its"
-        " other sizes"
+        f"such that gmsh can mesh the {geometry_kind} ({reason_text}); choose it closer to the other"
+        f" other sizes of the {geometry_kind}"
     )
     return InputError(
         smallest_size_key, crack_size_by_key.get(smallest_size_key, scene.mesh.size), requirement

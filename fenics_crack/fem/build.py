@@ -435,7 +435,7 @@ def _match_face_nodes(
     n_front = int(is_front_node.sum())
     n_inside = len(lower_node_table) - n_front
     has_matching_faces = len(lower_node_table) == len(upper_node_table) and n_inside > 0
-    mismatch_reason = "one has more nodes than the other"
+    mismatch_reason = "one face has more nodes than the other"
     if has_matching_faces:
         distances_to_upper_nodes = [
             np.linalg.norm(upper_node_table[:, 2:] - lower_point, axis=1)
@@ -451,15 +451,15 @@ def _match_face_nodes(
             f"{coordinate:g}"
             for coordinate in lower_node_table[int(np.argmax(nearest_distances)), 2:]
         )
-        mismatch_reason = f"the upper node nearest to the lower one at ({position_text})"
+        mismatch_reason = f"the upper node nearest to the lower node at ({position_text}) m"
         mismatch_reason += f" is {nearest_distances.max():.2g} m away"
     if not has_matching_faces:
         problem_text = f"{n_inside} lower and {len(upper_node_table) - n_front} upper nodes"
-        advice_text = "in a mesh file one curve or surface named 'crack' is split into two that do"
-        requirement = "meshed identically, so that nodes of the two faces pair one to one"
-        raise InputError(
-            "lips", problem_text, f"{requirement}, but {mismatch_reason}; {advice_text}"
+        advice_text = (
+            "in a mesh file, name one curve or surface 'crack': it is split into both faces"
         )
+        requirement = f"crack faces with the same nodes, but {mismatch_reason}"
+        raise InputError("lips", problem_text, f"{requirement}; {advice_text}")
     return (
         lower_node_table,
         upper_node_table[upper_partner_indices],
@@ -558,7 +558,7 @@ def _assemble_structure_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure
         requirement = (
             f"a mesh with {group_kind_words} named 'crack', or 'lower_lip' and 'upper_lip'"
         )
-        requirement += ", as the scene has contact"
+        requirement += ", as the scene has [crack] or [contact]"
         raise InputError("mesh.file", scene.mesh.file, requirement)
     space = compat.function_space(part_mesh.mesh, scene.mesh.order)
     dofs = Dofs(part_mesh, space, comm)
@@ -683,7 +683,7 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     """
     crack, width = scene.crack, None if scene.structure else scene.geometry.width
     if crack is None or crack.first_omega is None or width is None:
-        raise InputError("crack.first_omega", None, "given: a finite number > 0")
+        raise InputError("crack.first_omega", None, "given: a finite number > 0 [rad/s]")
     tables_text = repr((scene.geometry, crack, scene.material, scene.mesh))
     if (known_length := comm.bcast(dict(_LAST_TABLES_AND_LENGTH).get(tables_text))) is not None:
         return float(known_length)
@@ -698,13 +698,13 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     available_width, width_words = width, "width"
     if crack.center is not None:
         available_width = 2.0 * min(crack.center, width - crack.center)
-        width_words = "room around its center"
+        width_words = "free width around crack.center"
     min_length, max_length = 0.01 * available_width, 0.95 * available_width
     max_omega = target_omega + excess_frequency(min_length)
     min_omega = target_omega + excess_frequency(max_length)
     if not min_omega <= target_omega <= max_omega:
         range_text = f"between {min_omega:.1f} and {max_omega:.1f} rad/s"
-        requirement = f"{range_text}: cracks of 95 % and 1 % of the {width_words}"
+        requirement = f"{range_text}, as for cracks of 95 % and 1 % of the {width_words}"
         raise InputError("crack.first_omega", target_omega, requirement)
     import scipy.optimize  # slow to import, and most scenes give a length
 

@@ -91,7 +91,7 @@ def model_to_mesh(model: Any, comm: MPI.Comm, dimension: int) -> tuple[Any, Any,
     # A thread of SCOTCH takes 8 MiB of stack, 128 MiB of heap and some more. Without this memory
     # SCOTCH aborts the program, or DOLFINx loops for ever.
     if comm.allreduce(remaining_address_space() < 150 * 2**20, MPI.LOR):
-        raise MemoryError("no room for a thread")
+        raise MemoryError("not enough memory for a thread of the mesh partitioner")
     # DOLFINx 0.5 tries a call that fails, and formats all arrays for an error that is discarded.
     with np.printoptions(threshold=0, edgeitems=1):
         mesh_data = gmshio.model_to_mesh(model, comm, 0, gdim=dimension)
@@ -247,18 +247,18 @@ def constrained_dof_mask(space: Any, conditions: Any) -> np.ndarray:
     n_dofs = space.dofmap.index_map.size_local * space.mesh.geometry.dim
     zero_start, one_start = start_values = np.array([[0.0], [1.0]]).repeat(n_dofs, axis=1)
     with report_read_errors(
-        "bcs", type(conditions).__name__, "Dirichlet conditions of zero on the space"
+        "bcs", type(conditions).__name__, "Dirichlet conditions of value 0 on the function space"
     ):
         conditions = list(conditions)
         if not all(
             cpp_space.contains(_cpp_object(condition.function_space)) for condition in conditions
         ):
-            raise ValueError("one is of another space")
+            raise ValueError("one is on another function space")
         for start_array in start_values:
             start_vector = PETSc.Vec().createWithArray(start_array, comm=MPI.COMM_SELF)
             dolfinx.fem.petsc.set_bc(start_vector, conditions)
         if np.any(zero_start):
-            raise ValueError("one holds at another value than zero")
+            raise ValueError("one has a value other than 0")
     return np.asarray(one_start == 0.0)
 
 

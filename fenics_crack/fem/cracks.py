@@ -409,7 +409,7 @@ def find_crack_paths(
     common_nodes = np.intersect1d(lower_edges, upper_edges)
     if len(common_nodes) == len(np.unique(lower_edges)):
         requirement = (
-            "different nodes in the same places but for the tips; or one curve named 'crack'"
+            "different nodes at the same places, except at the tips; or name one curve 'crack'"
         )
         raise InputError("lips", "the same nodes for 'lower_lip' and 'upper_lip'", requirement)
     crack_paths = []
@@ -441,7 +441,7 @@ def _yield_node_chains(
     for edge_node, n_node_edges in zip(edge_nodes, edge_counts, strict=True):
         if n_node_edges > 2 and edge_node not in tip_nodes:
             position_text = "({:g}, {:g})".format(*positions[edge_node])
-            requirement = "cracks that neither branch nor cross, as one of them does here"
+            requirement = "cracks that neither branch nor cross; draw each crack as a single line"
             raise InputError(
                 "lips", f"{n_node_edges} edges of a crack face at {position_text}", requirement
             )
@@ -644,14 +644,14 @@ def split_cracks(
         len(inner_facets) == len(crack_facets),
         f"{len(crack_facets) - len(inner_facets)} of the {len(crack_facets)} {facet_word}"
         " of cracks not between cells",
-        f"inside the structure, with a cell on either side of {facet_word}",
+        f"a mesh whose cracks are inside the structure, with a cell on either side of {facet_word}",
     )
     outer_facets = facets[cells.is_boundary_facet & is_crack_node[facets].any(axis=1)]
     is_split = is_crack_node.copy()
     is_split[_front_edges_or_tips(crack_facets[:, :n_corners], outer_facets)] = False
     facet_labels = label_connected_rows(crack_corners)
     unsplit_labels = np.setdiff1d(facet_labels, facet_labels[is_split[crack_corners].any(axis=1)])
-    check_mesh(not len(unsplit_labels), "all nodes of a crack on its front", "meshed more finely")
+    check_mesh(not len(unsplit_labels), "all nodes of a crack on its front", "a finer mesh")
 
     # Each crack facet has two sides. Sides are connected if they share a star, the set of cells
     # around a node that is not cut by the crack.
@@ -670,7 +670,7 @@ def split_cracks(
         and np.all(label_pairs[0] != label_pairs[1])
         and np.all(np.isin(star_labels[is_split_corner], side_corner_stars)),
         "not two sides everywhere along a crack",
-        "cracks that neither branch nor cross, and end at their fronts or at the boundary",
+        "a mesh whose cracks neither branch nor cross, and end inside or at the boundary",
     )
     side_corner_positions = np.tile(positions[crack_facets[:, :n_corners]], (2, 1, 1))
     outward_normals = _size_weighted_normals(side_corner_positions)
@@ -721,7 +721,7 @@ def _front_edges_or_tips(crack_facets: np.ndarray, boundary_facets: np.ndarray) 
         crack_facets.reshape(-1, 1) if n_corners == 2 else _edges_of_polygons(crack_facets)
     )
     edges_or_nodes, facet_counts = np.unique(edges_or_nodes, axis=0, return_counts=True)
-    requirement = "cracks that neither branch nor cross"
+    requirement = "a mesh whose cracks neither branch nor cross"
     check_mesh(np.all(facet_counts <= 2), "more than two sides of a crack meeting", requirement)
     rim_edges_or_nodes = edges_or_nodes[facet_counts == 1]
     # The four sorted corners of a quadrilateral are not in cyclic order: take all pairs.

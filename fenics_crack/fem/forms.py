@@ -118,7 +118,7 @@ def _assemble_parts_and_places(
     _check_space(space)
     check_number("thickness", thickness, 0.0, excludes_bound=True)
     with report_read_errors(
-        "loads", type(loads).__name__, "(mean, sin, cos), linear forms or None"
+        "loads", type(loads).__name__, "a tuple (mean, sin, cos), each a linear form or None"
     ):
         load_key_form_pairs = zip(LOAD_KEYS, (None,) * 3 if loads is None else loads, strict=True)
         forms_by_key = bilinear_forms | {
@@ -157,7 +157,7 @@ def _assemble_parts_and_places(
         )
     }
     for key, form in forms_by_key.items():
-        with report_read_errors(key, "a form", "one that DOLFINx can assemble"):
+        with report_read_errors(key, type(form).__name__, "a form that DOLFINx can assemble"):
             if key in bilinear_forms:
                 parts_by_name[key] = dofs.restrict_matrix(compat.assembled_petsc_matrix(form))
             else:
@@ -168,8 +168,11 @@ def _assemble_parts_and_places(
 
 def _check_space(space: Any) -> None:
     """Raise InputError unless a structure can have displacements in a space."""
-    requirement = "vectors of the mesh's dimension (of a plate gdim = 2), Lagrange of order 1 or 2"
-    with report_read_errors("space", type(space).__name__, f"{requirement}, whole"):
+    requirement = (
+        "a vector-valued Lagrange space of order 1 or 2, not a subspace, with a component"
+        " for each dimension of the mesh (of a plate gdim = 2)"
+    )
+    with report_read_errors("space", type(space).__name__, requirement):
         mesh, element = space.mesh, space.ufl_element()
         is_usable = (
             mesh.topology.cell_type.name in CELL_TYPE_NAMES
@@ -188,12 +191,14 @@ def _check_form(space: Any, key: str, form: Any, n_arguments: int) -> None:
     A linear form has one argument, a bilinear form two.
     """
     with report_read_errors(
-        key, type(form).__name__, f"a {'bi' * (n_arguments - 1)}linear form of UFL on the space"
+        key,
+        type(form).__name__,
+        f"a {'bi' * (n_arguments - 1)}linear form of UFL on the function space",
     ):
         is_on_space = [argument.ufl_function_space() == space for argument in form.arguments()]
         if len(is_on_space) != n_arguments or not all(is_on_space):
             raise ValueError(
-                f"it has {len(is_on_space)} arguments, {sum(is_on_space)} of them on the space"
+                f"test and trial functions: {len(is_on_space)}, on this space: {sum(is_on_space)}"
             )
 
 
@@ -204,12 +209,15 @@ def _make_part_mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMe
     """
     if crack is None:
         return PartMesh(mesh, None, {}, {}, ())
-    requirement = "(facet_tags, lower, upper): tags of facets of the space's mesh, and two of them"
+    requirement = (
+        "(facet_tags, lower, upper): facet tags of the space's mesh, and the tags of both"
+        " crack faces"
+    )
     with report_read_errors("crack", type(crack).__name__, requirement):
         facet_tags, *lower_and_upper_tags = crack
         lower_tag, upper_tag = map(index, lower_and_upper_tags)
         if lower_tag == upper_tag or not compat.are_facet_tags_of(facet_tags, mesh):
-            raise ValueError("of another mesh, of other entities, or one tag twice")
+            raise ValueError("facet_tags are not of facets of this mesh, or lower = upper")
     part_mesh = PartMesh(
         mesh,
         facet_tags,
@@ -263,7 +271,7 @@ def _find_corner_numbers_and_positions(
             f"{n_facets} facets of tag {part_mesh.tags_by_group[face_name][0]}, {n_inner} of them"
             " inside the mesh"
         )
-        raise InputError("crack", problem, "two faces of exterior facets, with a cell on one side")
+        raise InputError("crack", problem, "two tags of boundary facets, with a cell on one side")
     numbers = mesh.geometry.index_map().local_to_global(corners.ravel().astype(np.int32))
     positions = mesh.geometry.x[corners][..., : topology.dim]
     return gather_rows(comm, np.reshape(numbers, corners.shape)), gather_rows(comm, positions)

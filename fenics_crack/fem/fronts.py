@@ -554,7 +554,8 @@ def front_functionals(
     nodes, comm = structure.nodes, structure.comm
     assert nodes is not None
     if scene.mesh.order != 2 or comm.allreduce(nodes.cells.shape[1]) != 10 * comm.size:
-        raise InputError("mesh", "other cells", "tetrahedra of order 2, for stress intensities")
+        requirement = "a mesh of tetrahedra with mesh.order = 2, for stress intensities"
+        raise InputError("mesh", f"cells with {nodes.cells.shape[1]} nodes", requirement)
     points, cells = gather_rows(comm, nodes.points), gather_rows(comm, nodes.cells)
     stations: list[Station] = []
     displacement_rows_of_fronts: list[np.ndarray] = []
@@ -671,7 +672,8 @@ def _check_front_is_resolved(front: Front) -> None:
             f"{coordinate:.4g}" for coordinate in front.node_positions[worst_edge]
         )
         requirement = (
-            f"no longer than {allowed_edge_length:.3g} m along the front in ({position_text}) m"
+            f"elements of at most {allowed_edge_length:.3g} m along the crack front"
+            f" at ({position_text}) m; refine the mesh there"
         )
         raise InputError("mesh", f"elements of {edge_lengths[worst_edge]:.3g} m", requirement)
 

@@ -161,8 +161,10 @@ def _check_tips_are_resolved(scene: Scene, tips: list[Tip], face_points: np.ndar
         tip_clearance = tip.domain_radius / RADIUS_TO_CLEARANCE
         problem_text = f"{tip.name}, {tip_clearance:.3g} m from an edge, a bend or another crack"
         required_clearance = element_length / RADIUS_TO_CLEARANCE
-        requirement = f"further away than {required_clearance:.3g} m where stress intensities are"
-        requirement += " requested, or with shorter elements along the crack"
+        requirement = (
+            f"a tip at least {required_clearance:.3g} m away, for stress intensities; or"
+            " use shorter elements along the crack"
+        )
         raise InputError("crack", problem_text, requirement)
 
 

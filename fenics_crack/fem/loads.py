@@ -86,8 +86,8 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
             displacement_weights if scene.has_other_loads or scene.speed > 0.0 else None
         )
     elif (force_key := excitation.first_force_key) or not scene.has_other_loads:
-        key_note = f" with excitation.{force_key}" if force_key else ""
-        requirement = f"given{key_note}, or a physical point 'load' in the mesh file"
+        key_note = f" of excitation.{force_key}" if force_key else " of a force"
+        requirement = f"given: the point{key_note} [m], or name a physical point 'load' in the mesh"
         raise InputError("excitation.point", None, requirement)
     for load_number, load in enumerate(scene.loads, 1):
         load_key = f"loads.{load_number}"
@@ -163,7 +163,7 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
     ]:
         (lower_point, upper_point), *_ = face_point_pairs
         requirement = (
-            "on one of the two crack faces there: {} on the lower one, {} on the upper one"
+            "a point on one of the two crack faces: {} on the lower face, or {} on the upper face"
         )
         raise InputError(key, tuple(point), requirement.format(lower_point, upper_point))
     all_node_positions = gather_rows(dofs.comm, dofs.points)
@@ -243,7 +243,9 @@ def _checked_force_on_free_dofs(
         for nodal_forces in (nodal_force_harmonics, nodal_force_harmonics[:, dofs.free_dofs])
     )
     if has_force and not has_free_force:
-        raise InputError(key, place, "where the plate is free to move")
+        raise InputError(
+            key, place, "a place that is not clamped, as forces on clamped nodes move nothing"
+        )
     return nodal_force_harmonics
 
 
@@ -270,7 +272,9 @@ def _assemble_edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.n
     )
     edge_area = gather_rows(dofs.comm, test_function_integrals).sum()
     if not edge_area > 0.0:
-        raise InputError(f"{key}.edge", load.edge, "an edge of the plate: it lies inside")
+        raise InputError(
+            f"{key}.edge", load.edge, "an edge on the boundary of the plate; this one lies inside"
+        )
     nodal_edge_areas = test_function_integrals.reshape(-1, dofs.dimension)[:, 0]
     nodal_force_harmonics = np.array(
         [

@@ -113,7 +113,7 @@ def _make_structure(
     pairs, own_nodes, row_labels = Pairs(), None, labelled_matrix_by_name["stiffness"].labels
     if model is not None:
         if row_labels is None:
-            requirement = "given with structure.model: the file of each row's node and direction"
+            requirement = "given: the file with node and direction of each row, for structure.model"
             raise InputError("structure.dofs", None, requirement)
         row_order, node_dofs, node_starts = _order_rows_by_nodes(model, row_labels, table)
         for name in labelled_matrix_by_name:
@@ -153,7 +153,7 @@ def _make_structure(
             structure_fields[name] = force_column
     if scene.highest_order > 1:
         excitation_table = scene.excitation
-        requirement = "left out with [structure], whose files have a column for each order"
+        requirement = "left out with [structure]; its force files can have a column for each order"
         excitation_table.require(
             False, (excitation_table.wave and "wave") or "harmonics", requirement
         )
@@ -179,7 +179,7 @@ def _read_matrices_columns_and_model(
     for name, letter in NASTRAN_LETTER_BY_MATRIX.items():
         if (path := getattr(table, name)) is not None:
             with report_read_errors(
-                name, path, "a matrix of Matrix Market, CalculiX, Abaqus or Nastran"
+                name, path, "a matrix file of Matrix Market, CalculiX, Abaqus or Nastran"
             ):
                 labelled_matrix_by_name[name] = read_matrix(Path(path), letter, label_file, n_rows)
             n_rows = labelled_matrix_by_name[name].matrix.shape[0]
@@ -187,7 +187,9 @@ def _read_matrices_columns_and_model(
     for name, labelled_matrix in (
         labelled_matrix_by_name.items() if labelled_stiffness.labels is not None else ()
     ):
-        with report_read_errors(name, getattr(table, name), "one of the dofs of the stiffness"):
+        with report_read_errors(
+            name, getattr(table, name), "a matrix with the same dofs as structure.stiffness"
+        ):
             labelled_matrix_by_name[name] = LabelledMatrix(
                 labelled_matrix.with_rows_of(labelled_stiffness), labelled_stiffness.labels
             )
@@ -201,10 +203,12 @@ def _read_matrices_columns_and_model(
             place_text = "node {}, direction {}".format(
                 *labelled_stiffness.labels[massless_rows[0]]
             )
-        requirement = "positive definite: rows without mass have to be condensed beforehand"
+        requirement = "positive definite; give each row a mass > 0, or condense rows without mass"
         raise InputError("mass", f"no mass at {place_text}", requirement)
     if table.model is not None:
-        with report_read_errors("model", table.model, "the input file of the matrices' program"):
+        with report_read_errors(
+            "model", table.model, "the input file of the program that wrote the matrices"
+        ):
             model = read_model(Path(table.model))
     path_by_name = {
         name: path for name in ROW_FILE_KEYS if (path := getattr(table, name)) is not None
@@ -250,8 +254,12 @@ def _order_rows_by_nodes(
     # Label 0 is no node, but a coordinate.
     missing_nodes = row_labels[~is_known & (row_labels[:, 1] >= 1), 0]
     if len(missing_nodes) or not np.any(is_translation):
-        problem_text = f"no node {missing_nodes[0]}" if len(missing_nodes) else "no node that moves"
-        requirement = f"the model of {table.stiffness}, with all the nodes of its rows"
+        problem_text = (
+            f"node {missing_nodes[0]} is missing"
+            if len(missing_nodes)
+            else "no row is a displacement"
+        )
+        requirement = f"the model of {table.stiffness}, with the nodes of all its rows"
         raise InputError("model", problem_text, requirement)
     node_dofs[model_node_of_row[is_translation], row_labels[is_translation, 1] - 1] = (
         np.flatnonzero(is_translation)
@@ -360,7 +368,9 @@ def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None
     >>> fc.write_matrices(structure, "matrices", scene)
     """
     if structure.whole is not structure:
-        requirement = "one that is not reduced: fc.build_structure(scene), or structure.whole"
+        requirement = (
+            "a structure that is not reduced, as structure.whole or fc.build_structure(scene)"
+        )
         raise InputError("structure", repr(structure), requirement)
     comm, forces, damping_matrix = structure.comm, structure.force, structure.damping_matrix
     local_matrix_by_name: dict[str, Any] = {
@@ -528,17 +538,20 @@ class _TwinNodes:
         if np.any(n_pairs_of_node > 1):
             worst_node = unique_paired_nodes[np.argmax(n_pairs_of_node)]
             place_text = format_point(model.points[worst_node], "g")
-            place_text += f", one of them {model.labels[worst_node]}"
+            place_text += f", one of them is node {model.labels[worst_node]}"
             requirement = (
-                "one with two nodes at each place of a crack: cracks neither branch nor cross"
+                "a model with two nodes at each place of a crack, as cracks neither branch"
+                " nor cross"
             )
             raise InputError("model", f"more than two nodes at {place_text}", requirement)
         if not len(self.first_nodes):
             problem_text = (
-                f"{len(node_pairs)} nodes in the same place as another, all of them joined or held"
+                f"{len(node_pairs)} pairs of nodes at the same place, all connected or clamped"
             )
             raise InputError(
-                "model", problem_text, "one with two nodes at each place of a crack's faces"
+                "model",
+                problem_text,
+                "a model with two nodes at each place of a crack, free and not connected",
             )
         self.pair_index = np.full(n_model_nodes, -1)
         self.pair_index[self.first_nodes] = self.pair_index[self.second_nodes] = np.arange(
@@ -876,7 +889,9 @@ def _assemble_normal_gap_matrix(
         pair_normal -= tangents.T @ (tangents @ pair_normal)
         if np.linalg.norm(pair_normal) <= RELATIVE_POSITION_TOLERANCE * model_extent:
             place_text = format_point(model_points[a], "g")
-            requirement = "a crack with a side below and one above, or a model with its elements"
+            requirement = (
+                "a crack with material on both sides; or give a model file that has the elements"
+            )
             raise InputError(
                 "model", f"two nodes at {place_text} that lie on the same side", requirement
             )

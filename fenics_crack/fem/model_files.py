@@ -71,7 +71,7 @@ def read_model(path: Path) -> Model:
     try:
         READERS_BY_ENDING.get(path.suffix.lower(), _read_node_table)(path, nodes, cells)
     except RecursionError:
-        raise ValueError("its files include each other") from None
+        raise ValueError("its files include each other without end") from None
     if not nodes:
         raise ValueError("it has no nodes")
     labels = np.array(sorted(nodes), dtype=np.int64)
@@ -82,7 +82,7 @@ def read_model(path: Path) -> Model:
         cell_nodes = np.minimum(np.searchsorted(labels, cell_labels), len(labels) - 1)
         if np.any(labels[cell_nodes] != cell_labels):
             missing_label = cell_labels[labels[cell_nodes] != cell_labels][0]
-            raise ValueError(f"an element has node {missing_label}, which it does not have")
+            raise ValueError(f"an element has node {missing_label}, which the file does not define")
         cells_by_type[vtk_type] = cell_nodes
     return Model(labels, points, cells_by_type)
 
@@ -132,11 +132,11 @@ def _add_node(
     """
     if not all(abs(coordinate) <= MAX_ALLOWED_MAGNITUDE for coordinate in position):
         raise ValueError(
-            f"line {line_number}: a coordinate of node {label} is no number to "
+            f"line {line_number}: a coordinate of node {label} is not a number of at most "
             f"{MAX_ALLOWED_MAGNITUDE:g}"
         )
     if nodes.setdefault(label, position) != position:
-        raise ValueError(f"line {line_number}: two places of node {label}")
+        raise ValueError(f"line {line_number}: node {label} has two different positions")
 
 
 def _read_node_table(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
@@ -145,7 +145,7 @@ def _read_node_table(path: Path, nodes: NodePositions, cells: CellLabels) -> Non
         read_number_rows(path, 4, "#", ",").tolist(), 1
     ):
         if label % 1 != 0:
-            raise ValueError(f"row {row_number}: {label:g} is no number of a node")
+            raise ValueError(f"row {row_number}: {label:g} is not a node number")
         _add_node(nodes, row_number, int(label), tuple(coordinates))
 
 
@@ -189,14 +189,14 @@ def _read_abaqus(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
                     )
                     element_and_node_labels = []
         except NotImplementedError:
-            requirement = (
-                "nodes and elements must be written out where they are, with their numbers"
-            )
+            requirement = "write out all nodes and elements with their numbers and final positions"
             raise ValueError(
-                f"{path.name}, line {line_number}: *{keyword}: {requirement}"
+                f"{path.name}, line {line_number}: *{keyword} is not read; {requirement}"
             ) from None
         except ValueError as error:
-            reason = str(error) if "line" in str(error) else f"{line[:80]!r} of *{keyword}"
+            reason = (
+                str(error) if "line" in str(error) else f"{line[:80]!r} is not data of *{keyword}"
+            )
             raise ValueError(f"{path.name}, line {line_number}: {reason}") from None
 
 
@@ -226,7 +226,9 @@ def _read_nastran(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
                     [node_labels[node_index] for node_index in node_order]
                 )
         except (ValueError, KeyError, IndexError):
-            requirement = "a GRID in the basic coordinate system" if name == "GRID" else "a solid"
+            requirement = (
+                "a GRID in the basic coordinate system" if name == "GRID" else "a whole solid"
+            )
             raise ValueError(f"line {line_number}: {card} is not {requirement}") from None
         except NotImplementedError:
             requirement = "nodes and elements must be in this file, in the basic coordinate system"
@@ -339,16 +341,18 @@ def _read_ansys(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
                         )
                     node_labels = []
         except (ValueError, KeyError, IndexError) as error:
-            requirement = (
-                "a node without angles, or a whole tetrahedron or brick, of CDWRITE's blocks"
-            )
+            requirement = "a node without rotation angles, or a whole tetrahedron or brick"
             reason = (
-                str(error) if "line" in str(error) else f"line {line_number}: not {requirement}"
+                str(error)
+                if "line" in str(error)
+                else f"line {line_number}: this is not {requirement}"
             )
             raise ValueError(reason) from None
     if other_type_numbers and not cells:
         types_text = ", ".join(map(str, sorted(other_type_numbers)))
-        raise ValueError(f"none of its elements, of types {types_text}, is a solid that is known")
+        raise ValueError(
+            f"none of its elements (types {types_text}) is a solid element that is read"
+        )
 
 
 READERS_BY_ENDING: dict[str, Callable[[Path, NodePositions, CellLabels], None]] = {

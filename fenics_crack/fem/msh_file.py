@@ -148,7 +148,9 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
         for name in CRACK_FACE_NAMES
         if name in facets_by_name
     ]
-    requirement = "one with both 'lower_lip' and 'upper_lip', or with 'crack', or none of them"
+    requirement = (
+        "a mesh with both 'lower_lip' and 'upper_lip', or with 'crack', or without a crack"
+    )
     check_mesh(len(face_corners) != 1, "one lip", requirement)
     crack_paths_or_surfaces: Cracks = ()
     if face_corners and dimension == 2:
@@ -195,7 +197,7 @@ def _read_raw_mesh(path: Path) -> RawMesh:
     """
     check_file_exists("mesh.file", path)
     with (
-        report_read_errors("mesh.file", path, "readable by gmsh"),
+        report_read_errors("mesh.file", path, "a mesh file that gmsh can read"),
         copy_to_temporary_folder(path, "mesh.msh") as file_copy,
     ):
         if not _MESH_HEADER_PATTERN.match(read_first_bytes(file_copy, 100)):
@@ -257,10 +259,12 @@ def _select_cells(
     cells_requirement, facet_name = _CELL_REQUIREMENT_AND_FACET_WORD_BY_DIMENSION[dimension]
     if dimension == 2:
         is_flat = len(positions) > 0 and np.ptp(positions[:, 2]) == 0.0
-        check_mesh(is_flat, "no plane mesh", "a plane mesh, z the same at every node")
+        check_mesh(is_flat, "no plane mesh", "a plane mesh, with the same z at every node")
     cell_kinds = {kind for group_dimension, _, _, kind, _ in groups if group_dimension == dimension}
-    requirement = "one of tetrahedra, or of hexahedra with 27 nodes"
-    requirement += ": the load of a unit pressure is negative at corners of these"
+    requirement = (
+        "a mesh of tetrahedra, or of hexahedra with 27 nodes: with 20 nodes,"
+        " a unit pressure would give negative forces at the corners"
+    )
     check_mesh(cell_kinds.isdisjoint((17, 29)), "hexahedra with 20 nodes", requirement)
     is_one_cell_kind = (
         len(cell_kinds) == 1 and cell_kinds <= _FACET_KIND_BY_CELL_KIND[dimension].keys()
@@ -268,7 +272,7 @@ def _select_cells(
     check_mesh(
         is_one_cell_kind,
         f"{len(cell_kinds)} kinds of cells",
-        f"one whose physical {cells_requirement}",
+        f"a mesh whose physical {cells_requirement}",
     )
     kind = cell_kinds.pop()
     node_numbers, first_number_index = np.unique(node_numbers, return_index=True)
@@ -279,14 +283,16 @@ def _select_cells(
     check_mesh(
         np.isin(used_numbers, node_numbers).all(),
         "cells with nodes that do not exist",
-        "a whole file",
+        "a mesh file that is not damaged; save it again",
     )
     nodes = cell_node_index.reshape(-1, gmsh.model.mesh.getElementProperties(kind)[3])
     nodes = nodes[np.sort(find_unique_rows(nodes)[0])]
     sorted_nodes = np.sort(nodes, axis=1)
     has_repeated_node = np.any(sorted_nodes[:, 1:] == sorted_nodes[:, :-1])
     check_mesh(
-        not has_repeated_node, "a cell with a node twice", "one whose cells have different nodes"
+        not has_repeated_node,
+        "a cell with a node twice",
+        "a mesh with different nodes in each cell",
     )
     facets_by_name, point_groups = _select_named_groups(
         groups,
@@ -298,7 +304,7 @@ def _select_cells(
         if facets_by_name
         else f"no {facet_name} has a name"
     )
-    requirement = f"one with a physical {facet_name} named 'clamp'"
+    requirement = f"a mesh with a physical {facet_name} named 'clamp'"
     check_mesh("clamp" in facets_by_name, f"no clamp; {facet_names_text}", requirement)
     used_positions = positions[first_number_index][np.searchsorted(node_numbers, used_numbers)]
     return kind, make_cells_of_kind(kind, nodes), used_positions, facets_by_name, point_groups
@@ -326,7 +332,7 @@ def _select_named_groups(
             is_right_kind = (
                 kind == kind_by_dimension[dimension] and np.isin(nodes, used_numbers).all()
             )
-            requirement = "one whose named groups hold facets, and corners, of its cells"
+            requirement = "a mesh whose named groups have only cells, their facets and corners"
             check_mesh(is_right_kind, f"other elements in the group {name!r}", requirement)
             n_nodes_per_element = gmsh.model.mesh.getElementProperties(kind)[3]
             rows = np.searchsorted(used_numbers, nodes).reshape(-1, n_nodes_per_element)
@@ -335,7 +341,7 @@ def _select_named_groups(
         group_key: np.concatenate(rows) for group_key, rows in row_lists_by_group.items()
     }
     n_load_points = len(rows_by_group.get((0, "load"), [0]))
-    check_mesh(n_load_points == 1, f"{n_load_points} points in the group 'load'", "one with one")
+    check_mesh(n_load_points == 1, f"{n_load_points} points in the group 'load'", "a mesh with one")
     facets_by_name = {name: rows for (dimension, name), rows in rows_by_group.items() if dimension}
     point_nodes_by_name = {
         name: rows[:, 0] for (dimension, name), rows in rows_by_group.items() if not dimension
@@ -423,9 +429,9 @@ def _check_mouths_are_open(
     closed_mouth_nodes = np.intersect1d(np.intersect1d(*face_edges), boundary_edges)
     if len(closed_mouth_nodes):
         position_text = "({:g}, {:g})".format(*positions[closed_mouth_nodes[0]])
-        requirement = "open there, with a node of each face; or of one curve named 'crack'"
+        requirement = "open, with a node of each face at this point; or name one curve 'crack'"
         problem = f"a mouth at {position_text} that is closed"
-        raise InputError("lips", problem, f"{requirement}, which is split")
+        raise InputError("lips", problem, f"{requirement}: it is split into both faces")
 
 
 def _tag_name_combinations(
@@ -534,9 +540,9 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
         ("a folded cell", is_folded),
     ):
         if np.any(is_wrong):
-            requirement = f"one of cells that are convex and have {extent_word}"
+            requirement = f"a mesh of convex cells with {extent_word}"
             if cells.cell_nodes.shape[1] > cells.n_corners:
-                requirement += "; gmsh: Mesh.HighOrderOptimize = 1, or cells of first order"
+                requirement += "; in gmsh, set Mesh.HighOrderOptimize = 1, or use cells of order 1"
             raise _mesh_error(
                 problem, cell_positions[np.argmax(is_wrong)].mean(axis=0), requirement
             )
@@ -549,13 +555,13 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
     )
     side_signs, is_shared = np.sign(np.linalg.det(corner_vectors)), cells.is_shared
     side_requirement = (
-        f"one of cells beside each other: these lie on one side of {facet_word} of both"
+        f"a mesh whose cells do not overlap; these lie on the same side of {facet_word} of both"
     )
     for problem, is_wrong, requirement in (
         (
             f"{facet_word} of three cells",
             is_shared[1:] & is_shared[:-1],
-            f"one of at most two cells at {facet_word}",
+            f"a mesh with at most two cells at {facet_word}",
         ),
         ("cells that overlap", is_shared & (side_signs[1:] == side_signs[:-1]), side_requirement),
     ):
@@ -588,7 +594,7 @@ def _check_inner_surfaces(
         )
         if name != "clamp" and np.any(is_inner_facet):
             requirement = (
-                "one whose surfaces inside are cracks, named 'crack' or 'crack 1', 'crack 2'"
+                "a mesh whose inner surfaces are cracks, named 'crack' or 'crack 1', 'crack 2'"
             )
             raise InputError("mesh", f"a surface {name!r} inside the solid", requirement)
 
@@ -627,10 +633,10 @@ def check_parts_are_clamped(
         )
         problem = "a part held by contact alone" if is_held_by_contact else "a part without a clamp"
         requirement = (
-            f"one whose parts each have {_FACET_WORD_BY_DIMENSION[positions.shape[1]]} in 'clamp',"
+            f"a mesh whose parts have {_FACET_WORD_BY_DIMENSION[positions.shape[1]]} in 'clamp',"
             " or share nodes"
         )
-        requirement += " with one that has: nothing else holds them"
+        requirement += " with such a part; contact alone does not hold a part"
         raise _mesh_error(
             problem, positions[cells.cell_nodes[is_loose_cell]].mean(axis=(0, 1)), requirement
         )
@@ -690,10 +696,10 @@ def check_parts_do_not_overlap(
         )
     ):
         requirement = (
-            "one whose cells share their nodes where they touch (gmsh: BooleanFragments, or"
+            "a mesh whose cells share nodes where they touch (gmsh: BooleanFragments or"
+            " Coherence Mesh), except at the faces of named cracks"
+            " ('crack', or 'lower_lip' and 'upper_lip')"
         )
-        requirement += " Coherence Mesh), but for the faces of named cracks"
-        requirement += " ('crack', or 'lower_lip' and 'upper_lip')"
         problem = "cells that overlap, or touch without a node of both,"
         raise _mesh_error(problem, points[near_point_index[is_covered][0]], requirement)
 

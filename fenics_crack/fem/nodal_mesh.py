@@ -39,7 +39,7 @@ class NodalMesh:
 
     def __init__(self, structure: Structure) -> None:
         if structure.nodes is None or structure.local_nodes_with_cells_or_none is None:
-            raise InputError("structure", "made from matrices", "made from a mesh")
+            raise InputError("structure", "made from matrices", "a structure made from a mesh")
         whole_structure = structure.whole
         nodes, comm = structure.nodes, whole_structure.comm
         self.structure = whole_structure

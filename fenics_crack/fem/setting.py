@@ -41,9 +41,9 @@ def clearance_of(scene: Scene, pairs: Pairs) -> np.ndarray:
         n_cracks //= max(len(scene.disk.cracked), 1)
     if n_cracks and len(crack_clearances) != n_cracks:
         requirement = (
-            f"[crack] alone, for all, or one table for each of the {n_cracks} cracks of the"
+            f"[crack] alone, for all cracks, or one table for each of the {n_cracks} cracks of the"
+            " mesh file, from bottom to top: first [crack], then [[cracks]]"
         )
-        requirement += " mesh file: [crack] and then [[cracks]], from bottom to top"
         raise InputError("cracks", f"{len(crack_clearances)} tables with [crack]", requirement)
     return np.asarray(crack_clearances[pairs.cracks % len(crack_clearances)])
 
@@ -61,7 +61,11 @@ def list_force_harmonic_vectors(scene: Scene) -> list[Vector]:
     )
     for harmonic_table in excitation.harmonics:
         is_complete = len(harmonic_table.cos) == scene.dimension
-        excitation.require(is_complete, "harmonics", f"of {scene.dimension} components each")
+        excitation.require(
+            is_complete,
+            "harmonics",
+            f"vectors of {scene.dimension} components each, one for each direction",
+        )
     add_harmonics(rows, excitation.harmonics)
     if excitation.wave is not None:
         for row_index, part in enumerate(

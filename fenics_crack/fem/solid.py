@@ -192,7 +192,7 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
         )
         text_by_name[front.name] = (
             f"{format_quantity(float(front_node_arc_lengths[-1]), 'm')} long, {depth_text}"
-            f"{format_quantity(shortest_ligament, 'm')} from the surface straight ahead at least"
+            f"{format_quantity(shortest_ligament, 'm')} or more from the surface straight ahead"
         )
     return text_by_name
 
@@ -278,10 +278,12 @@ def _run_mesher(
 
     ``mesher_request`` and the result are those of :func:`fenics_crack.fem.solid_mesher.read`.
     """
-    with report_read_errors("geometry.file", path, "a part that gmsh reads and meshes"):
+    with report_read_errors(
+        "geometry.file", path, "a CAD file with a part that gmsh can read and mesh"
+    ):
         file_mark = FILE_MARK_BY_ENDING.get(Path(path).suffix.lower(), b"ISO-10303-21")
         if file_mark not in read_first_bytes(path, 4096):
-            raise ValueError("it does not begin as such a file")
+            raise ValueError("it does not begin as a STEP or BREP file")
         array_by_name = run_reader_for_arrays(
             Path(solid_mesher.__file__),
             Path(path),

@@ -117,9 +117,9 @@ def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
     size = request["size"]
     n_bulk_cells, n_front_cells = estimate_bulk_and_front_cells(size, fronts)
     if n_bulk_cells + n_front_cells > request["cells"]:
-        requirement = f"so that there are at most {request['cells']:.0e} cells: about"
+        requirement = f"such that the mesh has at most {request['cells']:.0e} cells; it would have"
         refused_key = "mesh.size" if n_bulk_cells > n_front_cells else "mesh.lip_elements"
-        raise Refusal(refused_key, f"{requirement} {n_bulk_cells + n_front_cells:.2g} would be")
+        raise Refusal(refused_key, f"{requirement} about {n_bulk_cells + n_front_cells:.2g}")
     try:
         generate_mesh(size, fronts, request["per_turn"])
         gmsh.model.mesh.setOrder(2)
@@ -150,10 +150,10 @@ def _import_part(path: str, unit: str) -> Tags:
     try:
         solid_dim_tags = gmsh.model.occ.importShapes(path, highestDimOnly=True)
     except Exception as error:
-        raise Refusal("geometry.file", f"readable by gmsh ({error})") from None
+        raise Refusal("geometry.file", f"a CAD file that gmsh can read ({error})") from None
     if len(solid_dim_tags) != 1 or solid_dim_tags[0][0] != 3:
         n_solids = sum(dimension == 3 for dimension, _ in solid_dim_tags)
-        raise Refusal("geometry.file", f"a file with one solid: it has {n_solids or 'none'}")
+        raise Refusal("geometry.file", f"a file with one solid; this file has {n_solids or 'none'}")
     if (mm_per_unit := MILLIMETRES_BY_UNIT[unit]) != 1.0:
         gmsh.model.occ.dilate(solid_dim_tags, 0.0, 0.0, 0.0, mm_per_unit, mm_per_unit, mm_per_unit)
     gmsh.model.occ.synchronize()
@@ -256,8 +256,11 @@ def _find_names_and_face_tags(
         point_distances = pairwise_triangle_distances(np.array([point]), part_triangles)[0]
         if point_distances.min() > MAX_FACE_POINT_DISTANCE_RATIO * part_size:
             position_text = ", ".join(f"{1e-3 * coordinate:.4g}" for coordinate in point)
-            raise Refusal("geometry.faces", f"points on faces: ({position_text}) of {name} is"
-                          f" {point_distances.min():.3g} mm away from the nearest one")  # fmt: skip
+            requirement = (
+                f"points on faces; the point ({position_text}) m of {name} is"
+                f" {point_distances.min():.3g} mm away from the nearest face"
+            )
+            raise Refusal("geometry.faces", requirement)
         face_tags_by_name.setdefault(name, set()).add(triangle_faces[point_distances.argmin()])
     return face_tags_by_name.items()
 
@@ -333,13 +336,12 @@ def insert_cracks(
                 part_triangles
             )
             problem = (
-                f"misses the part{_describe_part_extent(crack, part_triangles)}"
+                f"the crack misses the part{_describe_part_extent(crack, part_triangles)}"
                 if not inner_dim_tags
-                else "lies in a face of it" if np.any(is_on_part_face)
-                else f"is in {len(inner_dim_tags)} pieces"
+                else "the crack lies in a face of the part" if np.any(is_on_part_face)
+                else f"the crack is in {len(inner_dim_tags)} pieces"
             )  # fmt: skip
-            raise Refusal(f"{crack['key']}.point", f"such that the crack is one surface inside the"
-                          f" part: it {problem}")  # fmt: skip
+            raise Refusal(f"{crack['key']}.point", f"such that the crack is one surface inside the" f" part; {problem}")  # fmt: skip
         crack_face_dim_tags += inner_dim_tags
     fragments, children = (
         occ.fragment(solid_dim_tags, crack_face_dim_tags)
@@ -362,14 +364,13 @@ def insert_cracks(
             (crack for crack, front in zip(cracks, fronts, strict=True) if not front["curves"]),
             cracks[-1],
         )
-        raise Refusal(f"{crack['key']}.{crack['shape']}", "such that the crack does not cut the"
-                      " part in two, and crosses no other crack")  # fmt: skip
+        raise Refusal(f"{crack['key']}.{crack['shape']}", "such that the crack does not cut the" " part in two, and crosses no other crack")  # fmt: skip
     cracks_rims_and_fronts = [*zip(cracks, children[1:], rims, fronts, strict=True)]
     for crack_index, (crack, surface_dim_tags, rim, front) in reversed(
         [*enumerate(cracks_rims_and_fronts)]
     ):
         if len(surface_dim_tags) != 1 or any(rim & other_rim for other_rim in rims[:crack_index]):
-            requirement = "such that the crack crosses and touches no other one"
+            requirement = "such that the crack neither crosses nor touches another crack"
             raise Refusal(f"{crack['key']}.point", requirement)
         if len(part_triangles):
             _check_front_and_ligament_exist(crack, surface_dim_tags[0][1], front, part_triangles)
@@ -385,7 +386,7 @@ def _describe_part_extent(crack: CrackData, part_triangles: np.ndarray) -> str:
     )
     middle_read_as_mm = 1e-3 * np.array(crack["middle"])
     unit_hint = (
-        "; in mm?"
+        "; give the point in m, not in mm"
         if np.any(middle_read_as_mm)
         and np.all((lower_corner <= middle_read_as_mm) & (middle_read_as_mm <= upper_corner))
         else ""
@@ -487,8 +488,12 @@ def _check_front_and_ligament_exist(
         or pairwise_triangle_distances(centre, part_triangles).min()
         < MIN_LIGAMENT_IN_ELEMENTS * shortest_length
     ):
-        problem_text = "lies in a face of it" if front["curves"] else "has no front in it"
-        raise Refusal(point_key, f"such that the crack is inside the part: it {problem_text}")
+        problem_text = (
+            "lies in a face of the part" if front["curves"] else "has no front inside the part"
+        )
+        raise Refusal(
+            point_key, f"such that the crack is inside the part; the crack {problem_text}"
+        )
     points, end_points = front["points"], front["ends"]
     distances_to_nearest_end = np.linalg.norm(points[:, None] - end_points, axis=2).min(
         axis=1, initial=np.inf
@@ -498,8 +503,7 @@ def _check_front_and_ligament_exist(
         initial=np.inf
     )
     if shortest_ligament < MIN_LIGAMENT_IN_ELEMENTS * shortest_length:
-        raise Refusal(point_key, "farther from the surface: of its front some is"
-                      f" {shortest_ligament / shortest_length:.2g} of an element away")  # fmt: skip
+        raise Refusal(point_key, "farther from the surface: a part of the crack front is only" f" {shortest_ligament / shortest_length:.2g} element lengths away")  # fmt: skip
 
 
 def estimate_bulk_and_front_cells(size: float, fronts: list[FrontData]) -> tuple[float, float]:

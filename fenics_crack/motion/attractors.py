@@ -167,7 +167,7 @@ def find_attractor(
                     last_state,
                 )
     outcome_text = "does not settle: " + describe_closest_return(
-        states_at_periods, orbit_equations.subharmonic, "it"
+        states_at_periods, orbit_equations.subharmonic, "the motion"
     )
     return Attractor(
         None,

@@ -108,14 +108,17 @@ def _exact_flow_input_error_or_none(structure: Structure, contact: ContactLaw) -
     if not is_unilateral(contact):
         return InputError("contact", contact, "UnilateralPenalty or UnilateralConstraint")
     if not is_small(structure):
-        return InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
+        return InputError(
+            "structure", f"{structure.n_dofs} dofs", "a reduced structure, on one rank"
+        )
     softness = spring_compliances(contact, structure.n_pairs)
     if np.all(softness):
         return None
     static_flexibility = all_modes(add_friction_pairs(contact, structure)).static_pair_compliance()
     if not is_regular(static_flexibility + np.diag(softness)):
         allowed_text = (
-            "one whose faces have no mass: reduce_structure(structure, method='massless')"
+            "a structure whose crack faces have no mass: "
+            "reduce_structure(structure, method='massless')"
         )
         return InputError("structure", repr(structure), allowed_text)
     return None
@@ -799,12 +802,12 @@ def _check_integration_outcome(outcome: int, n_events: int) -> None:
     if outcome == kernel.FLOW_NO_MEMORY:
         raise MemoryError("exact flow")
     reason_by_outcome = {
-        kernel.FLOW_TOO_MANY_PIECES: "the highest modes are too fast for that long",
-        kernel.FLOW_TOO_MANY_INTERVALS: "the pairs open and close without end",
-        kernel.FLOW_FAILED: "the motion is not finite, or its contact forces have not one solution",
+        kernel.FLOW_TOO_MANY_PIECES: "the highest modes are too fast for so long a motion",
+        kernel.FLOW_TOO_MANY_INTERVALS: "the contact pairs open and close without end",
+        kernel.FLOW_FAILED: "the motion is not finite, or its contact forces are not unique",
     }
     error_class = BudgetError if outcome == kernel.FLOW_TOO_MANY_PIECES else ConvergenceError
-    raise error_class(f"events: {reason_by_outcome[outcome]} (after {n_events} events)")
+    raise error_class(f"exact flow: {reason_by_outcome[outcome]} (after {n_events} events)")
 
 
 def as_doubles(array: np.ndarray) -> np.ndarray:

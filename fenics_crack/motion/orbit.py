@@ -80,6 +80,10 @@ COMPARED_STEP_GMRES_TOLERANCE = 0.25
 MULTIPLIER_TOLERANCE = 1e-6
 """Accuracy of Floquet multipliers mu. A smaller distance ||mu| - 1| does not tell the stability.
 Orbits must also close to this relative accuracy."""
+NEUTRAL_MULTIPLIER_TEXT = (
+    "the largest Floquet multiplier has modulus 1 within its accuracy: a bifurcation, or no damping"
+)
+"""Reason for undecided stability if the largest ||mu| - 1| is inconclusive."""
 INSTANTS_PER_BLOCK = 2048
 """Number of instants with sines and cosines in memory together."""
 INSTANTS_PER_PERIOD = 512
@@ -802,10 +806,10 @@ def find_orbit(
             return None
     except (ConvergenceError, np.linalg.LinAlgError, ValueError) as error:
         if failure_reasons is not None and isinstance(error, BudgetError):
-            budget_text = f"its budget of {newton_search.allowed_taylor_pieces:,} pieces"
+            budget_text = f"its limit of {newton_search.allowed_taylor_pieces:,} Taylor series"
             failure_reasons.append(
                 f"the search for an exact orbit ended at {budget_text}; use fewer pairs"
-                " (mesh.patches) or modes"
+                " (mesh.patches) or fewer modes"
             )
         return None
     orbit = PeriodicOrbit(

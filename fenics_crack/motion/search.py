@@ -423,9 +423,9 @@ def _find_orbit_along_motion(search_task: _SearchTask) -> Iterator[PeriodicOrbit
 ORBIT_STARTS_BY_NAME = {
     "guesses": StartStrategy("exact orbit by Newton's method", _find_orbits_from_guesses),
     "steps": StartStrategy(
-        "exact orbit by a step of the whole motion", _find_orbit_after_multiple_shooting_step
+        "exact orbit by multiple shooting", _find_orbit_after_multiple_shooting_step
     ),
-    "path": StartStrategy("exact orbit along a path from the motion", _find_orbit_along_path),
+    "path": StartStrategy("exact orbit by a homotopy from the motion", _find_orbit_along_path),
     "motion": StartStrategy("exact orbit by following the motion", _find_orbit_along_motion),
 }
 """Starts for an orbit search, by name, in order."""
@@ -480,5 +480,5 @@ def describe_closest_return(
     closeness_text = format_percent(closest_relative_distances[closest_return_index])
     return (
         f"followed for {followed_periods_text} of the load, {motion_name} comes back to within"
-        f" {closeness_text} of where it was at best, after {return_periods_text}"
+        f" {closeness_text} of an earlier state at best, after {return_periods_text}"
     )

@@ -159,7 +159,7 @@ class ShootingEquations(Equations):
         if not self.has_found_solution(
             self.run_unchecked(self.function_table.evaluate, unknown_pointer, parameter)
         ):
-            raise ConvergenceError("orbits: the motion over a period cannot be followed")
+            raise ConvergenceError("orbits: the motion cannot be integrated over a period")
 
     def _residual(self) -> np.ndarray:
         """Return the scaled change F of the state in a period (n,), at the last point."""

@@ -214,7 +214,9 @@ class Equations(ABC):
         if outcome == kernel.NO_MEMORY:
             raise MemoryError("equations of a path")
         if outcome == kernel.SINGULAR_STRUCTURE:
-            raise ConvergenceError("path: the structure is singular (an undamped resonance)")
+            raise ConvergenceError(
+                "path: the structure is singular at an undamped resonance; add damping"
+            )
         return outcome == kernel.FOUND
 
 

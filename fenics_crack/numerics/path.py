@@ -370,7 +370,7 @@ def find_zero_point_and_function_value(
                 max_parameter_change=MAX_PARAMETER_CHANGE_IN_STEPS * full_chord_length,
             )
             if corrected_point is None or corrected_point.linearisation is None:
-                raise ConvergenceError("path: lost between two points")
+                raise ConvergenceError("path: no solution was found between two points")
             linearisation = corrected_point.linearisation
             tangent = tangent_of(system, corrected_point.unknown, linearisation, chord_tangent)
             point = replace(

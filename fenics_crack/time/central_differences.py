@@ -120,7 +120,7 @@ def _contact_stiffnesses(structure: Structure, contact: ContactLaw) -> np.ndarra
     """
     softness = spring_compliances(contact, structure.n_pairs)
     if friction_of(contact) is not None and not np.all(softness):
-        requirement = "a penalty with a tangential stiffness: crack faces have mass"
+        requirement = "a friction law with normal and tangential springs, as crack faces have mass"
         raise InputError("contact", contact, requirement)
     return np.divide(1.0, softness, out=np.zeros_like(softness), where=softness > 0.0)
 
@@ -178,7 +178,7 @@ def integrate_central_difference(
     request = MarchRequest.from_call(integrate_central_difference, options, *arguments)
     min_steps = stable_steps_per_period(structure, omega, contact)
     if steps_per_period < min_steps:
-        allowed_text = f">= {min_steps}, the stable limit of the scheme"
+        allowed_text = f">= {min_steps}, as fewer steps make central differences unstable"
         raise InputError("steps_per_period", steps_per_period, allowed_text)
     has_kernel = is_small(structure) and (is_piecewise_linear(contact) or request.is_rigid)
     return march(request, (_ModalDifferences if has_kernel else _CentralDifferences)(request))
@@ -377,7 +377,8 @@ class _ModalDifferences(Scheme):
             )  # fmt: skip
             if n_steps_made < len(modal_displacement):
                 raise ConvergenceError(
-                    f"contact: no forces of step {first_step + n_steps_made} were found"
+                    f"central differences: no contact forces were found at step"
+                    f" {first_step + n_steps_made}"
                 )
             window.recorded_displacement[step_slice] = (
                 modal_displacement @ modes.shapes[request.recorded_dofs].T

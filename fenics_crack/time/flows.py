@@ -327,7 +327,7 @@ class ExponentialFlow(Flow):
         )
         if n_steps_made < n_requested_steps:
             raise ConvergenceError(
-                f"exponential: the contact forces of step {n_steps_made + 1} were not found"
+                f"exponential: no contact forces were found at step {n_steps_made + 1}"
             )
         sticking_places = self._sticking_places.copy() if self.friction_law else sticking_places
         return ExponentialSteps(
@@ -392,7 +392,7 @@ class _ExponentialScheme(Scheme):
     """Integrate by exponential steps, one load period at a time."""
 
     name = "exponential"
-    remedy = "take more steps per period, or keep fewer modes: what they leave out softens contact"
+    remedy = "take more steps per period, or keep fewer modes, which makes the contact softer"
 
     def __init__(self, request: MarchRequest) -> None:
         self._request, steps_per_period = request, request.steps_per_period

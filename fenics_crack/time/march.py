@@ -114,8 +114,8 @@ class MarchRequest:
         if 8 * n_instants * (max_dofs_per_rank + 2 * self.n_gap_rows) > ALLOWED_RECORD_BYTES:
             contents_text = f"{n_instants} instants of {max_dofs_per_rank} dofs"
             limit_text = f"{ALLOWED_RECORD_BYTES // 2**30} GiB"
-            allowed = f"fewer, or fewer dofs: {contents_text} do not fit in {limit_text}"
-            raise InputError("record_periods", self.record_periods, allowed)
+            allowed = f"smaller, or record fewer dofs: {contents_text} do not fit in {limit_text}"
+            raise InputError("record_periods", self.n_kept_periods, allowed)
         _ = self.start_state
 
     @classmethod
@@ -332,7 +332,9 @@ class TimeHistory(ObservedMotion, Tabular):
         watched_period_arrays = self._watched_periods
         if periods >= len(watched_period_arrays[0]):
             raise InputError(
-                "periods", periods, f"fewer than the {len(watched_period_arrays[0])} recorded"
+                "periods",
+                periods,
+                f"less than the {len(watched_period_arrays[0])} recorded periods",
             )
         newest_arrays = [watched_array[-1] for watched_array in watched_period_arrays]
         return _largest_relative_change(
@@ -367,7 +369,9 @@ class TimeHistory(ObservedMotion, Tabular):
         )  # a dof may be recorded twice
         if not recording_rank_counts.all():
             raise InputError(
-                "dofs", dof_numbers[recording_rank_counts == 0.0].tolist(), "among those recorded"
+                "dofs",
+                dof_numbers[recording_rank_counts == 0.0].tolist(),
+                "among the recorded dofs; name them in dofs when integrating",
             )
         return self.structure.sum_over_ranks(
             self.recorded @ (selection_matrix / recording_rank_counts)
@@ -390,7 +394,7 @@ class TimeHistory(ObservedMotion, Tabular):
         if any(
             structure.comm.allgather(bool(np.any(np.delete(rows, recorded_local_dofs, axis=1))))
         ):
-            allowed_text = "None, to record all displacements, of which these are made"
+            allowed_text = "None, to record all displacements"
             raise InputError("dofs", "some", allowed_text)
         row_products = structure.sum_over_ranks(
             self.recorded[:, first_column_indices] @ rows[:, recorded_local_dofs].T
@@ -454,7 +458,7 @@ class Scheme(ABC):
         if energy_input > 0.0:
             self.created_energy_ratio = created_energy / energy_input
         if not np.isfinite(created_energy) or created_energy > 2.0 * energy_input > 0.0:
-            amount_text = f"{self.created_energy_ratio:.3g} times the energy put in"
+            amount_text = f"{self.created_energy_ratio:.3g} times the energy that the load puts in"
             reason_text = f"{self.name}: the steps are too long for this contact, which creates"
             raise ConvergenceError(f"{reason_text} {amount_text}; {self.remedy}")
 
@@ -599,9 +603,8 @@ def make_initial_state_parts(
         (2, 3) if has_friction else (2,)
     )
     allowed_text = (
-        "a solution of this structure, or finite displacement and velocity of shape "
-        f"{expected_shapes[0]} as two arrays, with friction a third of finite places, of shape "
-        f"{expected_shapes[2]}"
+        "a solution of this structure, or finite arrays (displacement, velocity) of shape "
+        f"{expected_shapes[0]}; with friction, sticking places {expected_shapes[2]} may follow"
     )
     input_error = InputError(
         "initial", [state_part.shape for state_part in state_parts], allowed_text

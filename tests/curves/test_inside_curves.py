@@ -433,7 +433,7 @@ def test_no_branch_of_twice_the_period_from_a_fold(stop: Continuation) -> None:
     fold = curve.bifurcation("period_doubling", 0.6, 0.6, curve.points[0])
     catch_error(
         lambda: find_branch_start_point(doubled_family, fold, 0.05),
-        names="another branch",
+        names="the other branch",
         kind=fc.ConvergenceError,
     )
 
@@ -828,7 +828,7 @@ def test_begins_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(continuation, "search_initial_orbit", lost)
     catch_error(
         lambda: fc.continue_frequency(expected_curve.structure, 0.6, 0.9, STOP, tolerance=1e-2),
-        names=r"no exact orbit at 0.6 rad/s: lost",
+        names=r"no exact orbit was found at 0.6 rad/s: lost",
         kind=fc.ConvergenceError,
     )
 

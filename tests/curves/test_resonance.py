@@ -292,11 +292,11 @@ def test_what_has_no_phase_resonance() -> None:
     parameter."""
     law, structure = fc.UnilateralPenalty(1.0), mass(0.01)
     problem = Problem(structure, 1.0, law, 5)
-    smooth_law, silence = fc.SmoothedPenalty(1.0, 1e3), "no damped mode answers to it"
+    smooth_law = fc.SmoothedPenalty(1.0, 1e3)
     for refused_problem, key, value in (
         (Problem(structure, 1.0, smooth_law, 5), "contact", smooth_law),
-        (Problem(mass(0.0), 0.9, law, 5), "load", silence),
-        (Problem(mass(0.01, force=0.0), 1.0, law, 5), "load", silence),
+        (Problem(mass(0.0), 0.9, law, 5), "damping", 0.0),
+        (Problem(mass(0.01, force=0.0), 1.0, law, 5), "load", 0.0),
     ):
         catch_error(partial(resonance_at, refused_problem), key, value)
     catch_error(lambda: follow_resonance(problem, 0.0, 1.0), "start", 0.0)

@@ -450,7 +450,7 @@ def test_resonance_needs_damping() -> None:
     """Else there is none; with a smooth law nor may it be so wide that its curve begins at 0."""
     scene = plate(drive="resonance").replace({"damping.ratio": 0.0})
     catch_error(
-        lambda: fc.grow(scene, comm=MPI.COMM_SELF), names="no damped mode", kind=fc.ConvergenceError
+        lambda: fc.grow(scene, comm=MPI.COMM_SELF), names="damping", kind=fc.ConvergenceError
     )
     for ratio in (0.0, 0.5):
         scene = plate(drive="resonance").replace({"damping.ratio": ratio} | SMOOTH)

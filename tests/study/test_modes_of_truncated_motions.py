@@ -84,7 +84,7 @@ def test_modes_without_any_orbit(
     monkeypatch.setattr("fenics_crack.motion.orbit.MAX_SEARCH_PERIODS", 0.1)
     solution = solved(study, 10)
     assert solution.assessment.nearest_orbit is None
-    expected_text = "an exact orbit ended at its budget of"
+    expected_text = "an exact orbit ended at its limit of"
     assert (
         expected_text in solution.assessment.rejection_reason
         and expected_text in fc.floquet(solution.structure, solution).reason

@@ -312,7 +312,7 @@ def test_failures_are_recorded_and_the_others_go_on(paper_scene: fc.Scene, tmp_p
     assert len(reasons) == 10
     assert "shorter than the plate" in reasons[1, 0, 0]
     assert "whole number of grid cells" in reasons[2, 1, 1]
-    assert "free to move" in reasons[0, 1, 0]
+    assert "not clamped" in reasons[0, 1, 0]
     assert np.isnan(result["response"][1, 0, 0])
     names, rows = result.table().columns, result.table().rows
     assert rows[4][names.index("state")] == "failed" and "0.2" in rows[4][-1]

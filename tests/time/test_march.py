@@ -67,7 +67,7 @@ def test_a_history_beyond_the_memory_is_refused(scheme: Scheme, soft_plate: fc.S
     catch_error(
         lambda: scheme(soft_plate, 2000.0, LAW, periods=10**7, steps_per_period=512),
         "record_periods",
-        None,
+        10**7,
         names="5120000000 instants of 50 dofs",
     )
 
