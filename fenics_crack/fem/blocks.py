@@ -942,8 +942,8 @@ def meshing_refusal(scene: Scene, reason_text: str) -> InputError:
     )
     geometry_kind = scene.geometry.kind
     requirement = (
-        f"such that gmsh can mesh the {geometry_kind} ({reason_text}); choose it closer to the other"
-        f" other sizes of the {geometry_kind}"
+        f"such that gmsh can mesh the {geometry_kind} ({reason_text}); choose it closer to"
+        f" the other sizes of the {geometry_kind}"
     )
     return InputError(
         smallest_size_key, crack_size_by_key.get(smallest_size_key, scene.mesh.size), requirement

@@ -341,7 +341,8 @@ def insert_cracks(
                 else "the crack lies in a face of the part" if np.any(is_on_part_face)
                 else f"the crack is in {len(inner_dim_tags)} pieces"
             )  # fmt: skip
-            raise Refusal(f"{crack['key']}.point", f"such that the crack is one surface inside the" f" part; {problem}")  # fmt: skip
+            requirement_text = f"such that the crack is one surface inside the part; {problem}"
+            raise Refusal(f"{crack['key']}.point", requirement_text)
         crack_face_dim_tags += inner_dim_tags
     fragments, children = (
         occ.fragment(solid_dim_tags, crack_face_dim_tags)
@@ -364,7 +365,8 @@ def insert_cracks(
             (crack for crack, front in zip(cracks, fronts, strict=True) if not front["curves"]),
             cracks[-1],
         )
-        raise Refusal(f"{crack['key']}.{crack['shape']}", "such that the crack does not cut the" " part in two, and crosses no other crack")  # fmt: skip
+        raise Refusal(f"{crack['key']}.{crack['shape']}", "such that the crack does not cut the"
+                      " part in two, and crosses no other crack")  # fmt: skip
     cracks_rims_and_fronts = [*zip(cracks, children[1:], rims, fronts, strict=True)]
     for crack_index, (crack, surface_dim_tags, rim, front) in reversed(
         [*enumerate(cracks_rims_and_fronts)]
@@ -503,7 +505,9 @@ def _check_front_and_ligament_exist(
         initial=np.inf
     )
     if shortest_ligament < MIN_LIGAMENT_IN_ELEMENTS * shortest_length:
-        raise Refusal(point_key, "farther from the surface: a part of the crack front is only" f" {shortest_ligament / shortest_length:.2g} element lengths away")  # fmt: skip
+        n_elements = shortest_ligament / shortest_length
+        raise Refusal(point_key, "farther from the surface: a part of the crack front is only"
+                      f" {n_elements:.2g} element lengths away")  # fmt: skip
 
 
 def estimate_bulk_and_front_cells(size: float, fronts: list[FrontData]) -> tuple[float, float]:

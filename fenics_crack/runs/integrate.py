@@ -222,7 +222,7 @@ def _choose_method(study: Study, integration_table: Integration, law: ContactLaw
         requirement_text += "'free_interface'"
     elif is_closed_form and not is_small(structure):
         requirement_text = f"'central_difference' with {structure.n_dofs} dofs; "
-        requirement += "or set reduction.method = 'massless'"
+        requirement_text += "or set reduction.method = 'massless'"
     elif is_closed_form and is_rigid(law) and not has_massless_faces:
         requirement_text = "'central_difference' with contact.law = 'unilateral'; "
         requirement_text += "or set reduction.method = 'massless'"

@@ -379,10 +379,8 @@ class Campbell(SavedResult):
                     if other_state_texts
                     else ""
                 )
-            yield (
-                text
-                + f"; at this speed d ln f / d ln n = {self.stiffening(speed, order * speed):.2g}"
-            )
+            slope = self.stiffening(speed, order * speed)
+            yield f"{crossing_text}; at this speed d ln f / d ln n = {slope:.2g}"
 
     def stiffening(self, speed: float, omega: float) -> float:
         """Return d ln w / d ln W for the mode nearest to a frequency.

@@ -582,7 +582,7 @@ def _read_matching_header(path: Path, scene: Scene) -> store.StoredFile:
         requirement_text = (
             f"a sweep of the same scene{begun_text}; for another scene choose a new folder"
         )
-        raise sweep_header.refusal(requirement)
+        raise sweep_header.refusal(requirement_text)
     if (version := sweep_header.attributes["version"]) != VERSION:
         raise sweep_header.refusal(
             f"a sweep that version {VERSION} began; version {version} began it: choose a new folder"
@@ -612,7 +612,7 @@ def _check_omitted_options_match(
         requirement_text = (
             f"a sweep with the same options ({begun_text}); for others choose a new folder"
         )
-        raise sweep_header.refusal(requirement)
+        raise sweep_header.refusal(requirement_text)
 
 
 # --- reading --------------------------------------------------------------------------------------

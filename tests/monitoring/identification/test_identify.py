@@ -356,7 +356,7 @@ def test_arrivals_at_other_speeds_of_the_rotor(tmp_path: Path, run_command: RunC
     (tmp_path / "held.toml").write_text(held_scene.as_toml(), encoding="utf-8")
     words = ["identify", str(tmp_path / "held.toml"), "--arrivals", str(tmp_path / "2400.csv")]
     message = " ".join(run_command(*words, "--output", tmp_path, code=2).err.split())
-    assert "'2400 rpm': must be at 3000 rpm" in message and "excitation.order" in message
+    assert "'2400 rpm': must be arrivals at 3000 rpm" in message and "excitation.order" in message
 
 
 def of_tip(scene: fc.Scene, noise: float, **crack_sizes: float) -> fc.Measurements:
