@@ -277,8 +277,8 @@ def points_on_both_sides(
     Returns
     -------
     (lower_point, upper_point) or None
-        Two lists of float [m]. None if the point is farther from the crack than 1e-6 of the size, or that close to the
-        front.
+        Two lists of float [m]. None if the point is farther from the crack than 1e-6 of the size,
+        or as close to the front.
     """
     if (
         distance_to_crack > RELATIVE_POSITION_TOLERANCE * crack_size

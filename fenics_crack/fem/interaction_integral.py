@@ -43,8 +43,8 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 
 RADIUS_TO_CLEARANCE = 0.8
-"""Radius of the integration domain, relative to the tip's distance from the nearest boundary, bend or
-other crack."""
+"""Radius of the integration domain, relative to the tip's distance from the nearest boundary, bend
+or other crack."""
 PLATEAU_FRACTION = 0.2
 """Fraction of the integration domain's radius up to which the weight q is 1."""
 QUADRATURE_DEGREE = 8
@@ -136,7 +136,7 @@ def find_tips(dofs: Dofs) -> list[Tip]:
 
 
 def _outer_boundary_points(dofs: Dofs) -> np.ndarray:
-    """Return this rank's node positions on the plate's boundary, crack faces excluded: (n, 2) [m]."""
+    """Return this rank's nodes on the plate's boundary except crack faces: (n, 2) [m]."""
     part_mesh = dofs.part_mesh
     topology = part_mesh.mesh.topology
     topology.create_connectivity(1, 2)

@@ -21,8 +21,8 @@ from fenics_crack.scene.fields import MAX_ALLOWED_MAGNITUDE
 VTK_TYPE_BY_NODE_COUNT = {4: 10, 6: 13, 8: 12, 10: 24, 15: 26, 20: 25}
 """VTK's cell type of tetrahedra, wedges and hexahedra, by number of nodes."""
 GENERATOR_KEYWORDS = ("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY", "SYSTEM", "TRANSFORM", "NMAP")
-"""Keywords of CalculiX and Abaqus that generate or rotate nodes or cells: a file with such a keyword
-is refused."""
+"""Keywords of CalculiX and Abaqus that generate or rotate nodes or cells. A file with any such
+keyword is refused."""
 match_include = re.compile(r"\*\s*INCLUDE\b", re.IGNORECASE).match
 """Match a line ``*INCLUDE`` of CalculiX or Abaqus."""
 ANSYS_SOLID_TYPE_NUMBERS = {
@@ -35,8 +35,8 @@ NASTRAN_ORDER_BY_NODE_COUNT = {
     15: [*range(9), 12, 13, 14, 9, 10, 11],
     20: [*range(12), 16, 17, 18, 19, 12, 13, 14, 15],
 }
-"""Position in Nastran's node list of each node in VTK's order, by number of nodes. Nastran lists the
-vertical edges before the upper edges."""
+"""Position in Nastran's node list of each node in VTK's order, by number of nodes. Nastran lists
+vertical edges before upper edges."""
 
 
 @dataclass(frozen=True)

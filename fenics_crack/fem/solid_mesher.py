@@ -47,8 +47,8 @@ MIN_LIGAMENT_IN_ELEMENTS = 0.1
 MAX_FACE_POINT_DISTANCE_RATIO = 0.1
 """Maximum distance between a named point and the nearest face, relative to the part's size."""
 ELLIPSE_START_ANGLE = 1.0 + math.pi
-"""Angle at which a drawn ellipse begins and ends [rad]. On an axis, the curve's end would lie beside
-the mouth of a half ellipse, and rounding would make a short edge."""
+"""Angle at which a drawn ellipse begins and ends [rad]. On an axis, the curve's end would lie
+beside the mouth of a half ellipse, and rounding would make a short edge."""
 MAX_SHORT_TO_LONG_RADIUS = 1.0 - 1e-9
 """Maximum ratio of shorter to longer radius. In gmsh 4.8, intersections fail for an ellipse with
 equal radii."""
