@@ -470,7 +470,7 @@ def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
 
 
 def _crack_paths(scene: Scene) -> tuple[CrackPath, ...]:
-    """Return a plate's crack paths, in the order of the scene."""
+    """Return a plate's crack paths, in the scene's order, from mouth to tip or left to right."""
     width, crack_paths = scene.geometry.sides[0], []
     for crack in scene.crack_by_name.values():
         left_end, right_end = ((end_x, crack.given("height")) for end_x in crack.span(width))
@@ -972,7 +972,7 @@ class _Grading:
     length_per_distance: float
 
     def as_kernel_struct(self) -> Struct:
-        """Return this grading as a C struct for the kernel's ``element_length_at``."""
+        """Return the kernel's struct ``grading``, for the C function ``element_length_at``."""
         return Struct("grading", count=len(self.x_positions), **vars(self))
 
 

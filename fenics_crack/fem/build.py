@@ -247,7 +247,10 @@ def _find_patch_nodes_and_shares(
     n_inside: int,
     max_patches: int,
 ) -> tuple[np.ndarray, sparse.csr_matrix]:
-    """Choose patches with one contact pair each, and return their pressure functions.
+    """Choose nodes as patch centres, a contact pair each, and compute pressure functions.
+
+    On a plate a pressure function is linear between chosen nodes. On a solid it is 1 at all nodes
+    nearest to the chosen node, otherwise 0.
 
     Parameters
     ----------
@@ -516,7 +519,7 @@ def assemble_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structu
 
 
 def assemble_body_fields_of_load(scene: Scene, structure: Structure) -> dict[str, Any]:
-    """Assemble a scene's loads on a structure's mesh, at rest (collective).
+    """Assemble a scene's loads on the mesh of a structure without rotation (collective).
 
     Returns
     -------
@@ -688,7 +691,7 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
 
     @cache
     def excess_frequency(length: float) -> float:
-        """Return the first natural frequency less the target [rad/s]."""
+        """Return the first natural frequency at a crack length [m], less the target [rad/s]."""
         trial_structure = assemble_structure(_replace_crack_length(scene_at_rest, length), comm)
         return float(solve_modes(trial_structure, 1).omega[0]) - target_omega
 

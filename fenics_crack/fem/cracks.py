@@ -66,7 +66,7 @@ class CrackPath:
 
     @property
     def corner_arc_lengths(self) -> np.ndarray:
-        """Return each corner's distance from the beginning, along the path: (n,) [m]."""
+        """Return the distance of each corner from the first point, along the path: (n,) [m]."""
         edge_lengths = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
         return np.concatenate([[0.0], np.cumsum(edge_lengths)])
 
@@ -82,7 +82,7 @@ class CrackPath:
         return "the middle", 0.5 * self.corner_arc_lengths[-1]
 
     def locate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Project points (n, 2) onto the path.
+        """Find the nearest point on the path for each of n points (n, 2) [m].
 
         Returns
         -------
@@ -125,7 +125,7 @@ class CrackPath:
 
 @dataclass(frozen=True)
 class CrackSurface:
-    """Surface of a crack in a solid.
+    """Surface of a crack in a solid, as triangles with front and mouth.
 
     Attributes
     ----------
@@ -220,9 +220,10 @@ def _offsets_from_triangles(points: np.ndarray, triangles: np.ndarray) -> np.nda
 
 
 def _size_weighted_normals(facets: np.ndarray) -> np.ndarray:
-    """Return normals of edges (n, 2, 2) or triangles (n, 3, 3).
+    """Return a normal for each edge (n, 2, 2) or triangle (n, 3, 3): (n, 2) or (n, 3).
 
-    An edge's normal has the edge's length, a triangle's normal twice its area.
+    A normal's length is the edge's length, or twice the triangle's area. The direction follows the
+    order of corners.
     """
     sides = facets[:, 1:] - facets[:, :1]
     if facets.shape[2] == 2:
@@ -237,7 +238,7 @@ NamedParts = tuple[dict[str, tuple[int, ...]], dict[str, tuple[float, ...]]]
 
 
 def offsets_from_edges(points: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return vectors from edges (m, 2, d) to points (n, d).
+    """Return the vector from each of m edges (m, 2, d) to each of n points (n, d).
 
     Returns
     -------

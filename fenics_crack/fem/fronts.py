@@ -251,7 +251,10 @@ class Front:
         )
 
     def domain_radius(self, curvature: np.ndarray) -> np.ndarray:
-        """Return the integration domain's radius [m] for curvatures [1/m]: same shape."""
+        """Return the integration domain's radius [m] for front curvatures [1/m]: same shape.
+
+        The radius is ``straight_domain_radius``, at most 0.6 of the radius of curvature.
+        """
         is_limited = self.is_limited_by_curvature(curvature)
         return np.where(
             is_limited,
@@ -357,7 +360,7 @@ def find_fronts(structure: Structure) -> list[Front]:
 def _yield_smooth_front_parts(
     crack: CrackSurface,
 ) -> Iterator[tuple[np.ndarray, np.ndarray, bool, tuple[bool, bool]]]:
-    """Yield the smooth parts of a crack's front.
+    """Yield the smooth parts of a crack's front, cut at corners of 45 degrees or more.
 
     Yields
     ------

@@ -252,7 +252,7 @@ def _parse_real(field: str) -> float:
 
 
 def _yield_nastran_cards(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield the entries of Nastran's bulk data.
+    """Yield the entries (cards) in a file with Nastran's bulk data.
 
     Fields have 8 or 16 characters, or stand between commas. Fields of continuation lines are
     appended.

@@ -190,7 +190,7 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
 
 
 def _read_raw_mesh(path: Path) -> RawMesh:
-    """Read nodes and groups from a mesh file.
+    """Read nodes and groups from a gmsh file, in a separate process.
 
     Raises
     ------
@@ -355,7 +355,7 @@ def _select_named_groups(
 
 
 def make_cells_of_kind(kind: int, nodes: np.ndarray) -> Cells:
-    """Make :class:`Cells` from nodes (n_cells, k) and gmsh's kind of cells."""
+    """Make :class:`Cells` from nodes (n_cells, k) and gmsh's number for the kind of cells."""
     _, dimension, *_, n_corners = gmsh.model.mesh.getElementProperties(kind)
     is_supporting_corner = (
         _evaluate_basis_functions(
@@ -472,7 +472,7 @@ def _tag_name_combinations(
 
 
 def _fill_gmsh_model(positions: np.ndarray, groups: list[Group]) -> None:
-    """Fill gmsh's current model with nodes and physical groups.
+    """Add nodes, elements and named physical groups to gmsh's current model.
 
     The first of ``groups`` holds the cells. Nodes in groups are indices of ``positions`` (n_nodes,
     3) [m].

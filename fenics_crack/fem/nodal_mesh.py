@@ -76,7 +76,7 @@ class NodalMesh:
 
     @property
     def dimension(self) -> int:
-        """Return 2 for a plate, 3 for a solid."""
+        """Return the number of coordinates: 2 for a plate, 3 for a solid."""
         return int(self.points.shape[1])
 
     @property

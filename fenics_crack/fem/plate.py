@@ -95,14 +95,14 @@ def build_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PartMesh:
 
 
 def write_msh(scene: Scene, path: str | Path) -> None:
-    """Write the mesh of a scene, with its named groups, to a gmsh file (format 4.1).
+    """Mesh a scene and write the mesh with named groups to a gmsh file.
 
     Parameters
     ----------
     scene : Scene
         Scene with a plate or solid.
     path : path
-        File to write; an earlier file is replaced.
+        File to write, in gmsh's format 4.1; an earlier file is replaced.
 
     Raises
     ------
@@ -214,7 +214,7 @@ class Dofs:
 
     @property
     def points(self) -> np.ndarray:
-        """Return positions of this rank's nodes: (n_nodes, d) [m]."""
+        """Return the positions of the nodes owned by this rank: (n_nodes, d) [m]."""
         return np.asarray(
             self.space.tabulate_dof_coordinates()[: self.n_own_nodes, : self.dimension]
         )

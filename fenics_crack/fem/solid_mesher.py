@@ -213,7 +213,7 @@ def _face_triangles(tag: int) -> np.ndarray:
 
 
 def pairwise_triangle_distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Return the distances between points (n, 3) and triangles (m, 3, 3): (n, m)."""
+    """Return the distance from each point (n, 3) to each triangle (m, 3, 3): (n, m)."""
     side_1, side_2 = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     offsets = points[:, None] - triangles[:, 0]
     side_1_squared = (side_1**2).sum(1)

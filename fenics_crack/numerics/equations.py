@@ -70,7 +70,7 @@ class Linearisation(ABC):
 
     @abstractmethod
     def solve(self, right_side: np.ndarray) -> np.ndarray:
-        """Return J^-1 r for a right-hand side r in the shape of x."""
+        """Solve with the Jacobian J: return J^-1 r, with ``right_side`` r in the shape of x."""
 
     def apply(self, change: np.ndarray) -> np.ndarray:
         """Return J dx, the Jacobian times a change dx of the unknowns, in the shape of x.
@@ -113,7 +113,7 @@ class System(Protocol):
     """
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> Linearisation:
-        """Return F and J at unknowns x and a parameter p."""
+        """Evaluate residual F and Jacobian J = dF/dx at unknowns x and a parameter p."""
 
 
 class DenseLinearisation(Linearisation):

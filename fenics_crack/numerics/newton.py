@@ -116,7 +116,7 @@ class SnesSystem(System, Protocol):
 
 
 def can_solve_in_kernel(system: SnesSystem) -> bool:
-    """Return True if the kernel can replace SNES.
+    """Return True if the compiled kernel can solve a system instead of PETSc's SNES.
 
     The kernel must have the equations, and no PETSc option may be given for SNES.
     """
@@ -133,7 +133,7 @@ class Snes(ABC):
     """
 
     def __init__(self, matrix: Any, residual_norms: list[float] | None = None) -> None:
-        """Create the solver.
+        """Create the PETSc solver for a Jacobian matrix.
 
         ``matrix`` is the PETSc matrix for the Jacobian, freed by this object. |F| of every
         iteration is appended to ``residual_norms``, if given.
@@ -337,7 +337,7 @@ class Tangent:
     time_mean_weight: float = 1.0
 
     def reverse(self) -> Tangent:
-        """Return the opposite tangent."""
+        """Return the tangent in the opposite direction, (-t_x, -t_p)."""
         return replace(self, x=-self.x, p=-self.p)
 
     def inner_product(self, system: System, vector: np.ndarray, other_vector: np.ndarray) -> float:
@@ -497,7 +497,7 @@ def tangent_of(
 def point_on_path(
     system: System, unknown: np.ndarray, parameter: float, direction: Tangent | None = None
 ) -> PathPoint:
-    """Return a solution (x, p) with its tangent as a point of a path.
+    """Make a point of a path from a solution (x, p), with the path's tangent.
 
     The tangent points towards growing p or, if given, has a positive cosine to ``direction``.
     """

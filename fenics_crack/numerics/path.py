@@ -276,7 +276,7 @@ class Event(ABC):
 
 
 class BranchPoint(Event):
-    """Crossing of another branch, where t_p det J changes sign.
+    """Branch point: another branch of solutions crosses, and t_p det J changes sign.
 
     t_p is the tangent's parameter part, J the Jacobian dF/dx. The step is bisected down to a length
     of ``MIN_RESOLVED_DISTANCE``, or as far as Newton's method succeeds.
@@ -657,7 +657,7 @@ class Path:
     def _yield_parts_and_retry_indices(
         self, segment: PathSegment
     ) -> Iterator[tuple[PathSegment, int | None]]:
-        """Split a segment after each point with an event.
+        """Split a segment of new points after each point with a located event.
 
         Yields
         ------

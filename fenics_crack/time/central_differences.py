@@ -345,7 +345,7 @@ class _ModalDifferences(Scheme):
         )
 
     def _acceleration_at_phase_zero(self, velocity: np.ndarray) -> np.ndarray:
-        """Return the modal acceleration f - w^2 q - P lambda - c v at phase zero: (n,).
+        """Return the modal acceleration f - w^2 q - P lambda - c v at phase zero of the load: (n,).
 
         f is the modal load, w the natural frequencies, c the modal damping, q and v are modal
         displacement and velocity, P lambda modal contact forces. Under UnilateralConstraint lambda
@@ -581,7 +581,7 @@ class _CentralDifferences(Scheme):
         )
 
     def _damping_force(self, velocity: np.ndarray) -> np.ndarray:
-        """Return the damping force C v: (n_local,) [N]."""
+        """Return the damping force C v for a velocity v (n_local,) [m/s]: (n_local,) [N]."""
         if self._damping_matrix is not None:
             return self._apply_operator(self._damping_matrix.mult, velocity)
         if self._modes is None:

@@ -17,8 +17,8 @@ R_inf is the residual flexibility. The gap at the end of the step is linear in t
 
     g_{n+1} = s_free - (R_inf + Q Gamma) lambda_{n+1},
 
-so that 0 <= lambda and (R_inf + I/kappa + Q Gamma) lambda - s_free >= 0, complementary, with the
-stiffness kappa of the pairs and the gap s_free without forces at the end of the step. As long as
+so that 0 <= lambda and (R_inf + I/kappa + Q Gamma) lambda - s_free >= 0, complementary. Here kappa
+is the stiffness of the pairs, and s_free the gap without forces at the end of the step. As long as
 the set of closed pairs does not change, this is one product with a stored matrix. Modes that
 damping leaves uncoupled advance one by one, so a step costs little more than 2 n_modes n_pairs
 products (``kernel/march.c``). The scheme is of second order in h, and exact without contact.

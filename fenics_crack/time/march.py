@@ -139,7 +139,7 @@ class MarchRequest:
 
     @property
     def n_kept_periods(self) -> int:
-        """Number of load periods that are recorded."""
+        """Number of last load periods to record: ``record_periods``, at most ``periods``."""
         return min(self.record_periods or self.periods, self.periods)
 
     @property
@@ -195,7 +195,7 @@ class MarchRequest:
 
     @property
     def is_rigid(self) -> bool:
-        """True if the law is rigid, without penetration."""
+        """True if the contact law is rigid (UnilateralConstraint), False for a penalty law."""
         return is_rigid(self.contact)
 
 
