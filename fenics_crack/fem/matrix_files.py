@@ -273,7 +273,7 @@ def _own_nodes(model: Model, node_dofs: np.ndarray, start: int, stop: int, comm:
     """Return the nodes of this rank's rows ``start`` to ``stop``, with cells for drawing.
 
     Rank 0 also has nodes without dofs, and all cells. Cells are kept if all are of a single kind
-    except wedges, and every row belongs to a node of the model.
+    except wedges, and every row is a translation of a model node.
     """
     nodes_have_all_dofs = int(np.count_nonzero(node_dofs >= 0)) == comm.allreduce(stop - start)
     vtk_type = (

@@ -83,7 +83,7 @@ def read_load_coefficients_and_residual(
     coefficients : (2K+1, dimension)
         Mean, then cosine and sine parts of each order up to K = ``wave_harmonics``.
     residual : float
-        Root mean square of the table less these harmonics, relative to the table's.
+        Root mean square of the table less these harmonics, relative to the table less the mean.
     """
     return read_load_harmonics_and_error(
         load.full_key("wave"), load.given("wave"), load.wave_harmonics, dimension
