@@ -51,16 +51,18 @@ from fenics_crack.model.factor import estimate_factor_bytes
 from fenics_crack.scene.scene import Scene
 
 MIN_RELATIVE_CELL_SIZE = 1e-7
-"""Minimum cell size relative to the plate: gmsh and the matrices allow none smaller."""
+"""Minimum cell size, relative to the plate's longer side. Smaller cells fail in gmsh and in the
+matrices."""
 MAX_ELEMENT_LENGTH_PER_DISTANCE = 1.0 / 3.0
-"""Maximum element size between two tips or cracks, over the distance from either."""
+"""Maximum element length between two tips or cracks, relative to the distance from the nearer."""
 
 
 @dataclass(frozen=True)
 class ElementInterval:
-    """Part of a plate's side from ``start`` to ``stop``, divided into elements.
+    """Part of a plate's side from ``start`` to ``stop``, in the scene's unit of length.
 
-    ``length_over_previous`` is an element's length over the previous element's length.
+    ``length_over_previous`` is the ratio of neighbouring element lengths, above 1 for growing ones.
+    ``n_elements`` 0 leaves the number to gmsh.
     """
 
     start: float
@@ -70,15 +72,16 @@ class ElementInterval:
 
 
 Slit = tuple[int, range]
-"""Crack among the blocks: its row, and its columns. Its ends inside the plate are tips."""
+"""Crack among the blocks: index of the horizontal line, and range of block columns along the crack.
+"""
 
 
 class _GradedFace:
-    """Element lengths along a crack face, which fall geometrically towards a tip.
+    """Element lengths along a crack face, geometrically shorter towards a tip.
 
-    The coarse end is a mouth, with ``lip_elements`` elements up to the tip. For a crack inside, the
-    coarse end is the middle, with half as many. ``length_over_next_from_tip`` is an element's
-    length over the next element's length, away from the tip.
+    From the mouth to the tip there are ``mesh.lip_elements`` elements. A crack inside has two such
+    faces from the middle to a tip, with half as many elements each. ``length_over_next_from_tip``
+    is an element's length over the length of the next element away from the tip.
     """
 
     def __init__(self, scene: Scene, coarse_end_position: float, tip_position: float) -> None:
@@ -100,7 +103,7 @@ class _GradedFace:
             )
 
     def covers(self, start: float, stop: float) -> bool:
-        """Return True if the face extends along an interval."""
+        """Return True if the middle of an interval of positions [m] lies on the face."""
         return (
             min(self.coarse_end_position, self.tip_position)
             < 0.5 * (start + stop)
@@ -108,7 +111,7 @@ class _GradedFace:
         )
 
     def element_length(self, position: float) -> float:
-        """Return the element length at a position on the face."""
+        """Return the element length at a position on the face [m], linear in the position."""
         coarse_length = self.tip_element_length / self.length_over_next_from_tip ** (
             self.n_elements - 1
         )
@@ -120,7 +123,7 @@ class _GradedFace:
         )
 
     def count_elements(self, start: float, stop: float) -> float:
-        """Count the elements on an interval: integrate 1 / element length."""
+        """Integrate 1 / element length over an interval: number of elements, not rounded."""
         start_length, stop_length = self.element_length(start), self.element_length(stop)
         if abs(start_length - stop_length) < 1e-9 * start_length:
             return (stop - start) / start_length
@@ -130,14 +133,19 @@ class _GradedFace:
 def _find_plate_columns_rows_and_slits(
     scene: Scene,
 ) -> tuple[list[ElementInterval], list[ElementInterval], list[Slit]]:
-    """Divide a plate into blocks, and find the cracks among them.
+    """Divide a plate into blocks, and locate the cracks among the blocks.
 
-    The results are block columns, block rows, and each crack's row and columns.
+    Returns
+    -------
+    columns, rows : list of ElementInterval
+        Blocks across the plate and along it.
+    slits : list of Slit
+        Line and columns of each crack.
 
     Raises
     ------
     InputError
-        Elements at a tip are too small.
+        The element at a tip is shorter than ``MIN_RELATIVE_CELL_SIZE`` of the plate.
     """
     width, height = scene.geometry.sides
     cracks = list(scene.crack_by_name.values())
@@ -173,10 +181,10 @@ def _find_plate_columns_rows_and_slits(
 def check_cell_count(
     scene: Scene, mesh_key: str, n_cells: float, dofs_per_cell: int, size_note: str = ""
 ) -> None:
-    """Raise InputError if gmsh or the matrices cannot have that many cells.
+    """Raise InputError if a mesh would have too many cells for gmsh or the memory.
 
-    The matrices, or the factor of a matrix, must fit into memory. ``size_note`` adds the shortest
-    element to the message.
+    The limits are 5e6 cells, and the machine's memory for matrices and a factor. The error names
+    the key ``mesh.key``; ``size_note`` adds text to the message, as the shortest element.
     """
     n_dofs, allowed_cells = dofs_per_cell * n_cells, 5e6  # a mesh file may have any number of cells
     factor_bytes = estimate_factor_bytes(n_dofs, solid=scene.dimension == 3)
@@ -194,17 +202,17 @@ def check_cell_count(
 
 
 def _element_length_off_cracks(scene: Scene) -> float:
-    """Return the element length away from cracks [m].
+    """Return the element length away from cracks, ``mesh.size`` [m].
 
-    For a grid it is the length along the plate.
+    For a grid the result is the plate's height over ``mesh.rows``.
     """
     return scene.mesh.size or scene.geometry.sides[1] / scene.mesh.given("rows")
 
 
 def plate_pair_upper_bound(scene: Scene) -> int:
-    """Return an upper bound for the number of a plate's pairs.
+    """Return an upper bound for the number of contact pairs in a plate.
 
-    The first crack's length may be unknown.
+    If the crack's length is still unknown, the bound comes from ``mesh.lip_elements``.
     """
     crack, element_order = scene.crack, scene.mesh.order
     if crack is not None and crack.length is None:  # then it is the only crack
@@ -220,7 +228,10 @@ def plate_pair_upper_bound(scene: Scene) -> int:
 def _intervals_with_equal_elements(
     side_length: float, n_elements: int, cut_positions: list[float]
 ) -> list[ElementInterval]:
-    """Divide a side into equal elements, cut at positions on grid lines."""
+    """Divide a side into equal elements, and cut it into intervals at given positions.
+
+    ``extent`` [m] is the side's length; ``cuts`` [m] lie on grid lines.
+    """
     position_by_grid_line = {
         round(cut_position / side_length * n_elements): cut_position
         for cut_position in cut_positions
@@ -237,7 +248,7 @@ def _intervals_with_equal_elements(
 
 
 def _index_of_nearest_position(positions: np.ndarray, position: float) -> int:
-    """Return the index of the position nearest to another one."""
+    """Return the index in ``positions`` of the value nearest to ``position``."""
     return int(np.argmin(np.abs(positions - position)))
 
 
@@ -245,21 +256,21 @@ def _index_of_nearest_position(positions: np.ndarray, position: float) -> int:
 
 
 def scale_scene_to_mesh_unit(scene: Scene, metres_per_unit: float = 0.0) -> tuple[Scene, float]:
-    """Convert a scene into the unit of length in which gmsh meshes.
+    """Convert a scene's lengths to the unit for gmsh.
 
-    By default the unit is the power of ten for which the longest side is from 0.0316 to 0.316.
+    By default the unit is the power of ten [m] in which the longest side is 0.0316 to 0.316.
 
     Returns
     -------
     Scene
-        Scene with the same mesh, in this unit.
+        Copy with all lengths divided by the unit.
     float
         Unit [m].
     """
     metres_per_unit = metres_per_unit or 10.0 ** (round(math.log10(max(scene.geometry.sides))) + 1)
 
     def scale_table(table: Any) -> Any:
-        """Return a table with its lengths in the unit."""
+        """Divide all lengths in a scene's table by the unit."""
         scaled_length_by_name = {
             field.name: np.divide(value, metres_per_unit).tolist()
             for field in fields(table)
@@ -278,7 +289,7 @@ def scale_scene_to_mesh_unit(scene: Scene, metres_per_unit: float = 0.0) -> tupl
 
 
 def _scale_nodes(metres_per_unit: float) -> None:
-    """Scale the nodes of gmsh's current model to metres."""
+    """Convert the node positions in gmsh's current model to metres."""
     if metres_per_unit != 1.0:
         node_numbers, node_positions, _ = gmsh.model.mesh.getNodes()
         for node_number, node_position in zip(
@@ -293,9 +304,9 @@ def _scale_nodes(metres_per_unit: float) -> None:
 def _graded_columns_and_rows(
     scene: Scene, crack_spans: list[tuple[float, float]], crack_heights: list[float]
 ) -> tuple[list[ElementInterval], list[ElementInterval]]:
-    """Divide a plate into columns and rows whose elements shrink towards tips and cracks.
+    """Divide a plate into block columns and rows with short elements at tips and cracks.
 
-    ``crack_spans`` are each crack's ends across the plate, ``crack_heights`` the heights [m].
+    ``crack_spans`` are the left and right ends of each crack, ``crack_heights`` the heights of the cracks [m].
     """
     (width, height), element_size = scene.geometry.sides, scene.mesh.given("size")
     if not crack_spans:
@@ -338,14 +349,14 @@ def _intervals_with_graded_elements(
     faces: list[_GradedFace],
     size: float,
 ) -> list[ElementInterval]:
-    """Divide a side into intervals with given element lengths.
+    """Divide a side into intervals with element lengths graded between given positions.
 
     Parameters
     ----------
     extent : float [m]
         Length of the side.
-    tip_positions_and_element_lengths : list of (position, length)
-        Element length at each tip, or at each crack.
+    tip_positions_and_element_lengths : list of (position, length) [m]
+        Tips on the side, or heights of cracks, with the element length there.
     faces : list of _GradedFace
         Crack faces along the side.
     size : float [m]
@@ -355,7 +366,7 @@ def _intervals_with_graded_elements(
     tolerance = MIN_RELATIVE_CELL_SIZE * extent
 
     def lengths_at_tip(position: float) -> list[float]:
-        """Return the element lengths given for a position."""
+        """Return the element lengths prescribed at a position; empty off tips and cracks."""
         return [
             tip_length
             for tip, tip_length in tip_positions_and_element_lengths
@@ -363,14 +374,14 @@ def _intervals_with_graded_elements(
         ]
 
     def element_length(position: float, faces_along: list[_GradedFace]) -> float:
-        """Return the element length at a position along crack faces."""
+        """Return the shortest element length at a position, from crack faces, tips or size."""
         return min(
             ([face.element_length(position) for face in faces_along] or [size])
             + lengths_at_tip(position)
         )
 
     def make_intervals(start: float, stop: float) -> list[ElementInterval]:
-        """Return one interval between two positions, or two intervals that meet half-way."""
+        """Divide between two positions; from tip to tip, into two intervals up to the middle."""
         faces_along = [face for face in faces if face.covers(start, stop)]
         for face in faces_along if len(faces_along) == 1 else ():
             ends = sorted((face.coarse_end_position, face.tip_position))
@@ -409,9 +420,10 @@ def _intervals_with_graded_elements(
 def _graded_interval(
     start: float, stop: float, start_length: float, stop_length: float, faces: list[_GradedFace]
 ) -> ElementInterval:
-    """Return an interval with enough elements for all crack faces.
+    """Return an interval with geometrically graded elements.
 
-    Element lengths are about ``start_length`` at its start and ``stop_length`` at its end.
+    Element lengths are about ``start_length`` at ``start`` and ``stop_length`` at ``stop`` [m]. The
+    number is at least the number required by each crack face.
     """
     min_length, max_length = sorted((start_length, stop_length))
     n_elements, growth_ratio = _graded_count_and_ratio(stop - start, min_length, max_length)
@@ -429,9 +441,9 @@ def _graded_interval(
 def _graded_count_and_ratio(
     interval_length: float, min_length: float, max_length: float
 ) -> tuple[int, float]:
-    """Return number and length ratio of elements that grow geometrically.
+    """Return number and length ratio of geometrically growing elements on a ``length``.
 
-    They grow from about ``min_length`` to about ``max_length``, or to half of a short interval.
+    The elements grow from about ``min_length`` to about ``max_length``, at most half of interval.
     """
     if min_length >= max_length:
         return math.ceil(interval_length / max_length), 1.0
@@ -447,14 +459,14 @@ def _graded_count_and_ratio(
 
 
 def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
-    """Fill gmsh's current model with the mesh of a scene's plate.
+    """Mesh a scene's plate into gmsh's current model.
 
     Returns
     -------
     NamedParts
-        Named sides.
+        gmsh's group tags of the named sides, and no named points.
     Cracks
-        Cracks in the order of the scene.
+        Crack paths in the order of the scene.
     """
     unit_scene, metres_per_unit = scale_scene_to_mesh_unit(scene)
     facet_tags_by_group = _draw_blocks(scene, unit_scene)
@@ -478,7 +490,7 @@ def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
 
 
 def _crack_paths(scene: Scene) -> tuple[CrackPath, ...]:
-    """Return a plate's crack paths, in the order of the scene."""
+    """Return a plate's crack paths, in the scene's order, from mouth to tip or left to right."""
     width, crack_paths = scene.geometry.sides[0], []
     for crack in scene.crack_by_name.values():
         left_end, right_end = ((end_x, crack.given("height")) for end_x in crack.span(width))
@@ -488,9 +500,10 @@ def _crack_paths(scene: Scene) -> tuple[CrackPath, ...]:
 
 
 def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
-    """Draw a plate's blocks, and divide their curves and surfaces.
+    """Draw a plate's blocks in gmsh, and set the elements on curves and surfaces.
 
-    ``unit_scene`` is the scene in gmsh's unit. Returns the tags of the plate's sides.
+    ``unit_scene`` is the scene in gmsh's unit of length. Returns gmsh's group tag for each side's
+    name.
     """
     _check_plate_cells(scene)
     columns, rows, slits = _find_plate_columns_rows_and_slits(unit_scene)
@@ -563,7 +576,7 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
 
 
 def _check_plate_cells(scene: Scene) -> None:
-    """Raise InputError if a plate would have too many cells."""
+    """Raise InputError if a plate would have too many cells (:func:`check_cell_count`)."""
     columns, rows, _ = _find_plate_columns_rows_and_slits(scene)
     n_cells: float = math.prod(
         sum(interval.n_elements for interval in intervals) for intervals in (columns, rows)
@@ -575,10 +588,10 @@ def _check_plate_cells(scene: Scene) -> None:
 
 
 def _find_doubled_corner_indices(slits: list[Slit], n_columns: int) -> list[tuple[int, int]]:
-    """Return the block corners on cracks, without tips, as (column, row).
+    """Return the block corners on cracks except at tips, as (column, row).
 
-    Such a corner has a point on each crack face. A crack that begins or ends at the plate's
-    edge has no tip there.
+    At such a corner each crack face has a separate point. An end of a crack at the plate's edge is
+    a mouth, not a tip.
     """
     return [
         (i, row)
@@ -591,7 +604,7 @@ def _find_doubled_corner_indices(slits: list[Slit], n_columns: int) -> list[tupl
 
 
 Curves = dict[tuple[int, int], int]
-"""Tags of curves, by column and row of their blocks."""
+"""gmsh's tags of block sides, by column and row of the block."""
 
 
 def _add_surfaces(
@@ -601,10 +614,10 @@ def _add_surfaces(
     vertical_by_ij: Curves,
     upper_by_ij: Curves,
 ) -> list[int]:
-    """Add each block's surface, column by column, and return the tags.
+    """Add the surface of each block to gmsh, and return the tags, column by column.
 
-    A block above a crack has the upper crack face's curve as lower side. All other blocks
-    have a horizontal curve there.
+    The lower side of a block above a crack is a curve from ``upper_by_ij``, the upper crack face;
+    of all other blocks, from ``horizontal_by_ij``.
     """
     surfaces = []
     for i in range(n_columns):
@@ -623,9 +636,10 @@ def _add_surfaces(
 
 
 def _add_groups_and_find_tags(entities_by_name: dict[str, tuple[int, list[int]]]) -> dict[str, int]:
-    """Make gmsh's physical groups, and return their tags by name.
+    """Make gmsh's physical groups, and return each group's tag by name.
 
-    ``entities_by_name`` has dimension and entities by name; names without entities get no group.
+    ``entities_by_name`` has (dimension, tags of entities) by name. Names without entities get no
+    group.
     """
     tag_by_name = {
         name: group_tag
@@ -640,7 +654,7 @@ def _add_groups_and_find_tags(entities_by_name: dict[str, tuple[int, list[int]]]
 
 
 def _set_cell_kind(scene: Scene, surface_tags: list[int]) -> None:
-    """Set the cells that fill the surfaces."""
+    """Set gmsh's cells on the surfaces: structured blocks, quadrilaterals or free triangles."""
     if scene.has_graded_lengths or (scene.mesh.layout, scene.mesh.cells) == ("graded", "triangle"):
         gmsh.option.setNumber("Mesh.Algorithm", 6)  # frontal Delaunay
         surface_tags = []
@@ -654,7 +668,7 @@ def _set_cell_kind(scene: Scene, surface_tags: list[int]) -> None:
 def _add_curve(
     start_tag: int, end_tag: int, interval: ElementInterval, center: int | None = None
 ) -> int:
-    """Add a line, or an arc around a center, divided into elements."""
+    """Add a line, or an arc around ``center``, with the interval's elements; return the tag."""
     geo = gmsh.model.geo
     point_tags = (start_tag, end_tag) if center is None else (start_tag, center, end_tag)
     curve_tag: int = (geo.addLine if center is None else geo.addCircleArc)(*point_tags)
@@ -673,16 +687,18 @@ def _add_curve(
 BLADE_CORNER_LENGTH_TO_MESH_SIZE = 1.0 / 32.0
 """Element length at the corners between blade and rim, relative to ``mesh.size``."""
 RIM_SIDE_NAMES = ("rim_left", "rim_right")
-"""Names for the sides of a sector made here: "left" and "right" are sides of its blade."""
+"""Names of a disk sector's sides. "left" and "right" are the sides of the blade."""
 
 
 class DiskRim:
-    """Part of a disk's rim below one blade, between two circles.
+    """Rim of a disk sector below the blade, between two circles.
 
     Attributes
     ----------
-    blade_middle_position, axis_y_position : float [m]
-        Position of the blade's middle across the blade, and of the axis along it.
+    blade_middle_position : float [m]
+        Coordinate of the blade's middle across the blade: x of a plate, z of a solid.
+    axis_y_position : float [m]
+        Coordinate y of the rotor's axis, y along the blade.
     inner_radius, outer_radius : float [m]
         Radii of the circles.
     half_angle : float [rad]
@@ -690,7 +706,7 @@ class DiskRim:
     """
 
     def __init__(self, scene: Scene) -> None:
-        """Read the rim from a scene whose disk is meshed here."""
+        """Take the rim's dimensions from a scene with a disk."""
         self.scene, disk, axis_point = scene, scene.given("disk"), scene.axis_point_and_direction[0]
         self.blade_middle_position, self.axis_y_position = (
             float(axis_point[0 if scene.dimension == 2 else 2]),
@@ -704,19 +720,22 @@ class DiskRim:
 
     @property
     def area(self) -> float:
-        """Return the area of the rim's part [m^2]."""
+        """Return the area of the sector's rim [m^2]."""
         return self.half_angle * (self.outer_radius**2 - self.inner_radius**2)
 
     def foot_height(self, position: float) -> float:
-        """Return the blade foot's height y on the rim, at a position across [m]."""
+        """Return the coordinate y of the blade's foot on the outer circle [m].
+
+        ``position`` [m] is the coordinate across the blade.
+        """
         return self.axis_y_position + math.sqrt(
             self.outer_radius**2 - (position - self.blade_middle_position) ** 2
         )
 
     def point_at(self, radius: float, angle: float) -> tuple[float, float]:
-        """Return a point at a radius and an angle.
+        """Convert a radius [m] and an angle [rad] to a point (across the blade, y) [m].
 
-        The angle is measured from the middle of the blade to the right.
+        The angle is measured from the blade's middle to the right.
         """
         return (
             self.blade_middle_position + radius * math.sin(angle),
@@ -726,9 +745,9 @@ class DiskRim:
     def draw_with_blade(
         self, width: float, height: float, thickness: float
     ) -> list[tuple[int, int]]:
-        """Draw the volume of a solid's sector: rim and blade.
+        """Draw a solid sector, rim and blade in a single volume; return gmsh's (dimension, tag).
 
-        The rim is as thick as the blade is wide.
+        The arguments are the blade's sides. The rim is as thick as the blade is wide.
         """
         occ = gmsh.model.occ
         polar_corners = [
@@ -760,10 +779,10 @@ class DiskRim:
         return list(occ.fuse(rim_dim_tags, blade_dim_tags)[0])
 
     def gradings(self) -> list[_Grading]:
-        """Return the element lengths around the corners between blade and rim.
+        """Return the grading of element lengths around the corners between blade and rim.
 
-        The stress is infinite there. A smaller ``mesh.size`` gives shorter elements and slower
-        growth.
+        The stress is infinite at the corners. The length is ``mesh.size`` / 32 there, and grows by
+        ``mesh.size`` over the blade's width, per distance.
         """
         (blade_width, _), element_size = self.scene.geometry.sides, self.scene.mesh.given("size")
         corner_x_positions = np.array([0.0, blade_width])
@@ -777,7 +796,10 @@ class DiskRim:
         ]
 
     def name_of(self, face_center: tuple[float, float, float]) -> str:
-        """Name a face on a solid's rim, given the face's center of mass."""
+        """Name a face on a solid's rim: "rim_left", "rim_right", "clamp" or "rim".
+
+        ``face_center`` is the face's center of mass. The clamp is the inner circle.
+        """
         offset_across_blade = face_center[2] - self.blade_middle_position
         offset_along_blade = face_center[1] - self.axis_y_position
         face_radius = math.hypot(offset_across_blade, offset_along_blade)
@@ -791,10 +813,10 @@ class DiskRim:
         )
 
     def set_periodic(self, across_axis: int, left_tags: list[int], right_tags: list[int]) -> None:
-        """Make gmsh mesh the right side like the left one, rotated.
+        """Make gmsh mesh the sector's right side as a rotated copy of the left side.
 
-        The rotation is in the plane of y and another axis. Tags are those of a plate's curves, or
-        of a solid's surfaces.
+        The rotation by the sector's angle is in the plane of y and ``across_axis``: 0 (x) for a
+        plate, 2 (z) for a solid. The tags belong to a plate's curves or a solid's surfaces.
         """
         c, s = math.cos(2.0 * self.half_angle), math.sin(2.0 * self.half_angle)
         transformation_matrix, axis_point, plane_axes = np.eye(4), np.zeros(3), [1, across_axis]
@@ -812,12 +834,15 @@ class DiskRim:
         foot_columns: list[ElementInterval],
         surfaces: list[int],
     ) -> dict[str, tuple[int, list[int]]]:
-        """Draw the rim in blocks below a plate's foot, and append them to ``surfaces``.
+        """Draw the rim in blocks below a plate's foot, and append the tags to ``surfaces``.
+
+        ``foot_points``, ``foot_curves`` and ``foot_columns`` are gmsh's points and curves and the
+        block columns along the foot, from left to right.
 
         Returns
         -------
         dict
-            The curves' dimension and tags, by the rim side's name.
+            Dimension and gmsh's tags of the curves, by side: "clamp", "rim_left", "rim_right".
         """
         element_size, geo = _element_length_off_cracks(self.scene), gmsh.model.geo
         rim_angle_beside_blade = self.half_angle - math.asin(
@@ -889,22 +914,22 @@ class DiskRim:
 def _mesh_current_model_with_gradings(
     scene: Scene, unit_scene: Scene, gradings: list[_Grading]
 ) -> None:
-    """Mesh gmsh's current model with elements of ``mesh.size``, or shorter ones.
+    """Mesh gmsh's current model with elements of ``mesh.size``, shorter near graded points.
 
-    Each grading limits the element length.
+    The element length at a point is the minimum of ``mesh.size`` and all gradings.
 
     Raises
     ------
     InputError
-        gmsh fails.
+        gmsh cannot mesh the geometry; the error names the key to change.
     """
     element_size = unit_scene.mesh.given("size")
     kernel_structs = [grading.as_kernel_struct() for grading in gradings]
 
     def element_length(dimension: int, tag: int, x: float, y: float, *_: float) -> float:
-        """Return the element length at a point.
+        """Return the element length at a point, for gmsh.
 
-        gmsh calls it 1e5 times for a mesh.
+        gmsh calls the function 1e5 times for a mesh.
         """
         return min(
             [
@@ -925,9 +950,9 @@ def _mesh_current_model_with_gradings(
 
 
 def meshing_refusal(scene: Scene, reason_text: str) -> InputError:
-    """Return the error for a geometry that gmsh cannot mesh.
+    """Return the InputError for a geometry that gmsh cannot mesh, for ``reason``.
 
-    It names the smallest crack or, without cracks, the size of elements.
+    The error names the key of the smallest crack dimension or, without cracks, ``mesh.size``.
     """
     crack_size_by_key = {
         f"{crack_key}.{size_key}": crack_size
@@ -954,16 +979,16 @@ def meshing_refusal(scene: Scene, reason_text: str) -> InputError:
 class _Grading:
     """Element length h = min_length + length_per_distance d around points.
 
-    The distance d is measured from the nearest point.
+    d is the distance from the nearest point. Lengths are in gmsh's unit.
 
     Attributes
     ----------
-    x_positions, y_position : (n,), () [m]
-        x and y of the points.
-    min_length : float [m]
-        Element length at a point.
+    x_positions, y_position : (n,), ()
+        Coordinates x of the points, and the common y.
+    min_length : float
+        Element length at the points.
     length_per_distance : float
-        Increase with the distance.
+        Increase of the element length per distance d.
     """
 
     x_positions: np.ndarray
@@ -972,12 +997,12 @@ class _Grading:
     length_per_distance: float
 
     def as_kernel_struct(self) -> Struct:
-        """Return this grading as a C struct for the kernel's ``element_length_at``."""
+        """Return the kernel's struct ``grading``, for the C function ``element_length_at``."""
         return Struct("grading", count=len(self.x_positions), **vars(self))
 
 
 def _crack_gradings(scene: Scene) -> list[_Grading]:
-    """Return the grading around the tips of each crack in a plate."""
+    """Return a grading of element lengths around the tips for each crack in a plate."""
     (width, _), mesh, gradings = scene.geometry.sides, scene.mesh, []
     for crack in scene.crack_by_name.values():
         n_elements = mesh.given("lip_elements")

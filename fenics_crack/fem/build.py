@@ -76,7 +76,7 @@ from fenics_crack.scene.scene import Scene
 def pair_crack_faces(
     dofs: Dofs, t: Any, *, mouth_only: bool = False, max_patches: int | None = None
 ) -> tuple[sparse.csr_matrix, sparse.csr_matrix | None, Pairs]:
-    """Pair both crack faces at equal positions (collective).
+    """Make contact pairs from nodes at equal positions on both crack faces (collective).
 
     Pairs are ordered crack by crack. On a plate they run from the mouth to the tip, or from the
     left tip to the right one. On a solid they run from the front to the mouth.
@@ -88,19 +88,19 @@ def pair_crack_faces(
     t : ufl expression [m]
         Thickness of a plate, 1 for a solid.
     mouth_only : bool
-        True if only the watched pairs are kept.
+        True to keep a single pair for each crack, at the mouth or in the middle.
     max_patches : int, optional
-        Maximum number of pairs for each crack.
+        Maximum number of pairs for each crack. Default: a pair for each node off tips and fronts.
 
     Returns
     -------
     gap : (n_local, n_pairs)
-        B for normal gaps B^T u, with the rows for this rank's free dofs.
-    tangential : (n_local, n_pairs), or None for a solid
-        B_t for tangential gaps B_t^T u: B with each node's normal turned by a right angle. A
-        solid pair's two tangential directions are in ``pairs``.
+        Matrix B for normal gaps B^T u, with the rows for this rank's free dofs.
+    tangential : (n_local, n_pairs) or None
+        Matrix B_t for tangential gaps B_t^T u: B with each node's normal turned by a right angle.
+        None for a solid, where ``pairs.tangential_gap_matrix`` has two directions per pair.
     pairs : Pairs
-        Positions, areas and cracks of the pairs.
+        Positions, areas and crack of each pair.
 
     Raises
     ------
@@ -179,10 +179,10 @@ def pair_crack_faces(
 def _front_pressure_share_matrix(
     dofs: Dofs, space: Any, both_faces_measure: Any, node_numbers: np.ndarray, n_inside: int
 ) -> sparse.csr_matrix:
-    """Return the matrix S that moves pressures at front nodes to neighbours: (n, n_inside).
+    """Return the matrix S that distributes pressure at front nodes to neighbours: (n, n_inside).
 
-    At nodes off the front, the pressure functions psi become sum_i S_ij psi_i. The first
-    ``n_inside`` nodes of ``node_numbers`` are off the fronts, all others on them.
+    The pressure functions of nodes off the front become psi_j = sum_i S_ij psi_i. ``node_numbers``
+    (n,) are global nodes on a face, the first ``n_inside`` off the fronts, all others on fronts.
     """
     overlap_form = ufl.inner(ufl.TrialFunction(space), ufl.TestFunction(space)) * both_faces_measure
     petsc_overlap_matrix = compat.assembled_petsc_matrix(overlap_form)
@@ -206,14 +206,17 @@ def _front_pressure_share_matrix(
 
 
 def _make_tangential_gap_matrix(gap: Any, lower_gap: Any, comm: MPI.Comm) -> sparse.csr_matrix:
-    """Return tangential gaps of a solid's pairs: (3 n_nodes, 2 m) (collective).
+    """Return the matrix B_t of a solid's tangential gaps: (3 n_nodes, 2 m) (collective).
+
+    The tangential gaps are B_t^T u: m gaps along the pairs' first tangents, then m along the second
+    tangents, both at right angles to the pair's mean normal.
 
     Parameters
     ----------
     gap : (3 n_nodes, m)
-        Normal gaps.
+        Matrix B of the m pairs' normal gaps B^T u.
     lower_gap : (3 n_nodes, m)
-        Contribution of the lower face to the normal gaps.
+        Part of B from the lower crack face.
     comm : MPI.Comm
         Ranks that share the mesh.
     """
@@ -244,7 +247,10 @@ def _find_patch_nodes_and_shares(
     n_inside: int,
     max_patches: int,
 ) -> tuple[np.ndarray, sparse.csr_matrix]:
-    """Choose patches with one contact pair each, and return their pressure functions.
+    """Choose nodes as patch centres, a contact pair each, and compute pressure functions.
+
+    On a plate a pressure function is linear between chosen nodes. On a solid it is 1 at all nodes
+    nearest to the chosen node, otherwise 0.
 
     Parameters
     ----------
@@ -254,7 +260,7 @@ def _find_patch_nodes_and_shares(
     crack_of_node : (n,) int
         Crack of each node.
     distances_on_crack : (n,) [m]
-        Distance of each node along its path, or from the front.
+        Distance of each node along the crack path, or from the front of a surface.
     n_inside : int
         Number of nodes off tips and fronts.
     max_patches : int
@@ -265,7 +271,7 @@ def _find_patch_nodes_and_shares(
     patch_nodes : (m,) int
         Node at the centre of each patch.
     pressure_shares : (n, m)
-        Values of the patches' pressure functions at all nodes, 0 to 1.
+        Value of each patch's pressure function at each node, 0 to 1.
     """
     patch_nodes, pressure_shares = np.zeros(0, dtype=int), np.zeros((len(points), 0))
     for crack_number in np.unique(crack_of_node):
@@ -299,9 +305,10 @@ def _find_patch_nodes_and_shares(
 
 
 def _select_distant_points(points: np.ndarray, n_points: int) -> np.ndarray:
-    """Select points far apart, by index: (n_points,) int, in ascending order.
+    """Select points far from each other, by index: (n_points,) int, ascending.
 
-    The last point is selected first, then repeatedly the point farthest from all selected ones.
+    The first choice is the last point. Each further choice is the point farthest from the selected
+    points.
     """
     selected_indices, distances_to_selected = [len(points) - 1], np.full(len(points), np.inf)
     while len(selected_indices) < n_points:
@@ -313,13 +320,13 @@ def _select_distant_points(points: np.ndarray, n_points: int) -> np.ndarray:
 
 
 def _rotate_by_right_angle(columns: Any) -> sparse.csr_matrix:
-    """Rotate nodal vectors in a plane by a right angle: (2 n_nodes, m)."""
+    """Rotate m fields of plane nodal vectors by a right angle: (2 n_nodes, m)."""
     rotation = sparse.kron(sparse.eye(columns.shape[0] // 2), [[0.0, -1.0], [1.0, 0.0]])
     return rotation.tocsr() @ columns
 
 
 def _free_rows(columns: Any, dofs: Dofs) -> sparse.csr_matrix:
-    """Return the rows of this rank's free dofs, without stored zeros."""
+    """Select the rows of this rank's free dofs and drop stored zeros: (n_local, m)."""
     free_rows_matrix = sparse.csr_matrix(columns.tocsr()[dofs.free_dofs])
     free_rows_matrix.eliminate_zeros()
     return free_rows_matrix
@@ -328,18 +335,19 @@ def _free_rows(columns: Any, dofs: Dofs) -> sparse.csr_matrix:
 def _assemble_nodal_gap_columns(
     dofs: Dofs, thickness: Any, both_faces_measure: Any
 ) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
-    """Assemble a face's gap vectors b, one for each displacement node.
+    """Assemble the gap vector b of every node on crack faces, for a plate.
 
-    A pair's gap is b . u, summed over both faces.
+    A pair's gap is b_lower . u + b_upper . u, with the nodes' mean outward normals in b. The
+    pressure functions are the displacement's basis functions.
 
     Returns
     -------
     space : dolfinx function space
-        Space of the pressures.
-    weights : (n_owned,) [m^2]
-        Area t int psi ds for each owned node's pressure function psi.
-    columns : (n_owned_dofs, n_pressures)
-        b of every pressure, the rows of this rank's dofs.
+        Space of the pressure functions.
+    node_areas : (n_owned,) [m^2]
+        Area of each owned node, |t int psi n ds| with the pressure function psi and the normal n.
+    columns : (n_owned_dofs, n_nodes)
+        Vector b of every node, with the rows of this rank's dofs.
     """
     space, dimension = dofs.space, dofs.dimension
     facet_normal = ufl.FacetNormal(space.mesh)
@@ -365,9 +373,10 @@ def _assemble_nodal_gap_columns(
 def _assemble_pressure_gap_columns(
     dofs: Dofs, thickness: Any, both_faces_measure: Any
 ) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
-    """Assemble a face's gap vectors with pressures linear between corners of facets.
+    """Assemble the gap vectors of pressures that are linear between facet corners.
 
-    The results are as in :func:`_assemble_nodal_gap_columns`.
+    The gap b . u is the mean over the pressure function psi, b . u = t int psi n . u ds / w, w = t
+    int psi ds. The results are as in :func:`_assemble_nodal_gap_columns`.
     """
     pressure_space = compat.function_space(dofs.space.mesh, 1, vectors=False)
     facet_normal, pressure = ufl.FacetNormal(pressure_space.mesh), ufl.TrialFunction(pressure_space)
@@ -402,19 +411,24 @@ def _match_face_nodes(
     cracks : Cracks
         Cracks of the mesh.
     lower_node_table, upper_node_table : (n, 2 + d)
-        Node number, weight and position on each face.
+        Rows with node number, area and position of the nodes on each face.
 
     Returns
     -------
     lower_node_table, upper_node_table : (n, 2 + d)
-        Partners in order along the cracks; nodes of tips and fronts come last. As both faces
-        share these, their weights are halved.
+        Matched rows in order along the cracks; nodes of tips and fronts come last. Both faces share
+        these nodes, so the lower table has half of the area.
     crack_of_pair : (n,) int
-        Crack of each pair.
+        Crack of each row.
     distances_on_crack : (n,) [m]
-        Distance along the path, or from the front.
+        Distance along the crack path, or from the front of a surface.
     n_inside : int
-        Number of pairs off tips and fronts.
+        Number of rows off tips and fronts.
+
+    Raises
+    ------
+    InputError
+        The faces have different nodes; the tolerance is 1e-6 of the cracks' extent.
     """
     crack_extent = np.ptp(lower_node_table[:, 2:], axis=0).max()
     is_front_node = np.isin(lower_node_table[:, 0], upper_node_table[:, 0])
@@ -472,7 +486,11 @@ def _match_face_nodes(
 def _watched_pair_by_name(
     cracks: Cracks, crack_of_pair: np.ndarray, distances_on_crack: np.ndarray
 ) -> dict[str, int]:
-    """Return the index of each crack's watched pair, by name."""
+    """Return the index of each crack's watched pair, by name, as "the mouth of crack 1".
+
+    Results report the watched pair. A crack without pairs has none. The arrays (n_pairs,) are the
+    crack of each pair, and the distance along the path or from the front [m].
+    """
     pair_by_name: dict[str, int] = {}
     crack: Any
     for crack_number, crack in enumerate(cracks):
@@ -489,10 +507,10 @@ def _watched_pair_by_name(
 
 
 def assemble_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
-    """Mesh a scene and assemble its structure, or read its matrices (collective).
+    """Mesh a scene and assemble the structure, or read matrix files (collective).
 
-    The crack length must be known. Parameters and errors are those of
-    :func:`fenics_crack.build_structure`.
+    The scene must state the crack length, not ``crack.first_omega``. Parameters and errors are
+    those of :func:`fenics_crack.build_structure`.
     """
     collect_garbage(comm)  # free the matrices of earlier structures
     if scene.structure is not None:
@@ -520,13 +538,13 @@ def assemble_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structu
 
 
 def assemble_body_fields_of_load(scene: Scene, structure: Structure) -> dict[str, Any]:
-    """Assemble a scene's loads on a structure's mesh, at rest (collective).
+    """Assemble a scene's loads on the mesh of a structure without rotation (collective).
 
     Returns
     -------
     dict
-        Fields of :class:`Body`: "force", rows of the load; "watched", the dof whose motion is
-        printed; "clamp", which gives the reaction to the load.
+        Fields of :class:`Body`: "force", load (2K+1, n_local) [N]; "watched", vector whose product
+        with the displacement is reported, or None; "clamp", data for the reaction at the clamp.
     """
     dofs: Dofs = structure.nodes.mesh_dofs  # type: ignore[union-attr]
     _, mass_form = _make_stiffness_and_mass_forms(scene, dofs.space)
@@ -542,9 +560,9 @@ def assemble_body_fields_of_load(scene: Scene, structure: Structure) -> dict[str
 
 
 def _assemble_structure_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure, Dofs]:
-    """Assemble the structure without rotation, and number its dofs (collective).
+    """Assemble a scene's structure without rotation, and the dofs of the mesh (collective).
 
-    Of a bladed disk it is one sector, whose sides are free.
+    For a bladed disk the structure is a single sector with free sides.
     """
     begin_stage("mesh")
     part_mesh = build_plate_or_solid_mesh(scene, comm)
@@ -590,7 +608,10 @@ def _assemble_structure_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure
 
 
 def _make_stiffness_and_mass_forms(scene: Scene, space: Any) -> tuple[Any, Any]:
-    """Return the UFL forms for stiffness and mass."""
+    """Return the UFL forms for stiffness and mass, without boundary conditions.
+
+    They are t int sigma(u) : eps(v) dx and t int rho u . v dx, with thickness t and density rho.
+    """
     (density,), thickness = (
         form_constants(space, scene.material.density),
         thickness_constant(scene, space),
@@ -609,9 +630,9 @@ def _make_stiffness_and_mass_forms(scene: Scene, space: Any) -> tuple[Any, Any]:
 
 
 def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
-    """Mesh a scene and assemble its structure, or read its matrices (collective).
+    """Mesh a scene and assemble the structure, or read matrix files (collective).
 
-    If ``first_omega`` is given for the crack, :func:`find_crack_length` finds the crack's length.
+    If the scene has ``crack.first_omega``, :func:`find_crack_length` finds the crack's length.
 
     Parameters
     ----------
@@ -623,7 +644,7 @@ def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     Returns
     -------
     Structure
-        Not reduced; its rows are shared by the ranks.
+        Structure that is not reduced; each rank has part of the rows.
 
     Raises
     ------
@@ -639,29 +660,32 @@ def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
 
 
 def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
-    """Return the scene with the crack length at which the first open frequency is as asked.
+    """Replace ``crack.first_omega`` in a scene by the crack length (collective).
 
-    ``crack.first_omega`` asks for it; without it the scene is returned as it is."""
+    The length comes from :func:`find_crack_length`. A scene without ``crack.first_omega`` is
+    returned unchanged.
+    """
     if scene.crack is None or scene.crack.first_omega is None:
         return scene
     return _replace_crack_length(scene, find_crack_length(scene, comm))
 
 
 _LAST_TABLES_AND_LENGTH: list[tuple[str, float]] = []
-"""Crack length found last in this process, after all tables of a scene that determine it."""
+"""Crack length [m] found last in this process, with the text of the scene's tables for geometry,
+crack, material and mesh. Empty before the first search."""
 
 
 def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
-    """Find the crack length [m] for which the first natural frequency is given.
+    """Find the crack length [m] for a given first natural frequency (collective).
 
-    This is ``crack.first_omega``. The frequency of the open crack, without rotation, falls with the
-    length. Brent's method on re-meshed plates finds the length to 1e-5 of the width. The result is
-    kept for the same plate.
+    The frequency ``crack.first_omega`` is for the open crack without rotation, and falls with the
+    length. Brent's method on re-meshed plates finds the length to 1e-5 of the width. Another call
+    for the same plate returns the stored length.
 
     Parameters
     ----------
     scene : Scene
-        With ``crack.first_omega`` or ``crack.first_frequency``.
+        Plate with ``crack.first_omega`` or ``crack.first_frequency``.
     comm : MPI.Comm
         Ranks that share the mesh.
 
@@ -673,8 +697,8 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     Raises
     ------
     InputError
-        No length from 1 % to 95 % of the width gives that frequency. For a crack inside, the
-        space around its center takes the place of the width.
+        No length from 1 % to 95 % of the width gives the frequency. For a crack inside, twice the
+        center's distance from the nearer edge replaces the width.
 
     Examples
     --------
@@ -691,7 +715,7 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
 
     @cache
     def excess_frequency(length: float) -> float:
-        """Return the first natural frequency less the target [rad/s]."""
+        """Return the first natural frequency at a crack length [m], less the target [rad/s]."""
         trial_structure = assemble_structure(_replace_crack_length(scene_at_rest, length), comm)
         return float(solve_modes(trial_structure, 1).omega[0]) - target_omega
 
@@ -716,5 +740,5 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
 
 
 def _replace_crack_length(scene: Scene, length: float) -> Scene:
-    """Return the scene with a crack length instead of a frequency."""
+    """Return a scene with ``crack.length`` [m] instead of ``crack.first_omega``."""
     return scene.replace({"crack.length": length, "crack.first_omega": None})

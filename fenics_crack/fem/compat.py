@@ -33,7 +33,8 @@ from fenics_crack.basics.untrusted_files import leave_working_folder
 def _replaced_pkg_resources_context() -> Iterator[None]:
     """Replace setuptools' pkg_resources while UFL 2022.2 and FFCx 0.5 are imported.
 
-    Both ask it only for their own version. Its import takes a tenth of the program's start.
+    Both use pkg_resources only to find out their version. To import pkg_resources would take a
+    tenth of the program's start.
     """
     substitute = ModuleType("pkg_resources")
     vars(substitute)["get_distribution"] = importlib.metadata.distribution
@@ -69,20 +70,27 @@ _CACHE_FOLDER = _OPTIONS[0].pop("cache_dir")
 
 
 def gmsh_is_running() -> bool:
-    """Return True if gmsh is initialised.
+    """Return True if gmsh is initialised in this process; always False for gmsh 4.8.
 
-    gmsh 4.8 does not report this; the result is then False.
+    gmsh 4.8 cannot report the state.
     """
     return bool(getattr(gmsh, "isInitialized", lambda: False)())
 
 
 def model_to_mesh(model: Any, comm: MPI.Comm, dimension: int) -> tuple[Any, Any, Any]:
-    """Distribute rank 0's gmsh model as a mesh with ``dimension`` coordinates.
+    """Distribute rank 0's gmsh model as a DOLFINx mesh (collective).
 
     Returns
     -------
-    mesh, cell_tags, facet_tags
-        DOLFINx's objects.
+    mesh : dolfinx.mesh.Mesh
+        Mesh with ``dimension`` coordinates.
+    cell_tags, facet_tags : dolfinx.mesh.MeshTags
+        Tags of gmsh's physical groups.
+
+    Raises
+    ------
+    MemoryError
+        A rank has less than 150 MiB of address space.
     """
     try:
         from dolfinx.io import gmshio
@@ -104,8 +112,8 @@ def model_to_mesh(model: Any, comm: MPI.Comm, dimension: int) -> tuple[Any, Any,
 def _quiet_compiler_context() -> Iterator[None]:
     """Suppress distutils' messages on the root logger while a form is compiled.
 
-    FFCx gives this logger a handler, and cffi sets its level to INFO. Warnings and messages of
-    other loggers still appear.
+    FFCx gives the root logger a handler, and cffi sets the level INFO. Warnings, and messages of
+    all other loggers, still appear.
     """
 
     def is_important(record: logging.LogRecord) -> bool:
@@ -120,7 +128,11 @@ def _quiet_compiler_context() -> Iterator[None]:
 
 @_quiet_compiler_context()
 def _compile(comm: MPI.Comm, form: Any, make_object: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a DOLFINx constructor that compiles a form or an element (collective)."""
+    """Create a DOLFINx object that compiles ``form``, a form or element (collective).
+
+    ``make_object(*arguments, jit_options=...)`` is the constructor. A compiled form is loaded from
+    the cache if possible.
+    """
     cache_key = ffcx.naming.compute_signature(
         [form], str((_OPTIONS, PETSc.ScalarType, sys.implementation))
     )
@@ -132,7 +144,10 @@ def _compile(comm: MPI.Comm, form: Any, make_object: Callable[..., Any], *argume
 
 
 def lagrange_element(mesh: Any, order: int, *, vectors: bool = True) -> Any:
-    """Return the continuous Lagrange element of an order, for vectors or scalars."""
+    """Return the continuous Lagrange element of given order on a mesh's cells.
+
+    Values are vectors with the mesh's dimension, or scalars if ``vectors`` is False.
+    """
     if _HAS_FUNCTIONSPACE:
         shape = (mesh.geometry.dim,) if vectors else None
         return basix.ufl.element("Lagrange", mesh.topology.cell_type.name, order, shape=shape)
@@ -141,7 +156,10 @@ def lagrange_element(mesh: Any, order: int, *, vectors: bool = True) -> Any:
 
 
 def function_space(mesh: Any, order: int, *, vectors: bool = True) -> Any:
-    """Return the function space of :func:`lagrange_element` on a mesh."""
+    """Return the DOLFINx space of continuous Lagrange functions on a mesh (collective).
+
+    Values are vectors with the mesh's dimension, or scalars if ``vectors`` is False.
+    """
     element = lagrange_element(mesh, order, vectors=vectors)
     if _HAS_FUNCTIONSPACE:
         return dolfinx.fem.functionspace(mesh, element)
@@ -149,9 +167,9 @@ def function_space(mesh: Any, order: int, *, vectors: bool = True) -> Any:
 
 
 def compile_form(form: Any) -> Any:
-    """Compile a form, unless it is compiled already (collective).
+    """Compile a UFL form; a compiled form comes back unchanged (collective).
 
-    A compiled form can be assembled repeatedly, with other values of its constants and functions.
+    A compiled form can be assembled repeatedly, with changed values of constants and functions.
     """
     if not isinstance(form, ufl.Form):
         return form
@@ -159,9 +177,9 @@ def compile_form(form: Any) -> Any:
 
 
 def assembled_petsc_matrix(form: ufl.Form) -> Any:
-    """Assemble a bilinear form into a PETSc matrix (collective).
+    """Assemble a bilinear form into a PETSc matrix, without boundary conditions (collective).
 
-    No boundary conditions are applied.
+    The caller destroys the matrix.
     """
     matrix = dolfinx.fem.petsc.assemble_matrix(compile_form(form))
     matrix.assemble()
@@ -169,7 +187,10 @@ def assembled_petsc_matrix(form: ufl.Form) -> Any:
 
 
 def assembled_vector(form: Any) -> np.ndarray:
-    """Assemble a linear form, compiled or not: (n_owned_dofs,) (collective)."""
+    """Assemble a linear form, UFL or compiled, on this rank's dofs: (n_owned_dofs,).
+
+    Contributions from other ranks' cells are included (collective).
+    """
     vector = dolfinx.fem.petsc.assemble_vector(compile_form(form))
     vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
     owned_entries = vector.array_r.copy()
@@ -185,9 +206,9 @@ def evaluate_basis(space: Any, order: int, point: np.ndarray) -> tuple[np.ndarra
     Returns
     -------
     nodes : (k,) int
-        Local nodes of the cell with the point.
+        Local numbers of the nodes in a cell with the point.
     basis_values : (k,)
-        Values of their basis functions at the point.
+        Values of these nodes' basis functions at the point.
     """
     mesh = space.mesh
     dimension = mesh.topology.dim
@@ -220,7 +241,7 @@ def evaluate_basis(space: Any, order: int, point: np.ndarray) -> tuple[np.ndarra
 
 
 def are_facet_tags_of(tags: Any, mesh: Any) -> bool:
-    """Return True if tags are facet tags of a mesh."""
+    """Return True if DOLFINx tags belong to a mesh and tag facets, not other entities."""
     tagged_topology, mesh_topology = (
         (tags.topology, mesh.topology) if _HAS_FUNCTIONSPACE else (tags.mesh, mesh)
     )
@@ -231,17 +252,17 @@ def are_facet_tags_of(tags: Any, mesh: Any) -> bool:
 
 
 def _cpp_object(wrapper: Any) -> Any:
-    """Return the C++ object behind a Python object, in any version."""
+    """Return the C++ object behind a DOLFINx object in Python; a C++ object itself unchanged."""
     return getattr(wrapper, "_cpp_object", getattr(wrapper, "_mesh", wrapper))
 
 
 def constrained_dof_mask(space: Any, conditions: Any) -> np.ndarray:
-    """Return True for this rank's dofs that Dirichlet conditions hold at zero: (n_dofs,).
+    """Return True for each of this rank's dofs held at zero by Dirichlet conditions: (n_dofs,).
 
     Raises
     ------
     InputError
-        A condition is on another space, or its value is not zero. The key is "bcs".
+        A condition is on another space, or holds at another value than zero. The key is "bcs".
     """
     cpp_space = space._cpp_object
     n_dofs = space.dofmap.index_map.size_local * space.mesh.geometry.dim
@@ -263,7 +284,10 @@ def constrained_dof_mask(space: Any, conditions: Any) -> np.ndarray:
 
 
 def facet_corner_nodes(mesh: Any, facets: np.ndarray) -> np.ndarray:
-    """Return local geometry nodes at the corners of facets, in cyclic order: (n, k)."""
+    """Return the geometry nodes at facet corners, in cyclic order: (n, k) int.
+
+    ``facets`` (n,) and nodes are local numbers. k is 2 for edges, 3 or 4 for facets of solids.
+    """
     topology, dimension = mesh.topology, mesh.topology.dim
     for dimensions in ((dimension - 1, 0), (dimension - 1, dimension), (dimension, dimension - 1)):
         topology.create_connectivity(*dimensions)
@@ -280,7 +304,7 @@ def facet_corner_nodes(mesh: Any, facets: np.ndarray) -> np.ndarray:
 
 
 def geometry_dofmap(mesh: Any) -> np.ndarray:
-    """Return the geometry nodes of each local cell: (n_cells, n_nodes)."""
+    """Return the local geometry nodes of each local cell: (n_cells, n_nodes) int."""
     dofmap = mesh.geometry.dofmap
     if isinstance(dofmap, np.ndarray):
         return dofmap
@@ -288,12 +312,12 @@ def geometry_dofmap(mesh: Any) -> np.ndarray:
 
 
 def vtk_cells_and_type(space: Any) -> tuple[np.ndarray, int]:
-    """Return the owned cells in VTK's form.
+    """Return this rank's cells with nodes in VTK's order, for pictures.
 
     Returns
     -------
     cells : (n_cells, n_nodes) int
-        Local nodes, in VTK's order.
+        Local nodes of the function space.
     vtk_type : int
         VTK's number of the cell type; 0 if there are no cells.
     """

@@ -29,28 +29,29 @@ from fenics_crack.basics.errors import InputError
 CRACK_FACE_NAMES = ("lower_lip", "upper_lip")
 """Names of the lower and upper faces of all cracks in a mesh."""
 RELATIVE_POSITION_TOLERANCE = 1e-6
-"""Distance between equal positions, relative to the size of the mesh or crack. Text files keep six
-digits or more."""
+"""Maximum distance between positions that count as equal, relative to the size of mesh or crack.
+Text files keep six digits or more."""
 RELATIVE_COINCIDENCE_TOLERANCE = 1e-3
-"""Distance between coincident nodes, relative to the shortest edge."""
+"""Maximum distance between nodes to be merged along cracks, relative to the shortest edge. Also the
+smallest relative component of a normal that is not level."""
 FACET_CORNERS_BY_CORNER_COUNT = {
     4: np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]),
     8: np.array(
         [[0, 1, 2, 3], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]
     ),
 }
-"""Corners of the facets of a solid's cell, in cyclic order, by number of corners."""
+"""Corners of each facet of a solid's cell, in cyclic order, by the cell's number of corners."""
 
 
 @dataclass(frozen=True)
 class CrackPath:
-    """Path of a crack in a plate.
+    """Path of a crack in a plate, a chain of straight edges.
 
     Attributes
     ----------
     points : (n, 2) [m]
-        Corners from the mouth to the tip; for a crack inside, from the left tip to the right
-        one. A straight path needs only its two ends.
+        Corners from the mouth to the tip; for a crack inside, from the left tip to the right tip.
+        A straight path has only two points, the ends.
     has_mouth : bool
         True if the path begins at the edge of the plate.
     """
@@ -60,34 +61,35 @@ class CrackPath:
 
     @property
     def edges(self) -> np.ndarray:
-        """Return the ends of all edges: (n - 1, 2, 2) [m]."""
+        """Return start and end point of each edge: (n - 1, 2, 2) [m]."""
         return np.stack([self.points[:-1], self.points[1:]], axis=1)
 
     @property
     def corner_arc_lengths(self) -> np.ndarray:
-        """Return each corner's distance from the beginning, along the path: (n,) [m]."""
+        """Return the distance of each corner from the first point, along the path: (n,) [m]."""
         edge_lengths = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
         return np.concatenate([[0.0], np.cumsum(edge_lengths)])
 
     @property
     def watched_name_and_position(self) -> tuple[str, float]:
-        """Return the reported contact pair's name and position [m].
+        """Return the name of the watched contact pair, and the distance along the path [m].
 
-        The pair is at the mouth (position 0), or in the middle between two tips.
+        Results report this pair. It is at the mouth, distance 0, or for a crack inside in the
+        middle.
         """
         if self.has_mouth:
             return "the mouth", 0.0
         return "the middle", 0.5 * self.corner_arc_lengths[-1]
 
     def locate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Project points (n, 2) onto the path.
+        """Find the nearest point on the path for each of n points (n, 2) [m].
 
         Returns
         -------
         distances : (n,) [m]
             Distance between each point and the path.
         positions : (n,) [m]
-            Distance from the beginning to the nearest point on the path.
+            Distance along the path from the first point to the nearest point.
         """
         offsets_from_path_edges, edge_fractions = offsets_from_edges(points, self.edges)
         distances_to_edges = np.linalg.norm(offsets_from_path_edges, axis=2)
@@ -99,9 +101,10 @@ class CrackPath:
         ]
 
     def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
-        """Return points below and above a point on the crack.
+        """Return a point below and a point above a given point on the crack [m].
 
-        None if the point is off the crack, or at a tip.
+        Both are 1e-3 of the crack's length away. None if the given point is farther than 1e-6 of
+        the length from the crack, or as close to a tip.
         """
         (distance_to_crack,), (arc_length,) = self.locate(np.array([point]))
         path_length = float(self.corner_arc_lengths[-1])
@@ -122,16 +125,16 @@ class CrackPath:
 
 @dataclass(frozen=True)
 class CrackSurface:
-    """Surface of a crack in a solid.
+    """Surface of a crack in a solid, as triangles with front and mouth.
 
     Attributes
     ----------
     triangles : (n, 3, 3) [m]
-        Corners of the facets. Each quadrilateral is cut into two triangles.
+        Corners of the triangles on the lower face. Quadrilaterals are cut into two triangles.
     front_chords : (m, 2, 3) [m]
-        Positions of the ends of the front's edges. Empty if the crack separates two bodies.
+        End points of element edges along the front. Empty if the crack separates two bodies.
     has_mouth : bool
-        True if the rim reaches the surface of the solid.
+        True if the crack reaches the surface of the solid.
     """
 
     triangles: np.ndarray
@@ -140,19 +143,19 @@ class CrackSurface:
 
     @property
     def watched_name_and_position(self) -> tuple[str, float]:
-        """Return the reported contact pair's name and position: the farthest from the front.
+        """Return the name of the watched contact pair, and infinity as distance from the front.
 
-        The position is infinite.
+        Results report this pair. Infinity selects the pair farthest from the front.
         """
         return "the mouth" if self.has_mouth else "the middle", np.inf
 
     @property
     def size(self) -> float:
-        """Return the largest extent along x, y or z [m]."""
+        """Return the crack's largest extent along x, y or z [m]."""
         return float(np.ptp(self.triangles.reshape(-1, 3), axis=0).max())
 
     def locate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the distances of points (n, 3) from surface and front.
+        """Return the distances of points (n, 3) [m] from the crack's surface and front.
 
         Returns
         -------
@@ -160,7 +163,7 @@ class CrackSurface:
             Distance between each point and the surface.
         front_distances : (n,) [m]
             Distance between each point and the front, at most twice the crack's size. Without a
-            front all are equal.
+            front all distances are this maximum.
         """
         surface_distances, front_distances = np.empty(len(points)), np.empty(len(points))
         # Limit the memory: two million distances at a time.
@@ -179,9 +182,10 @@ class CrackSurface:
         return surface_distances, front_distances
 
     def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
-        """Return points below and above a point on the crack.
+        """Return a point below and a point above a given point on the crack [m].
 
-        None if the point is off the crack, or at a front.
+        Both are 1e-3 of the crack's size away. None if the given point is farther than 1e-6 of the
+        size from the crack, or as close to a front.
         """
         position = np.asarray(point, dtype=float)
         (distance_to_crack,), (front_distance,) = self.locate(position[None])
@@ -195,7 +199,7 @@ class CrackSurface:
 def _offsets_from_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Return vectors from triangles (m, 3, 3) to points (n, 3): (n, m, 3).
 
-    Each vector begins at the triangle's nearest point.
+    Each vector starts at the triangle's nearest point and ends at the given point.
     """
     side_1, side_2 = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     corner_offsets = points[:, None] - triangles[:, 0]
@@ -216,9 +220,10 @@ def _offsets_from_triangles(points: np.ndarray, triangles: np.ndarray) -> np.nda
 
 
 def _size_weighted_normals(facets: np.ndarray) -> np.ndarray:
-    """Return normals of edges (n, 2, 2) or triangles (n, 3, 3).
+    """Return a normal for each edge (n, 2, 2) or triangle (n, 3, 3): (n, 2) or (n, 3).
 
-    An edge's normal has the edge's length, a triangle's normal twice its area.
+    A normal's length is the edge's length, or twice the triangle's area. The direction follows the
+    order of corners.
     """
     sides = facets[:, 1:] - facets[:, :1]
     if facets.shape[2] == 2:
@@ -229,18 +234,18 @@ def _size_weighted_normals(facets: np.ndarray) -> np.ndarray:
 Cracks = tuple[CrackPath, ...] | tuple[CrackSurface, ...]
 """Crack paths of a plate, or crack surfaces of a solid."""
 NamedParts = tuple[dict[str, tuple[int, ...]], dict[str, tuple[float, ...]]]
-"""Facet tags of each named curve or surface, and positions of named points [m]."""
+"""gmsh's facet group tags by name of a curve or surface, and positions by name of a point [m]."""
 
 
 def offsets_from_edges(points: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return vectors from edges (m, 2, d) to points (n, d).
+    """Return the vector from each of m edges (m, 2, d) to each of n points (n, d).
 
     Returns
     -------
     offsets : (n, m, d)
-        Vector that begins at the edge's nearest point.
+        Vector from the edge's nearest point to the given point.
     fractions : (n, m)
-        Position of the nearest point, from 0 at the start to 1 at the end.
+        Position of the nearest point on the edge, from 0 at the start to 1 at the end.
     """
     edge_vectors = edges[:, 1] - edges[:, 0]
     start_offsets = points[:, None] - edges[:, 0]
@@ -257,17 +262,24 @@ def points_on_both_sides(
     crack_normal: np.ndarray,
     crack_size: float,
 ) -> tuple[list[float], list[float]] | None:
-    """Return points below and above a point on a crack, on the crack's normal.
+    """Return a point below and a point above a point on a crack, along the normal.
 
     Parameters
     ----------
+    point : sequence of float [m]
+        Point on the crack.
     distance_to_crack, front_distance : float [m]
-        The point's distances from the crack, and from the tip or front.
+        Distance from the point to the crack, and to the tip or front.
+    normal : (d,)
+        Normal of the crack at the point, in either direction and of any length.
+    crack_size : float [m]
+        Extent of the crack. The results are 1e-3 of this size from the point.
 
     Returns
     -------
-    lower_point, upper_point : list of float [m]
-        None for both together if the point is too far from the crack, or too near to the front.
+    (lower_point, upper_point) or None
+        Two lists of float [m]. None if the point is farther from the crack than 1e-6 of the size,
+        or as close to the front.
     """
     if (
         distance_to_crack > RELATIVE_POSITION_TOLERANCE * crack_size
@@ -283,28 +295,30 @@ def points_on_both_sides(
 
 
 def make_matrix_extending_pressures_to_front(overlaps: sparse.csr_matrix) -> sparse.csr_matrix:
-    """Return the matrix that assigns pressures at fronts to their neighbours.
+    """Return the matrix that distributes the pressure functions of front nodes to neighbours.
 
-    The share of each neighbour is proportional to the overlap of basis functions.
+    Each neighbour's share is proportional to the overlap, the integral of two basis functions'
+    product.
 
     Parameters
     ----------
     overlaps : (n_front, n_inside)
-        Integral of each product of basis functions, of a front's node and a node inside.
+        Overlaps between basis functions at front nodes and at nodes inside the crack.
 
     Returns
     -------
     (n_inside + n_front, n_inside)
-        Identity, then rows that sum to 1.
+        Identity, then a row of shares for each front node with the sum 1.
     """
     inverse_row_sums = sparse.diags(1.0 / np.asarray(overlaps.sum(axis=1)).ravel())
     return sparse.vstack([sparse.eye(overlaps.shape[1]), inverse_row_sums @ overlaps]).tocsr()
 
 
 def upward_sign(normal: np.ndarray) -> float:
-    """Return 1 if a normal points up, otherwise -1.
+    """Return 1 if a normal (2,) or (3,) points up, otherwise -1.
 
-    Up is along y; a level normal is judged along x, then along z.
+    Up means along y. If the component along y is below 1e-3 of the largest one, the sign is that of
+    the component along x, or else z.
     """
     for axis_index in (1, 0, 2)[: len(normal)]:
         if abs(normal[axis_index]) > RELATIVE_COINCIDENCE_TOLERANCE * np.abs(normal).max():
@@ -313,14 +327,14 @@ def upward_sign(normal: np.ndarray) -> float:
 
 
 def locate_on_cracks(cracks: Sequence[Any], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Find each point's (n, d) nearest crack, and the position on the crack.
+    """Find the crack nearest to each point (n, d) [m], and the position on the crack.
 
     Returns
     -------
     nearest_crack_of_point : (n,) int
-        The nearest crack's index.
+        Index of the nearest crack.
     positions : (n,) [m]
-        Distance along a path from the beginning, or on a surface from the front.
+        Distance from the path's first point along the path, or from the surface's front.
     """
     distances_to_cracks, positions_on_cracks = np.array(
         [crack.locate(points) for crack in cracks]
@@ -332,9 +346,10 @@ def locate_on_cracks(cracks: Sequence[Any], points: np.ndarray) -> tuple[np.ndar
 
 
 def label_connected_rows(node_rows: np.ndarray) -> np.ndarray:
-    """Label connected rows, such as facets, of nodes: (n,) int.
+    """Label connected rows of node numbers, such as facets: (n,) int.
 
-    Rows have the same label if a chain of rows with common nodes connects them.
+    ``rows`` is (n, k). Two rows have the same label if a chain of rows with common nodes connects
+    them. Labels count from 0.
     """
     from scipy.sparse.csgraph import connected_components  # slow to import, and few meshes need it
 
@@ -350,16 +365,16 @@ def label_connected_rows(node_rows: np.ndarray) -> np.ndarray:
 
 
 def find_unique_rows(node_rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find the different rows of nodes, in any order of nodes.
+    """Find the distinct rows among rows of nodes (n, k); the order in a row does not matter.
 
     Returns
     -------
     first_rows : (n_unique,) int
-        First row of each kind.
+        Index of the first occurrence of each distinct row.
     unique_row_of_row : (n,) int
-        Kind of each row.
+        Index of each row among the distinct rows.
     unique_row_counts : (n_unique,) int
-        Rows of each kind.
+        Number of occurrences of each distinct row.
     """
     _, first_rows, unique_row_of_row, unique_row_counts = np.unique(
         np.sort(node_rows, axis=1),
@@ -372,7 +387,7 @@ def find_unique_rows(node_rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
 
 
 def are_rows_in(node_rows: np.ndarray, other_node_rows: np.ndarray) -> np.ndarray:
-    """Return True for rows of nodes among the reference rows: (n,) bool.
+    """Return True for each row of nodes that is also a reference row: (n,) bool.
 
     The order of nodes in a row does not matter.
     """
@@ -390,9 +405,9 @@ def are_rows_in(node_rows: np.ndarray, other_node_rows: np.ndarray) -> np.ndarra
 def find_crack_paths(
     lower_edges: np.ndarray, upper_edges: np.ndarray, positions: np.ndarray
 ) -> tuple[CrackPath, ...]:
-    """Return the paths of all cracks in a plate.
+    """Return the paths of all cracks in a plate from the edges of both crack faces.
 
-    They are sorted by their beginnings, from bottom to top, then from left to right.
+    Paths are sorted by the first point, from bottom to top, then from left to right.
 
     Parameters
     ----------
@@ -431,9 +446,10 @@ def find_crack_paths(
 def _yield_node_chains(
     edges: np.ndarray, tip_nodes: np.ndarray, positions: np.ndarray
 ) -> Iterator[np.ndarray]:
-    """Yield chains of nodes, from end to end, into which edges (n, 2) connect.
+    """Connect edges (n, 2) of crack faces to chains of nodes, and yield each chain.
 
-    A chain ends at tips or mouths.
+    A chain runs from a tip or mouth to the next tip or mouth. ``tips`` are the nodes of tips.
+    InputError if a chain branches or is closed.
     """
     from scipy.sparse.csgraph import breadth_first_order
 
@@ -468,14 +484,14 @@ def _yield_node_chains(
 def find_crack_surfaces(
     lower_facets: np.ndarray, upper_facets: np.ndarray, positions: np.ndarray
 ) -> tuple[CrackSurface, ...]:
-    """Return the cracks in a solid whose faces have separate nodes.
+    """Return the surfaces of all cracks in a solid from the facets of both crack faces.
 
-    They are sorted from bottom to top.
+    Surfaces are sorted from bottom to top.
 
     Parameters
     ----------
     lower_facets, upper_facets : (m, k), (m', k) int
-        Corners of each face's facets. Both faces share the nodes on fronts.
+        Corner nodes of the facets on each face. Both faces share only nodes on fronts.
     positions : (n_nodes, 3) [m]
         Positions of all nodes.
     """
@@ -509,7 +525,7 @@ def find_crack_surfaces(
 
 @dataclass(frozen=True)
 class Cells:
-    """Cells of one kind, in a plate or solid.
+    """Cells of a mesh, all of the same kind, in a plate or solid.
 
     Attributes
     ----------
@@ -518,7 +534,8 @@ class Cells:
     facet_corner_columns : (n_facets, n) int
         Corners of each facet of a cell, as columns of ``cell_nodes``.
     is_supporting_corner_of_node : (k, n_corners) bool
-        True for the corners between which a node of a cell lies: a row for each node.
+        Row for each node of a cell: True for the corners with a nonzero linear basis function
+        there. A middle node has the two ends of the edge.
     """
 
     cell_nodes: np.ndarray
@@ -532,16 +549,16 @@ class Cells:
 
     @cached_property
     def sorted_facets_and_owners(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the facets of all cells, equal ones in succession.
+        """Return the facets of all cells, sorted so that equal facets are neighbours.
 
         Returns
         -------
         facets : (n, m) int
-            Corners of each facet, in ascending order.
+            Corner nodes of each facet, in ascending order.
         owner : (n,) int
-            Cell of each facet.
+            Cell with the facet.
         local_corners : (n, m) int
-            Columns of ``cell_nodes`` that hold the corners.
+            Columns in ``cell_nodes`` with these corners.
         """
         facet_corners = self.cell_nodes[:, self.facet_corner_columns].reshape(
             -1, self.facet_corner_columns.shape[1]
@@ -560,13 +577,13 @@ class Cells:
 
     @cached_property
     def is_shared(self) -> np.ndarray:
-        """Return True for each sorted facet that equals the next: (n - 1,) bool."""
+        """Return True for each sorted facet equal to the next, inside the mesh: (n - 1,) bool."""
         facets = self.sorted_facets_and_owners[0]
         return np.asarray(np.all(facets[1:] == facets[:-1], axis=1))
 
     @cached_property
     def is_boundary_facet(self) -> np.ndarray:
-        """Return True for sorted facets that belong to one cell: (n,) bool."""
+        """Return True for each sorted facet with a single cell, on the boundary: (n,) bool."""
         is_shared = np.concatenate([[False], self.is_shared, [False]])
         return ~(is_shared[1:] | is_shared[:-1])
 
@@ -574,17 +591,17 @@ class Cells:
 def merge_crack_nodes(
     crack_facets: np.ndarray, positions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Merge coincident nodes along cracks.
+    """Merge coincident nodes along cracks, before :func:`split_cracks` doubles nodes.
 
-    gmsh's plugin "Crack" doubles nodes as :func:`split_cracks` does. Parameters are those of that
-    function.
+    gmsh's plugin "Crack" may have doubled nodes already. ``crack_facets`` (m, k) are nodes of the
+    cracks' facets, ``positions`` (n_nodes, d) [m] belong to all nodes.
 
     Returns
     -------
     kept_nodes : (n_kept,) int
-        Nodes that remain.
+        Nodes that remain after the merge.
     node_map : (n_nodes,) int
-        Index of each node among those that remain.
+        New number of each old node: the index in ``kept_nodes``.
     """
     from scipy.spatial import cKDTree  # slow to import, and only mesh files need it
 
@@ -603,12 +620,12 @@ def merge_crack_nodes(
 def split_cracks(
     cells: Cells, crack_facets: np.ndarray, positions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Double the nodes along cracks.
+    """Double the nodes along cracks, except at tips and fronts.
 
     Parameters
     ----------
     cells : Cells
-        Their nodes are rows of ``positions``.
+        Cells of the mesh; nodes are rows of ``positions``.
     crack_facets : (m, k) int
         Nodes of the facets of all cracks, corners first.
     positions : (n_nodes, d) [m]
@@ -626,8 +643,8 @@ def split_cracks(
     Raises
     ------
     InputError
-        A facet is not between two cells. A crack branches, crosses another, has not two sides,
-        or has all its nodes on its front.
+        A crack's facet is not between two cells. Or a crack branches, crosses another crack, does
+        not have two sides, or has all nodes on the front.
     """
     n_corners = cells.facet_corner_columns.shape[1]
     facet_word = ("edges", "facets")[positions.shape[1] - 2]
@@ -699,22 +716,25 @@ def split_cracks(
 
 
 def check_mesh(is_mesh_valid: object, problem_text: str, requirement: str) -> None:
-    """Raise InputError for the mesh unless a condition holds."""
+    """Raise InputError for the key "mesh" unless a condition holds.
+
+    ``problem`` says what the mesh has, ``requirement`` what is allowed.
+    """
     if not is_mesh_valid:
         raise InputError("mesh", problem_text, requirement)
 
 
 def _edges_of_polygons(polygons: np.ndarray) -> np.ndarray:
-    """Return the edges of polygons (n, k), nodes in ascending order: (n k, 2)."""
+    """Return the edges of polygons (n, k), each with nodes in ascending order: (n k, 2)."""
     polygon_edges = np.stack([polygons, np.roll(polygons, -1, axis=1)], axis=2)
     return np.sort(polygon_edges.reshape(-1, 2), axis=1)
 
 
 def _front_edges_or_tips(crack_facets: np.ndarray, boundary_facets: np.ndarray) -> np.ndarray:
-    """Return crack front edges (n, 2), or crack tip nodes (n, 1).
+    """Return the edges on crack fronts (n, 2); for a plate, the nodes at tips (n, 1).
 
-    A crack's edge is on a front if it belongs to one crack facet only and is off the
-    boundary. The same holds for tips.
+    An edge is on a front if a single crack facet has it and no boundary facet. Likewise a node is
+    a tip. InputError if more than two crack facets meet at an edge or node.
     """
     n_corners = crack_facets.shape[1]
     edges_or_nodes = (
@@ -737,10 +757,17 @@ def _front_edges_or_tips(crack_facets: np.ndarray, boundary_facets: np.ndarray) 
 
 
 def _label_corner_stars(cells: Cells, is_passable: np.ndarray, is_split: np.ndarray) -> np.ndarray:
-    """Label corners of cells that meet at a node: (n_cells n_corners,) int.
+    """Label cell corners by connected neighbourhood of a node: (n_cells n_corners,) int.
 
-    Two corners at the same node have one label if passable facets with this node connect their
-    cells. A corner at any other node has its own label.
+    Corners of two cells at the same split node have the same label if passable facets with this
+    node connect the cells. At all other nodes every corner has a different label.
+
+    Parameters
+    ----------
+    is_passable : (n_facets - 1,) bool
+        True if a sorted facet equals the next and is off the cracks.
+    is_split : (n_nodes,) bool
+        True for nodes to be doubled.
     """
     from scipy.sparse.csgraph import connected_components
 

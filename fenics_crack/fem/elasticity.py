@@ -65,23 +65,26 @@ from fenics_crack.scene.scene import Scene
 
 
 def form_constants(space: Any, *values: float | np.ndarray) -> list[Any]:
-    """Return numbers, vectors and matrices as constants of a form.
+    """Wrap numbers, vectors or matrices as DOLFINx constants for forms on a space.
 
-    A form with other values is not compiled again.
+    A form with changed constants is not compiled again.
     """
     arrays = [np.array(value, PETSc.ScalarType, order="C") for value in values]
     return [dolfinx.fem.Constant(space.mesh, array) for array in arrays]
 
 
 def thickness_constant(scene: Scene, space: Any) -> Any:
-    """Return t [m]: the thickness of a plate, 1 for a solid."""
+    """Return the thickness t as a constant for forms: a plate's [m], 1 for a solid."""
     return form_constants(
         space, (scene.geometry.thickness or 1.0) if scene.dimension == 2 else 1.0
     )[0]
 
 
 def stress_expression(scene: Scene, space: Any, strain: Any) -> Any:
-    """Return the stress sigma for a strain."""
+    """Return the UFL expression of the stress [Pa] for a strain expression (d, d).
+
+    Plates are in plane stress; the material is the scene's.
+    """
     young, poisson = form_constants(space, scene.material.young, scene.material.poisson)
     d = scene.dimension
     volumetric_strain_term = poisson / (1.0 - (d - 1) * poisson) * ufl.tr(strain) * ufl.Identity(d)
@@ -89,24 +92,29 @@ def stress_expression(scene: Scene, space: Any, strain: Any) -> Any:
 
 
 StaticSolver = Callable[[np.ndarray], np.ndarray]
-"""Returns the displacement (n_local, 1) under the same load on each sector of a wheel."""
+"""Function from a load (n_local, 1), equal on each sector of a bladed disk, to the static
+displacement (n_local, 1)."""
 
 
 def assemble_rotation(
     scene: Scene, dofs: Dofs, structure_at_rest: Structure, solve_static: StaticSolver | None = None
 ) -> Rotation:
-    """Assemble what rotation adds to a structure at rest (collective).
+    """Assemble centrifugal load and rotational stiffness for a structure (collective).
+
+    The result has the stiffness matrices K_1, K_2 and K_3 and the load f_c at 1 rad/s, and the
+    scene's speed.
 
     Parameters
     ----------
     scene : Scene
-        With ``[rotation]``.
+        Scene with a table ``[rotation]``.
     dofs : Dofs
         Free dofs of the mesh.
     structure_at_rest : Structure
         Structure without rotation.
     solve_static : callable, optional
-        Returns a wheel's displacement (n_local, 1) under a load; default: the structure's.
+        For a sector of a bladed disk: function from a load (n_local, 1), equal on each sector, to
+        the static displacement. Default: the structure is solved, with contact.
     """
     space, dimension = dofs.space, scene.dimension
     axis_point, axis_direction = scene.axis_point_and_direction
@@ -131,11 +139,14 @@ def assemble_rotation(
     static_stress = stress_expression(scene, space, ufl.sym(grad_u_c))
 
     def gradient_strain(displacement: Any) -> Any:
-        """Return e(v) = sym((grad u_c)^T grad v), the strain due to the displaced shape."""
+        """Return e(v) = sym((grad u_c)^T grad v), the strain due to the displaced shape.
+
+        u_c is the displacement under the centrifugal load, v is ``displacement``.
+        """
         return ufl.sym(grad_u_c.T * ufl.grad(displacement))
 
     def virtual_work(strain: Any, test_strain: Any) -> Any:
-        """Return the form for the work that one strain's stress does on another strain."""
+        """Return the form t int sigma(strain) : test_strain dx."""
         return t * ufl.inner(stress_expression(scene, space, strain), test_strain) * ufl.dx
 
     # One form for each matrix: a sum would be integrated with the highest degree.

@@ -27,9 +27,9 @@ from fenics_crack.fem.plate import Dofs, PartMesh
 from fenics_crack.model.structure import DampingRule, Structure
 
 CELL_TYPE_NAMES = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
-"""Cells that a structure may have, by DOLFINx's names."""
+"""Allowed cells of a mesh, by DOLFINx's names."""
 LOAD_KEYS = ("loads.mean", "loads.sin", "loads.cos")
-"""Parts of a load, in the order of their forms."""
+"""Keys for errors of the three parts in the argument ``loads``, in order."""
 
 
 def structure_from_forms(
@@ -49,35 +49,35 @@ def structure_from_forms(
     Parameters
     ----------
     space : dolfinx.fem.FunctionSpace
-        Displacements: vectors, Lagrange elements of order 1 or 2, on a mesh of a plane or of a
-        solid.
+        Space of displacements: vectors, Lagrange elements of order 1 or 2, on a plane or solid
+        mesh.
     stiffness, mass : ufl.Form
-        Symmetric bilinear forms on it, without the conditions; the mass positive definite, the
-        stiffness semidefinite. In a plane they hold the thickness.
+        Symmetric bilinear forms on the space, without boundary conditions. The mass must be
+        positive definite, the stiffness semidefinite. A plate's forms include the thickness.
     bcs : list of dolfinx.fem.DirichletBC
-        Conditions on the space or its components, all of value zero.
+        Boundary conditions with value zero, on the space or on components.
     loads : (mean, sin, cos) or None
-        Linear forms, or None for a part that is zero: mean, and first harmonic.
+        Linear forms for the load's mean, sine and cosine part; None for a zero part or no load.
     crack : (facet_tags, lower, upper) or None
-        Tags of the mesh's facets, and those of the two faces of all cracks: exterior facets in
-        the same places, with different nodes but for those of tips and fronts.
+        Tags of the mesh's facets, and the tags of the lower and the upper faces of all cracks. Both
+        faces have exterior facets at the same positions, and share nodes only at tips and fronts.
     thickness : float [m]
-        In a plane, for the areas of the contact pairs.
+        A plate's thickness, for the areas of contact pairs.
     clearance : float or (n_pairs,) [m]
-        g0; negative for preload.
+        Clearance g_0 of the contact pairs; negative: a preload.
     damping : ModalDamping, RayleighDamping, ufl.Form or None
-        Modal or Rayleigh damping, or the bilinear form of C.
+        Modal or Rayleigh damping, or a bilinear form for the damping matrix C.
 
     Returns
     -------
     Structure
-        On the ranks of the mesh.
+        Structure on the mesh's ranks.
 
     Raises
     ------
     InputError
-        The space, a condition, a form or the tags are not such, nodes of the two faces do not
-        match, or a matrix is none for :meth:`Structure.from_matrices`.
+        The space, a condition, a form or the tags do not fit this description. Or the nodes of both
+        crack faces do not match, or :meth:`Structure.from_matrices` refuses a matrix.
 
     Examples
     --------
@@ -102,18 +102,20 @@ def structure_from_forms(
 def _assemble_parts_and_places(
     space: Any, bilinear_forms: dict[str, Any], bcs: Any, loads: Any, crack: Any, thickness: float
 ) -> tuple[Any, ...]:
-    """Assemble the parts of a structure from forms (collective).
+    """Assemble matrices, loads, gaps, nodes and contact pairs from forms (collective).
 
-    Parameters are those of :func:`structure_from_forms`. ``bilinear_forms`` has the forms
-    "stiffness", "mass" and, if given, "damping".
+    Parameters are as in :func:`structure_from_forms`. ``bilinear_forms`` has the forms "stiffness",
+    "mass" and, if given, "damping".
 
     Returns
     -------
     parts_by_name : dict
-        Arguments for :meth:`Structure.from_matrices`, by name. The caller destroys the
+        Arguments for :meth:`Structure.from_matrices`, by name. The caller destroys the PETSc
         matrices.
     nodes : Nodes
+        This rank's nodes and cells.
     pairs : Pairs
+        Positions, areas and crack of each contact pair.
     """
     _check_space(space)
     check_number("thickness", thickness, 0.0, excludes_bound=True)
@@ -167,7 +169,11 @@ def _assemble_parts_and_places(
 
 
 def _check_space(space: Any) -> None:
-    """Raise InputError unless a structure can have displacements in a space."""
+    """Raise InputError unless a space is allowed for displacements.
+
+    Allowed are vectors with the mesh's dimension, Lagrange elements of order 1 or 2, and no
+    subspace.
+    """
     requirement = (
         "a vector-valued Lagrange space of order 1 or 2, not a subspace, with a component"
         " for each dimension of the mesh (of a plate gdim = 2)"
@@ -186,9 +192,9 @@ def _check_space(space: Any) -> None:
 
 
 def _check_form(space: Any, key: str, form: Any, n_arguments: int) -> None:
-    """Raise InputError unless a form is linear, or bilinear, on a space.
+    """Raise InputError for ``key`` unless a form has ``n_arguments`` arguments on a space.
 
-    A linear form has one argument, a bilinear form two.
+    A linear form has 1 argument, a bilinear form 2.
     """
     with report_read_errors(
         key,
@@ -203,9 +209,9 @@ def _check_form(space: Any, key: str, form: Any, n_arguments: int) -> None:
 
 
 def _make_part_mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMesh:
-    """Return a user's mesh with its crack faces (collective).
+    """Return a user's mesh as :class:`PartMesh`, with cracks found from the tags (collective).
 
-    ``crack`` is (facet_tags, lower, upper) of :func:`structure_from_forms`, or None.
+    ``crack`` is (facet_tags, lower, upper) as in :func:`structure_from_forms`; None: no cracks.
     """
     if crack is None:
         return PartMesh(mesh, None, {}, {}, ())
@@ -252,14 +258,17 @@ def _make_part_mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMe
 def _find_corner_numbers_and_positions(
     part_mesh: PartMesh, face_name: str, comm: MPI.Comm
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners of all facets on a face (collective).
+    """Return the corners of all facets on the lower or upper crack faces (collective).
+
+    ``face_name`` is "lower_lip" or "upper_lip". InputError without facets, or for facets inside the
+    mesh.
 
     Returns
     -------
     numbers : (n, k) int
-        The corners' global node numbers.
+        Global node numbers of each facet's corners.
     positions : (n, k, d) [m]
-        Node positions.
+        Positions of the corners.
     """
     mesh, topology, facets = part_mesh.mesh, part_mesh.mesh.topology, part_mesh.facets(face_name)
     facets = facets[facets < topology.index_map(topology.dim - 1).size_local]

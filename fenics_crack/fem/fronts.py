@@ -59,42 +59,45 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 
 RADIUS_IN_ELEMENTS = 2.0
-"""Radius of the domain, in elements along the front. A smaller radius gives noise, a larger one
-averages over more of the front."""
+"""Radius of the integration domain, in lengths of the longest element along the front. A smaller
+radius gives noise in K, a larger one averages over more of the front."""
 MAX_RADIUS_TO_CURVATURE_RADIUS = 0.6
-"""Maximum radius of the domain, relative to the front's radius of curvature. At 1 the normals meet.
-"""
+"""Maximum radius of the integration domain, relative to the front's radius of curvature. At 1 the
+front's normals meet."""
 MAX_RADIUS_TO_CLEARANCE = 0.8
-"""Maximum radius of the domain, relative to the distance from the clamp or another crack."""
+"""Maximum radius of the integration domain, relative to the front's distance from the clamp or
+another crack."""
 MAX_ELEMENT_LENGTH_TO_RADIUS = 1.25
-"""Maximum element length along the front, relative to the radius. K is then off by up to 20 %, as
-it may be on the coarser mesh of a stated error."""
+"""Maximum element length along the front, relative to the integration domain's radius. At the limit
+K is in error by up to 20 %, allowed on the coarser mesh of an error estimate."""
 PLATEAU_FRACTION = 0.2
-"""Fraction of the radius up to which q is 1."""
+"""Fraction of the integration domain's radius up to which the weight q is 1."""
 GAUSS_POINTS_AT_FRONT, GAUSS_POINTS_ELSEWHERE = 6, 5
-"""Gauss points in each direction of cells at the front, and of other cells. At the front, 4 points
-give 1 to 3 % of noise. Elsewhere, 5 points change K by 0.1 %, and 4 points by 0.3 %."""
+"""Gauss points per direction, in cells at the front and in other cells. At the front, 4 points give
+1 to 3 % noise in K. Elsewhere, 5 points change K by 0.1 %, and 4 points by 0.3 %."""
 MIN_EDGES_PER_STATION = 3
-"""Minimum number of edges between two stations. So each hat has four nodes or more."""
+"""Minimum number of element edges between two stations. So each hat function has four nodes or
+more."""
 MAX_STATION_INTERVALS = 12
 """Maximum number of intervals between stations on an open front; twice as many on a closed front.
 """
 MIN_CORNER_ANGLE = np.pi / 4.0
-"""Minimum angle between neighbouring edges at a corner of the front [rad]."""
+"""Minimum angle between neighbouring edges at a corner of the front [rad]. Corners cut a front into
+smooth parts."""
 MAX_POINTS_IN_MEMORY = 100_000
-"""Maximum number of quadrature points held in memory."""
+"""Maximum number of quadrature points for which arrays are held in memory together."""
 
 
 @dataclass(frozen=True)
 class Front:
-    """Smooth part of a crack front.
+    """Smooth part of a crack front in a solid, as a curve c(t).
 
     Attributes
     ----------
     name : str
         "the crack front", or "the crack front 2" if there are several.
     crack_index : int
-        Index of the crack.
+        Index of the crack in the mesh.
     node_positions : (n, 3) [m]
         Corners of elements along the front, in order. If the front is closed, the last node
         equals the first.
@@ -104,13 +107,15 @@ class Front:
         Parameter t of each node: the angle on an ellipse [rad], or the distance along the front
         [m].
     curve_function : callable
-        Takes t and an order; returns positions c(t) [m] or derivatives of this order: (..., 3).
+        Takes t and an order. Order 0 returns positions c(t) [m], order k the k-th derivative by t:
+        (..., 3).
     is_closed : bool
         True if the front has no ends.
     ends_at_surface : tuple of bool
         True for each end at the surface of the solid. Other ends are corners of the front.
     allowed_domain_radius : float [m]
-        Upper bound for the domain's radius.
+        Upper bound for the integration domain's radius, 0.8 times the distance from the clamp or
+        another crack.
     """
 
     name: str
@@ -125,10 +130,10 @@ class Front:
 
     @cached_property
     def hat_peak_parameters(self) -> np.ndarray:
-        """Return the curve parameters t at which the hat functions are 1, equally spaced.
+        """Return the curve parameters t at the peaks of the hat functions, equally spaced.
 
-        A closed front has the first peak also at its end. An open front has a peak in the middle,
-        where a half-ellipse is deepest.
+        On a closed front the last value is the first peak again, a turn later. An open front with
+        two intervals or more has a peak in the middle, where a half-ellipse is deepest.
         """
         n_station_intervals = max(
             1,
@@ -156,7 +161,7 @@ class Front:
 
     @property
     def corner_station_indices(self) -> list[int]:
-        """Return the stations at front corners, where K is undefined, by index."""
+        """Return the indices of stations at corners of the front, where K is undefined."""
         n_stations = len(self.station_parameters)
         end_flags_and_stations = zip(self.ends_at_surface, (0, n_stations - 1), strict=True)
         return (
@@ -166,9 +171,9 @@ class Front:
         )
 
     def hats_and_slopes(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Evaluate the stations' hat functions h at curve parameters t.
+        """Evaluate the stations' hat functions h at curve parameters t (...).
 
-        A hat is 1 at its station and falls linearly in t to 0 at the neighbours.
+        A hat is 1 at a station and falls linearly in t to 0 at the neighbouring stations.
 
         Returns
         -------
@@ -199,7 +204,7 @@ class Front:
     def frame_and_curvature(
         self, t: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the front's frame and curvature at curve parameters t.
+        """Return the front's unit vectors, speed ds/dt and curvature at curve parameters t (...).
 
         Returns
         -------
@@ -208,7 +213,8 @@ class Front:
         speed : (...,)
             Front length per parameter, ds/dt.
         curvature, curvature_slope : (...,) [1/m], [1/m^2]
-            Curvature, and its derivative with respect to the length s along the front.
+            Curvature, positive if the crack is convex, and the derivative by the length s along
+            the front.
         """
         c_1, c_2, c_3 = (self.curve_function(t, order) for order in (1, 2, 3))
         speed = np.linalg.norm(c_1, axis=-1)
@@ -230,18 +236,27 @@ class Front:
 
     @cached_property
     def straight_domain_radius(self) -> float:
-        """Return the integration domain's radius where the front is straight [m]."""
+        """Return the integration domain's radius at a straight front [m].
+
+        The radius is 2 of the longest front elements, at most ``allowed_domain_radius``.
+        """
         max_edge_length = np.linalg.norm(np.diff(self.node_positions, axis=0), axis=1).max()
         return float(min(RADIUS_IN_ELEMENTS * max_edge_length, self.allowed_domain_radius))
 
     def is_limited_by_curvature(self, curvature: np.ndarray) -> np.ndarray:
-        """Return True where the curvature [1/m] limits the integration domain's radius."""
+        """Return True if a curvature [1/m] limits the integration domain's radius: same shape.
+
+        The limit is 0.6 of the radius of curvature.
+        """
         return np.asarray(
             np.abs(curvature) * self.straight_domain_radius > MAX_RADIUS_TO_CURVATURE_RADIUS
         )
 
     def domain_radius(self, curvature: np.ndarray) -> np.ndarray:
-        """Return the integration domain's radius [m] for curvatures [1/m]: same shape."""
+        """Return the integration domain's radius [m] for front curvatures [1/m]: same shape.
+
+        The radius is ``straight_domain_radius``, at most 0.6 of the radius of curvature.
+        """
         is_limited = self.is_limited_by_curvature(curvature)
         return np.where(
             is_limited,
@@ -251,9 +266,9 @@ class Front:
 
     @cached_property
     def _sample_parameters_and_tree(self) -> tuple[np.ndarray, cKDTree]:
-        """Return sample points on the curve: parameters t, and a search tree with positions.
+        """Return sample points on the curve, eight for each node.
 
-        There are eight points for each node.
+        The results are the parameters t (n,), and a search tree with the positions.
         """
         t = np.interp(
             np.linspace(0, len(self.node_parameters) - 1, 8 * len(self.node_parameters)),
@@ -263,7 +278,7 @@ class Front:
         return t, cKDTree(self.curve_function(t, 0))
 
     def nearest_parameters(self, points: np.ndarray) -> np.ndarray:
-        """Return the parameter t where the front is nearest to each point (..., 3) [m]."""
+        """Return the parameter t of the nearest front point for points (..., 3) [m]: (...)."""
         sample_parameters, sample_tree = self._sample_parameters_and_tree
         t = sample_parameters[sample_tree.query(points)[1]]
         for _ in range(3):  # Newton's steps
@@ -283,21 +298,21 @@ class Front:
 
 @dataclass(frozen=True)
 class Station:
-    """Point on a crack front with stress intensities.
+    """Point on a crack front at which stress intensities are computed.
 
     Attributes
     ----------
     name : str
-        "the crack front at 3.2 mm".
+        Name in results, as "the crack front at 3.2 mm": front, and distance along it.
     crack_index : int
-        Index of the crack.
+        Index of the crack in the mesh.
     point, growth_direction : (3,) [m], (3,)
-        Position, and direction of straight growth.
+        Position, and unit vector ahead of the crack.
     arc_length : float [m]
-        Distance along the front.
+        Distance along the front from the front's first node.
     adjacent_pairs : (k,) int
-        Contact pairs whose patches touch the front within the station's hat. While all of them
-        are closed, the crack is closed there.
+        Contact pairs whose patches touch the front within the station's hat function. The crack is
+        closed at the station while all these pairs are closed.
     """
 
     name: str
@@ -312,7 +327,7 @@ class Station:
 
 
 def find_fronts(structure: Structure) -> list[Front]:
-    """Find the fronts of all cracks in a solid (collective)."""
+    """Find the smooth parts of all crack fronts in a solid, crack by crack (collective)."""
     rank_nodes = structure.nodes
     assert rank_nodes is not None
     cracks: tuple[CrackSurface, ...] = rank_nodes.mesh_dofs.part_mesh.crack_paths_or_surfaces
@@ -356,14 +371,14 @@ def find_fronts(structure: Structure) -> list[Front]:
 def _yield_smooth_front_parts(
     crack: CrackSurface,
 ) -> Iterator[tuple[np.ndarray, np.ndarray, bool, tuple[bool, bool]]]:
-    """Yield the smooth parts of a crack's front.
+    """Yield the smooth parts of a crack's front, cut at corners of 45 degrees or more.
 
     Yields
     ------
     points : (n, 3) [m]
-        Nodes in order.
+        Positions of the front's nodes, in order.
     node_normals : (n, 3)
-        Normals of the crack.
+        Unit normals of the crack at the nodes, from the lower to the upper face.
     is_closed : bool
         True if the front has neither ends nor corners.
     ends_at_surface : tuple of bool
@@ -441,16 +456,17 @@ def _yield_smooth_front_parts(
 def _fit_parameters_and_curve(
     node_positions: np.ndarray, is_closed: bool
 ) -> tuple[np.ndarray, Callable[[np.ndarray, int], np.ndarray]]:
-    """Fit a curve through node positions (n, 3) [m].
+    """Fit a curve c(t) through node positions (n, 3) [m].
 
-    The curve is an ellipse if all nodes lie on one; otherwise it is a spline.
+    If more than five nodes lie on an ellipse, within 1e-5 of the half axes, the curve is the
+    ellipse; otherwise a cubic spline.
 
     Returns
     -------
     node_parameters : (n,)
-        Parameter t of each node.
+        Parameter t of each node: angle on the ellipse [rad], or distance along the nodes [m].
     curve_function : callable
-        Returns c(t) or its derivatives of a given order.
+        Takes t and an order; returns c(t) for order 0, otherwise the derivative: (..., 3).
     """
     centroid = node_positions.mean(axis=0)
     _, extents, axes = np.linalg.svd(node_positions - centroid, full_matrices=False)
@@ -516,7 +532,10 @@ def _fit_parameters_and_curve(
 def _evaluate_ellipse(
     center: np.ndarray, half_axes: np.ndarray, t: np.ndarray, order: int
 ) -> np.ndarray:
-    """Evaluate center + half_axes[0] cos t + half_axes[1] sin t, or a derivative: (..., 3)."""
+    """Evaluate an ellipse or a derivative of given order at parameters t: (..., 3).
+
+    The ellipse is center + half_axes[0] cos t + half_axes[1] sin t; ``half_axes`` is (2, 3).
+    """
     angle = np.asarray(t)[..., None] + 0.5 * np.pi * order
     offset_or_derivative = np.cos(angle) * half_axes[0] + np.sin(angle) * half_axes[1]
     return np.asarray(offset_or_derivative + center if order == 0 else offset_or_derivative)
@@ -528,7 +547,10 @@ def _evaluate_ellipse(
 def front_functionals(
     scene: Scene, structure: Structure
 ) -> tuple[list[Station], np.ndarray, np.ndarray]:
-    """Return the stations of all fronts, and the functionals for K (collective).
+    """Return the stations of all fronts, and the linear functionals for K (collective).
+
+    The stress intensities are of_displacement times displacement plus of_forces times contact
+    forces.
 
     Parameters
     ----------
@@ -541,14 +563,15 @@ def front_functionals(
     -------
     stations : list of Station
     of_displacement : (3 n_stations, n_local) [Pa m^1/2 / m]
-        Factors of the displacement in K_I, K_II and K_III, station after station.
+        Factors of this rank's displacement in K_I, K_II and K_III, station after station.
     of_forces : (3 n_stations, n_pairs) [Pa m^1/2 / N]
-        Factors of the contact forces.
+        Factors of the pairs' contact forces, in the same order of rows.
 
     Raises
     ------
     InputError
-        Cells are not tetrahedra of order 2, or elements at a front are too long for the domain.
+        Cells are not tetrahedra of order 2, or an element at a front is longer than 1.25 times the
+        integration domain's radius.
     """
     check_has_matrices(structure, "stress intensities")
     nodes, comm = structure.nodes, structure.comm
@@ -603,16 +626,16 @@ def front_functionals(
 def _values_at_free_dofs(
     nodes: Nodes, node_numbers: np.ndarray, node_values: np.ndarray
 ) -> np.ndarray:
-    """Return values at nodes as values of this rank's free dofs: (n, n_local).
+    """Select this rank's free dofs from vectors given at nodes: (n, n_local).
 
     Parameters
     ----------
     nodes : Nodes
         Nodes of this rank.
     node_numbers : (m,) int
-        Global numbers of nodes. Other nodes have the value 0.
+        Global numbers of the given nodes. At all other nodes the values are 0.
     node_values : (m, n, 3)
-        Values at these nodes.
+        Values of n vector fields at the given nodes.
     """
     local_nodes = node_numbers - nodes.mesh_dofs.first_node
     is_owned = (local_nodes >= 0) & (local_nodes < nodes.mesh_dofs.n_own_nodes)
@@ -624,7 +647,7 @@ def _values_at_free_dofs(
 
 
 def _make_stations(structure: Structure, front: Front) -> list[Station]:
-    """Return a front's stations, with positions, directions and touching pairs."""
+    """Return a front's stations with names, positions, growth directions and adjacent pairs."""
     pairs = structure.pairs
     is_node_in_hats = front.hats_and_slopes(front.node_parameters)[0] > 0.0
     adjacent_pairs = [np.zeros(0, dtype=int)] * len(front.station_parameters)
@@ -660,7 +683,10 @@ def _make_stations(structure: Structure, front: Front) -> list[Station]:
 
 
 def _check_front_is_resolved(front: Front) -> None:
-    """Raise InputError if elements along a front exceed the domain."""
+    """Raise InputError if an element along a front is too long for K.
+
+    The limit is 1.25 times the integration domain's radius.
+    """
     edge_lengths = np.linalg.norm(np.diff(front.node_positions, axis=0), axis=1)
     domain_radii_at_edges = front.domain_radius(
         front.frame_and_curvature(0.5 * (front.node_parameters[1:] + front.node_parameters[:-1]))[2]
@@ -681,9 +707,9 @@ def _check_front_is_resolved(front: Front) -> None:
 def _rows_by_station(front: Front, functional_rows: np.ndarray) -> np.ndarray:
     """Arrange the functionals for K_I, K_II and K_III by station: (n_stations, 3, m).
 
-    ``functional_rows`` (3 n_stations, m) are means over the hat functions, mode after mode. At an
-    open front's end, the half hat's centroid is not the station. The functional there is
-    extrapolated linearly from the last two hats.
+    ``functional_rows`` (3 n_stations, m) are means of K over the hat functions, mode after mode. The last hat
+    of an open front is half, with a centroid inside. So both end stations are extrapolated
+    linearly from the last two hats.
     """
     functional_rows = functional_rows.reshape(3, len(front.station_parameters), -1).swapaxes(0, 1)
     if not front.is_closed and len(front.station_parameters) > 2:
@@ -698,10 +724,10 @@ def _rows_by_station(front: Front, functional_rows: np.ndarray) -> np.ndarray:
 
 
 def _weight_and_slope_by_radius_ratio(radius_ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the weight q and its derivative with respect to r / R.
+    """Return the weight q of the interaction integral, and dq / d(r / R).
 
-    ``radius_ratio`` is r / R: distance from the front over the domain's radius. q is 1 at the front
-    and 0 at the radius.
+    ``radius_ratio`` is r / R, distance from the front over the integration domain's radius. q is 1
+    up to r = 0.2 R, and falls smoothly to 0 at R.
     """
     ramp_position = np.clip((radius_ratio - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION), 0.0, 1.0)
     slope_by_radius_ratio = (
@@ -713,9 +739,10 @@ def _weight_and_slope_by_radius_ratio(radius_ratio: np.ndarray) -> tuple[np.ndar
 
 
 def _collapsed_gauss_rule(dimension: int, n_side_points: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return a Gauss rule for a triangle or a tetrahedron.
+    """Return a Gauss rule for a triangle (d = 2) or a tetrahedron (d = 3).
 
-    It comes from a square or cube with ``n_side_points`` per side, collapsed at the first corner.
+    The rule is made from a square or cube with ``n_side_points`` per side, collapsed at the first
+    corner. d is ``dimension``.
 
     Returns
     -------
@@ -737,19 +764,22 @@ def _collapsed_gauss_rule(dimension: int, n_side_points: int) -> tuple[np.ndarra
 
 
 def _split_into_chunks(cells: np.ndarray, n_cell_points: int) -> list[np.ndarray]:
-    """Split cells, with n_cell_points each, into chunks that fit into memory."""
+    """Split cell indices into chunks with at most about ``MAX_POINTS_IN_MEMORY`` points.
+
+    Each cell has ``n_cell_points`` quadrature points.
+    """
     return np.array_split(cells, 1 + len(cells) * n_cell_points // MAX_POINTS_IN_MEMORY)
 
 
 TETRAHEDRON_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
-"""Ends of a tetrahedron's edges, in VTK's order of the nodes on edges."""
+"""Corners at the ends of a tetrahedron's six edges, in VTK's order of the nodes on edges."""
 
 
 class _IntegrationDomain:
-    """Cells near a front, the domain for the interaction integral.
+    """Cells around a front, over which the interaction integral is computed.
 
-    The equations are in the module's text. Rows are numbered mode after mode, K_I, K_II, K_III,
-    each with all stations.
+    The module's docstring has the equations. Rows of results are numbered mode after mode (K_I,
+    K_II, K_III), in each mode station after station.
 
     Attributes
     ----------
@@ -762,17 +792,17 @@ class _IntegrationDomain:
     cells : (n_cells, 10) int
         Nodes of each cell, as rows of ``points``.
     corner_order : (n_cells, 4) int
-        Corners of each cell, nearest to the front first.
+        Columns 0 to 3 of ``cells``, sorted by the corners' distance from the front.
     corner_positions : (n_cells, 4, 3) [m]
-        Positions of corners, in this order.
+        Positions of the corners in this order.
     is_outer_facet : (n_cells, 4) bool
-        True for facets, opposite each corner, that belong to one cell only.
+        True if the facet opposite a corner, in this order, belongs to a single cell.
     volumes : (n_cells,) [m^3]
         Volume of each cell.
     barycentric_gradients : (n_cells, 4, 3) [1/m]
-        Gradients of the barycentric coordinates.
+        Gradients of the barycentric coordinates, of corners in this order.
     side_signs : (n_cells,)
-        1 above the crack, -1 below.
+        1 if the cell's centre is above the crack, -1 if below.
     """
 
     def __init__(self, scene: Scene, front: Front, points: np.ndarray, cells: np.ndarray) -> None:
@@ -835,10 +865,11 @@ class _IntegrationDomain:
         )
 
     def _basis_gradients(self, cell_indices: np.ndarray) -> np.ndarray:
-        """Differentiate the cells' quadratic basis functions N_a: (n, 10, 4, 3).
+        """Differentiate the cells' quadratic basis functions N_a: (n, 10, 4, 3) [1/m].
 
-        The result D has grad N_a = sum_b D_ab lambda_b. The N_a are in the order of the cell's
-        nodes, the barycentric coordinates lambda_b in the order of ``corner_positions``.
+        The result D has grad N_a = sum_b D_ab lambda_b, with the barycentric coordinates lambda_b.
+        a follows the cell's nodes, b the order of ``corner_positions``. ``cell_index`` (n,) selects
+        cells.
         """
         inverse_corner_order = self.corner_order[cell_indices].argsort(axis=1)
         barycentric_gradients = np.take_along_axis(
@@ -862,15 +893,18 @@ class _IntegrationDomain:
         )
 
     def find_factors_and_nodal_fields(self, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
-        """Integrate the functionals at nodes, each rank over a share of cells (collective).
+        """Compute the factors of nodal displacements and nodal forces in K (collective).
+
+        Each rank integrates over a part of the cells; the results are equal on all ranks.
 
         Returns
         -------
-        displacement_factors : (n_nodes, 3 n_stations, 3)
-            Factors for the nodes' displacements in K.
+        displacement_factors : (n_nodes, 3 n_stations, 3) [Pa m^1/2 / m]
+            Factors of the nodes' displacements in K.
         nodal_fields : (n_nodes, 3 n_stations, 3)
-            Fields w = q h a_,1, whose product with nodal forces enters I: weight, hat, and
-            derivative of the unit K field along e_1.
+            Field w = q h a_,1; minus w times the nodal forces enters the interaction integral I. q
+            is the weight, h the hat function, a_,1 the derivative along e_1 of the field with unit
+            K.
         """
         n_rows = 3 * len(self.front.station_parameters)
         displacement_factors, nodal_fields = np.zeros((2, len(self.points), n_rows, 3))
@@ -943,7 +977,7 @@ class _IntegrationDomain:
         ), nodal_fields
 
     def _stress(self, displacement_gradients: np.ndarray) -> np.ndarray:
-        """Return the elastic stress from displacement gradients (..., 3, 3): same shape."""
+        """Return the stress [Pa] from displacement gradients (..., 3, 3), by Hooke's law."""
         stress = self.mu * (displacement_gradients + displacement_gradients.swapaxes(-1, -2))
         volumetric_stress = self.lame * np.trace(displacement_gradients, axis1=-2, axis2=-1)
         for k in range(3):
@@ -953,7 +987,7 @@ class _IntegrationDomain:
     def _front_coordinates(
         self, positions: np.ndarray, cell_indices: np.ndarray
     ) -> tuple[np.ndarray, ...]:
-        """Return points in cells as coordinates relative to the nearest front point.
+        """Convert points in cells to coordinates relative to the nearest front point.
 
         ``positions`` (n, m, 3) [m] are m points in each of the n cells ``cell_indices``.
 
@@ -964,9 +998,9 @@ class _IntegrationDomain:
         xi, y, r : (n, m) [m]
             Coordinates along e_1 and e_2, and distance from the front.
         hat, hat_slope : (n, m, n_stations)
-            Hats, and their derivatives with respect to the length along the front.
+            Hat functions, and the derivatives by the length along the front.
         curvature, curvature_slope : (n, m) [1/m], [1/m^2]
-            Front curvature, and its derivative.
+            Front curvature, and the derivative by the length along the front.
         domain_radius : (n, m) [m]
             Integration domain's radius.
         """
@@ -997,9 +1031,9 @@ class _IntegrationDomain:
     def _weighted_nodal_fields(self, cell_indices: np.ndarray) -> np.ndarray:
         """Return the fields w = q h a_,1 at the cells' nodes: (n, 10, 3 n_stations, 3).
 
-        q is the weight, h the hat, and a_,1 the derivative of the unit K field along e_1. On the
-        front and on the front's element edges w is 0: such an edge is a chord, and the chord's
-        middle is on neither crack side.
+        q is the weight, h the hat function, and a_,1 the derivative along e_1 of the field with
+        unit K. w is 0 at all nodes of edges along the front. A straight edge cuts the curved front
+        short, so the edge's middle is on neither crack side.
         """
         node_positions = self.points[self.cells[cell_indices]]
         frame_vectors, xi, y, r, hat, _, _, _, domain_radius = self._front_coordinates(
@@ -1019,7 +1053,7 @@ class _IntegrationDomain:
     def _plane_field_and_derivatives(
         self, mode: int, xi: np.ndarray, y: np.ndarray, r: np.ndarray
     ) -> Any:
-        """Return the displacement with K = 1 in one mode, and derivatives.
+        """Return the displacement of the plane field with K = 1 in a single mode.
 
         Parameters
         ----------
@@ -1031,7 +1065,7 @@ class _IntegrationDomain:
         Returns
         -------
         a, a_by_xi, a_by_y : (3, ...)
-            Components along e_1, e_2, e_3, and their derivatives with respect to xi and y.
+            Components along e_1, e_2, e_3, and their derivatives by xi and y.
         """
         half_angle = 0.5 * np.arctan2(y, xi)
         cos_half_angle = np.cos(half_angle)
@@ -1082,21 +1116,26 @@ class _IntegrationDomain:
         weights: np.ndarray,
         normals: np.ndarray | None,
     ) -> np.ndarray:
-        """Integrate the factor T of grad u in the interaction integral, times lambda_b.
+        """Integrate T lambda_b over cells or facets: the factors of grad u in the integral I.
+
+        Volume and surface terms of I are int T : grad u; lambda_b is the barycentric coordinate of
+        corner b.
 
         Parameters
         ----------
+        cell_index : (n,) int
+            Cells.
         rule_points : (m, 4)
-            The integration points' barycentric coordinates lambda_b.
+            Barycentric coordinates lambda_b of the integration points.
         weights : (n, m) [m^3] or [m^2]
-            The points' weights in each cell, or on one facet for each cell.
+            Weights of the points in each cell, or on a facet of each cell.
         normals : (n, 3) or None
-            The facets' outward normals. None: integrate over the cells.
+            Outward normals of the facets. None: integrate over the cells.
 
         Returns
         -------
         (n, 3 n_stations, 4, 3, 3)
-            Integrals for each cell, row, corner b, and component of T.
+            Integrals for each cell, row (mode and station), corner b, and component of T.
         """
         positions = rule_points @ self.corner_positions[cell_indices]
         frame_vectors, xi, y, r, hat, hat_slope, curvature, curvature_slope, radius = (
@@ -1165,23 +1204,24 @@ class _IntegrationDomain:
         gradient: np.ndarray, auxiliary_stress: np.ndarray,
         weights_and_geometry: tuple[np.ndarray, ...],
     ) -> list[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
-        """Return the tensor T that multiplies grad u in one mode's volume integral.
+        """Return the factor T of grad u in the volume integral of a single mode.
 
-        T is the sum of two products: hats times a tensor, and hat slopes times another one.
+        T is a sum of two products: hat functions times a tensor, and hat slopes times a tensor.
 
         Parameters
         ----------
         a, a_by_xi, a_by_y : (3, ...)
             From :meth:`_plane_field_and_derivatives`.
         gradient, auxiliary_stress : (..., 3, 3)
-            Gradient and stress of that field in the frame e_1, e_2, e_3.
+            Gradient and stress of the field a in the frame e_1, e_2, e_3.
         weights_and_geometry : tuple of arrays
-            q, gradient of q, g, k, derivative of the curvature, hats, and hat slopes.
+            Weight q, gradient of q, metric g = 1 + kappa xi, k = kappa / g, derivative of the
+            curvature kappa along the front, hats, and hat slopes.
 
         Returns
         -------
         list of ((..., n_stations), (..., 3, 3))
-            Hats with the first tensor, then slopes with the second.
+            Hats with a tensor, then hat slopes with a tensor.
         """
         q, q_gradient, metric, local_curvature, curvature_slope, hat, hat_slope = (
             weights_and_geometry
@@ -1224,10 +1264,10 @@ class _IntegrationDomain:
 
 
 def _contact_force_factors(structure: Structure, front: Front) -> np.ndarray:
-    """Return factors of the contact forces in K_I: (n_stations, n_pairs).
+    """Return factors of the contact forces in K_I: (n_stations, n_pairs) [Pa m^1/2 / N].
 
-    They come from the integral of the contact pressure p in the interaction integral. A pair's
-    force acts as a pressure shaped as the pair's pressure function.
+    The factors come from the pressure term of the interaction integral. Each pair's force acts as a
+    pressure on the crack faces, distributed by the pair's pressure function.
     """
     pairs = structure.pairs
     assert pairs.nodes is not None and pairs.pressure_matrix is not None and pairs.areas is not None

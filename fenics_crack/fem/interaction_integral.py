@@ -43,17 +43,18 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 
 RADIUS_TO_CLEARANCE = 0.8
-"""Radius of the domain, relative to the tip's distance from the nearest boundary, bend or other
-crack."""
+"""Radius of the integration domain, relative to the tip's distance from the nearest boundary, bend
+or other crack."""
 PLATEAU_FRACTION = 0.2
-"""Fraction of the radius up to which q is 1."""
+"""Fraction of the integration domain's radius up to which the weight q is 1."""
 QUADRATURE_DEGREE = 8
-"""Degree of quadrature; the singular field is no polynomial."""
+"""Polynomial degree up to which quadrature is exact. The singular field is no polynomial, hence the
+high degree."""
 
 
 @dataclass(frozen=True)
 class Tip:
-    """Tip of a crack.
+    """Crack tip in a plate, at which stress intensities are computed.
 
     Attributes
     ----------
@@ -61,15 +62,16 @@ class Tip:
         "the crack tip"; for a crack inside "the left crack tip"; with several cracks "the crack
         tip of crack 1".
     crack_index : int
-        Index of the crack.
+        Index of the crack in the mesh.
     point, growth_direction : (2,) [m], (2,)
-        Position, and direction of straight growth.
+        Position, and unit vector ahead of the crack.
     arc_length : float [m]
-        Distance along the crack.
+        Distance along the crack from the path's first point.
     domain_radius : float [m]
-        Radius of the domain.
+        Radius of the integration domain, 0.8 times the distance from the nearest boundary, bend or
+        other crack.
     adjacent_pairs : (0,) int
-        Contact pairs that touch the tip: none, for a plate has no element on it.
+        Always empty for a plate. Stations in solids have contact pairs that touch the front.
     """
 
     name: str
@@ -82,7 +84,10 @@ class Tip:
 
 
 def find_tips(dofs: Dofs) -> list[Tip]:
-    """Find all crack tips of a plate (collective)."""
+    """Find all crack tips in a plate, crack by crack (collective).
+
+    A crack with a mouth has a single tip, a crack inside the right tip, then the left tip.
+    """
     tips: list[Tip] = []
     cracks = dofs.part_mesh.crack_paths_or_surfaces
     boundary_points = gather_rows(dofs.comm, _outer_boundary_points(dofs))
@@ -131,7 +136,7 @@ def find_tips(dofs: Dofs) -> list[Tip]:
 
 
 def _outer_boundary_points(dofs: Dofs) -> np.ndarray:
-    """Return this rank's nodes on edges without crack faces: (n, 2) [m]."""
+    """Return this rank's nodes on the plate's boundary except crack faces: (n, 2) [m]."""
     part_mesh = dofs.part_mesh
     topology = part_mesh.mesh.topology
     topology.create_connectivity(1, 2)
@@ -146,9 +151,10 @@ def _outer_boundary_points(dofs: Dofs) -> np.ndarray:
 
 
 def _check_tips_are_resolved(scene: Scene, tips: list[Tip], face_points: np.ndarray) -> None:
-    """Raise InputError if an element at a tip exceeds the domain.
+    """Raise InputError if an element at a tip is longer than the domain's radius.
 
-    Then q falls within one element, and the integral has nothing to do with K.
+    The weight q would fall from 1 to 0 within an element, and K would be wrong. ``face_points`` (n,
+    2) [m] are the nodes on crack faces.
     """
     for tip in tips:
         face_point_distances = np.linalg.norm(face_points - tip.point, axis=1)
@@ -169,7 +175,10 @@ def _check_tips_are_resolved(scene: Scene, tips: list[Tip], face_points: np.ndar
 
 
 def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.ndarray, np.ndarray]:
-    """Return the tips, and the functionals for K_I and K_II (collective).
+    """Return the crack tips, and the linear functionals for K_I and K_II (collective).
+
+    The stress intensities are of_displacement times displacement plus of_forces times contact
+    forces.
 
     Parameters
     ----------
@@ -182,15 +191,15 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
     -------
     tips : list of Tip
     of_displacement : (2 n_tips, n_local) [Pa m^1/2 / m]
-        Factors of the displacement in K_I and K_II, tip after tip.
+        Factors of this rank's displacement in K_I and K_II, tip after tip.
     of_forces : (2 n_tips, n_pairs) [Pa m^1/2 / N]
-        Factors of the contact forces.
+        Factors of the pairs' contact forces, in the same order of rows.
 
     Raises
     ------
     InputError
-        A tip is closer to an edge, a bend or another crack than the elements of its crack faces
-        are long.
+        An element on a crack face is longer than the domain's radius, because the tip is close to
+        an edge, a bend or another crack.
     """
     check_has_matrices(structure, "stress intensities")
     assert structure.nodes is not None
@@ -216,9 +225,9 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
 
 
 def _crack_face_normals_at_nodes(dofs: Dofs) -> np.ndarray:
-    """Return outward normals of the crack faces at this rank's nodes: (n_nodes, 2).
+    """Integrate basis function times outward normal on the crack faces: (n_nodes, 2) [m].
 
-    They are zero away from the crack faces.
+    The vector at a node has the direction of the normal, and is 0 off the crack faces.
     """
     facet_normal, test_function = ufl.FacetNormal(dofs.part_mesh.mesh), ufl.TestFunction(dofs.space)
     normal_form = ufl.inner(facet_normal, test_function) * dofs.part_mesh.measure_on(
@@ -230,21 +239,22 @@ def _crack_face_normals_at_nodes(dofs: Dofs) -> np.ndarray:
 def _singular_displacement_derivative(
     r: Any, cos_half_angle: Any, sin_half_angle: Any, kolosov: float, mode: Any
 ) -> tuple[Any, Any]:
-    """Return the x_1 derivative of the displacement around a tip with K = 1.
+    """Return the x_1 derivative of the displacement field around a tip with K = 1.
 
     Parameters
     ----------
     r, cos_half_angle, sin_half_angle : numbers or UFL expressions
         Distance from the tip, and cosine and sine of half the angle from the crack's direction.
     kolosov : float
-        Kolosov's constant.
-    mode : 0 or 1
+        Kolosov's constant, (3 - nu) / (1 + nu) in plane stress.
+    mode : 0 or 1, or a constant in a form
         0 for K_I, 1 for K_II.
 
     Returns
     -------
     derivative_1, derivative_2 : numbers or UFL expressions
-        Components ahead of the crack and normal to it, times 4 G (2 pi)^1/2, G the shear modulus.
+        Components ahead of the crack and normal to it, multiplied by 4 G (2 pi)^1/2 with the shear
+        modulus G.
     """
     cos_angle = cos_half_angle * cos_half_angle - sin_half_angle * sin_half_angle
     sin_angle = 2.0 * cos_half_angle * sin_half_angle
@@ -264,16 +274,20 @@ def _singular_displacement_derivative(
 
 
 def _kolosov_and_field_scale(scene: Scene) -> tuple[float, float]:
-    """Return Kolosov's constant of plane stress, and 1 / (4 G (2 pi)^1/2)."""
+    """Return Kolosov's constant in plane stress, and 1 / (4 G (2 pi)^1/2) [1/Pa].
+
+    The constant is (3 - nu) / (1 + nu), with Poisson's ratio nu. G is the shear modulus.
+    """
     nu = scene.material.poisson
     shear_modulus = scene.material.young / (2.0 * (1.0 + nu))
     return (3.0 - nu) / (1.0 + nu), 1.0 / (4.0 * shear_modulus * np.sqrt(2.0 * np.pi))
 
 
 def _weight_values(tip_distances: np.ndarray, domain_radius: float) -> np.ndarray:
-    """Return the weight q at distances r from a tip.
+    """Return the weight q at distances r [m] from a tip: same shape.
 
-    q is 1 near the tip, and 0 beyond the radius."""
+    q is 1 up to 0.2 of the radius, and falls smoothly to 0 at the radius.
+    """
     ramp_position = np.clip(
         (tip_distances / domain_radius - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION), 0.0, 1.0
     )
@@ -285,10 +299,11 @@ def _weight_values(tip_distances: np.ndarray, domain_radius: float) -> np.ndarra
 def _weighted_singular_field(
     scene: Scene, tip: Tip, mode: int, points: np.ndarray, outward_normals: np.ndarray
 ) -> np.ndarray:
-    """Return the field w = q s at nodes: (n, 2).
+    """Return the field w = q s at nodes ``points`` (n, 2) [m]: (n, 2).
 
-    q is the weight, and s the x_1 derivative of the displacement with K = 1. The field is zero at
-    the tip. Nodes on crack faces are on the side opposite to ``outward_normals`` (n, 2).
+    q is the weight, and s the derivative ahead of the crack of the displacement with K = 1 in
+    ``mode`` 0 (K_I) or 1 (K_II). At the tip w is 0. Outward ``outward_normals`` (n, 2), 0 off the crack
+    faces, tell the upper from the lower face.
     """
     offsets_from_tip = points - tip.point
     r = np.linalg.norm(offsets_from_tip, axis=1)
@@ -319,10 +334,10 @@ def _weighted_singular_field(
 
 
 def _make_row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray], np.ndarray]:
-    """Return a function that assembles the factors of the displacement in K_I or K_II.
+    """Return a function to assemble the factors of the displacement in K_I or K_II.
 
-    The function takes a tip, a mode and the nodal field w. All tips and modes share one compiled
-    form, with other constants.
+    The function takes a tip, a mode and the nodal field w = q s, and returns (n_local,). All tips
+    and modes share a compiled form with changed constants.
     """
     space = dofs.space
     nodal_function = dolfinx.fem.Function(space)
@@ -377,7 +392,7 @@ def _make_row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndar
     compiled_form = compat.compile_form(functional_form)
 
     def assemble_row(tip: Tip, mode: int, nodal_field: np.ndarray) -> np.ndarray:
-        """Return factors (n_local,) for a tip, a mode and its nodal field w."""
+        """Assemble the factors (n_local,) for a tip, a mode and the nodal field w (n, 2)."""
         nodal_function.x.array[: nodal_field.size] = nodal_field.ravel()
         nodal_function.x.scatter_forward()
         for constant, value in zip(
@@ -394,11 +409,11 @@ def _make_row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndar
 def _contact_force_factors(
     scene: Scene, structure: Structure, tip: Tip, mode: int, nodal_field: np.ndarray
 ) -> np.ndarray:
-    """Return factors of the contact forces in K_I or K_II of a tip: (n_pairs,).
+    """Return factors of the contact forces in K_I or K_II at a tip: (n_pairs,).
 
-    ``nodal_field`` is w of :func:`_weighted_singular_field`. The pressure along the crack faces
-    replaces the forces at nodes, and has no part in K_II. If only the mouth has a pair, the force
-    stays at the node.
+    ``nodal_field`` is w from :func:`_weighted_singular_field`. Contact forces are replaced by a
+    pressure along the crack faces, which does not enter K_II. With ``contact.pairs = "mouth"`` the
+    factors are 0: the force acts at the node.
     """
     force_factors = np.zeros(structure.n_pairs)
     if mode == 1 or scene.contact is None or scene.contact.pairs == "mouth":
@@ -437,10 +452,10 @@ def _contact_force_factors(
 def _singular_quadrature_rule(
     interval_ends: np.ndarray, domain_radius: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return a rule for integrals of f(r) r^-1/2 up to the radius.
+    """Return points r and weights for integrals of f(r) r^-1/2 from 0 to the radius.
 
-    The results are points r and weights. f is smooth between ``interval_ends``. Gauss's rule is
-    applied to the square root of r in each interval.
+    f must be smooth between successive ``interval_ends`` [m]. In each interval, Gauss's rule with 8
+    points is applied to the square root of r.
     """
     sqrt_ends = np.sqrt(
         np.unique(np.clip([0.0, *interval_ends, domain_radius], 0.0, domain_radius))

@@ -43,7 +43,7 @@ from fenics_crack.scene.tables import Load
 
 
 def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.ndarray | None]:
-    """Assemble the loads of a scene (collective).
+    """Assemble all loads of a scene as nodal forces, and choose the watched motion (collective).
 
     Parameters
     ----------
@@ -57,16 +57,16 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
     Returns
     -------
     nodal_force_harmonics : (2K+1, n_dofs) [N]
-        Mean, then cosine and sine part of each order, on all owned dofs, clamped ones included.
+        Mean, then cosine and sine part of each order, on all owned dofs, clamped dofs included.
     watched_vector : (n_local,) or None
-        The watched displacement is its product with u [m]. None: the dof with most of the load
-        is watched.
+        Vector whose product with the displacement u is the displacement to be reported [m]. None:
+        report the dof with the largest load.
 
     Raises
     ------
     InputError
-        A load is off the mesh, where the structure is clamped, or on a crack, where there are
-        two faces.
+        A load is off the mesh or acts only on clamped dofs, or a point load is on a crack, with a
+        choice between two faces.
     """
     nodal_force_harmonics = np.zeros((2 * scene.highest_order + 1, len(dofs.structure_dof_numbers)))
     watched_vector = None
@@ -130,9 +130,9 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
 
 
 def _largest_force_direction(force_vectors: Sequence[Vector]) -> Vector:
-    """Return the unit vector of a load.
+    """Return the unit vector along a load's largest cosine or sine part, else along the mean.
 
-    It is the direction of its largest cosine or sine part, or of its mean if there is neither.
+    ``force_vectors`` are mean, then cosine and sine parts; at least one must not be zero.
     """
     mean_force_vector, *cos_and_sin_vectors = force_vectors
     largest_force_vector = max(
@@ -145,16 +145,16 @@ def _largest_force_direction(force_vectors: Sequence[Vector]) -> Vector:
 
 
 def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> np.ndarray:
-    """Return the fraction of a point force on each of this rank's nodes: (n_nodes,) (collective).
+    """Distribute a unit point force over this rank's nodes: (n_nodes,) (collective).
 
-    A node at the point takes the whole force, even if rounding or a curved boundary puts the point
-    out of every cell. Otherwise the fractions are the basis functions N_i at the point. On a part
-    from a CAD file, a point close to the mesh but out of every cell loads the nearest node.
+    A node at the point takes the whole force. Otherwise the fractions are the values of the basis
+    functions N_i at the point. On a part from a CAD file, a point close to the mesh but outside all
+    cells loads the nearest node. ``key`` names the point in errors.
 
     Raises
     ------
     InputError
-        The point is off the mesh, or on a crack, where there are two faces.
+        The point is off the mesh, or on a crack, with a choice between two faces.
     """
     if face_point_pairs := [
         lower_and_upper_point
@@ -208,15 +208,17 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
 def _assemble_point_load(
     scene: Scene, dofs: Dofs, key: str, point: Vector, force_vectors: Sequence[Vector]
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Assemble the forces of a point load.
+    """Assemble the nodal forces of a point load (collective).
+
+    ``force_vectors`` [N] are mean, cosine and sine parts; ``key`` names the load in errors.
 
     Returns
     -------
     nodal_force_harmonics : (n_parts, n_dofs) [N]
-        Nodal forces.
+        Nodal forces of each part, on all owned dofs.
     displacement_weights : (n_local,) or None
-        Vector whose product with u is the displacement at the point in the load's direction [m].
-        None if the load is zero.
+        Vector whose product with the displacement u is the displacement at the point along the load
+        [m]. None if the load is zero.
     """
     node_fractions = nodal_force_fractions(scene, dofs, f"{key}.point", point)
     nodal_force_harmonics = np.array(
@@ -237,7 +239,10 @@ def _assemble_point_load(
 def _checked_force_on_free_dofs(
     dofs: Dofs, key: str, place: object, nodal_force_harmonics: np.ndarray
 ) -> np.ndarray:
-    """Return forces; raise InputError if all act on clamped dofs."""
+    """Return the given forces; raise InputError if all act on clamped dofs (collective).
+
+    ``key`` and ``place`` name the load in the error.
+    """
     has_force, has_free_force = (
         np.any(gather_rows(dofs.comm, nodal_forces.ravel()))
         for nodal_forces in (nodal_force_harmonics, nodal_force_harmonics[:, dofs.free_dofs])
@@ -250,7 +255,10 @@ def _checked_force_on_free_dofs(
 
 
 def _distribute_vector(dofs: Dofs, node_fractions: np.ndarray, vector: Vector) -> np.ndarray:
-    """Distribute a vector over nodes by fractions (n_nodes,): (n_dofs,)."""
+    """Multiply a vector by each node's fraction (n_nodes,): (n_dofs,).
+
+    An empty vector counts as zero.
+    """
     return np.asarray(np.outer(node_fractions, vector or np.zeros(dofs.dimension)).ravel())
 
 
@@ -258,9 +266,10 @@ def _distribute_vector(dofs: Dofs, node_fractions: np.ndarray, vector: Vector) -
 
 
 def _assemble_edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.ndarray:
-    """Assemble tractions and pressures on an edge: (2K+1, n_dofs) [N].
+    """Assemble a load's traction and pressure on an edge or surface: (2K+1, n_dofs) [N].
 
-    ``key`` names the load in errors, as "loads.1".
+    Rows are mean, then cosine and sine parts. ``key`` names the load in errors, as "loads.1"
+    (collective).
     """
     edge_name = load.given("edge")
     check_choice(f"{key}.edge", edge_name, sorted(set(dofs.part_mesh.tags_by_group) - {"clamp"}))
@@ -298,9 +307,10 @@ def _assemble_edge_force(scene: Scene, dofs: Dofs, key: str, load: Load) -> np.n
 def _make_watch_vector_at_edge(
     dofs: Dofs, edge: str, nodal_force_harmonics: np.ndarray
 ) -> np.ndarray:
-    """Return the vector whose product with u is the displacement at an edge's middle: (n_local,).
+    """Return the vector to watch the displacement at an edge's middle: (n_local,).
 
-    It is 1 at the node nearest to the middle, in the direction of most of the load.
+    The product with u is the displacement of the node nearest to the middle, along the axis with
+    the largest load.
     """
     free_nodal_forces = np.where(
         dofs.structure_dof_numbers < 0, 0.0, nodal_force_harmonics
@@ -318,9 +328,10 @@ def _make_watch_vector_at_edge(
 
 
 def make_clamp(dofs: Dofs, mass: Any, nodal_force_harmonics: np.ndarray) -> Clamp:
-    """Return the data for reactions at a mesh's clamp (collective).
+    """Return the data to compute reaction forces and moments at the clamp (collective).
 
-    The mass matrix and the forces (2K+1, n_dofs) include the clamped dofs.
+    ``mass`` and ``nodal_force_harmonics`` (2K+1, n_dofs) [N] include the clamped dofs. Moments are
+    about the middle of the clamp's bounding box.
     """
     clamped_points = gather_rows(dofs.comm, dofs.points[dofs.nodes_on("clamp")])
     clamp_center = (
@@ -338,9 +349,10 @@ def make_clamp(dofs: Dofs, mass: Any, nodal_force_harmonics: np.ndarray) -> Clam
 
 
 def rigid_motion_displacements(points: np.ndarray) -> np.ndarray:
-    """Return displacements of points (n, d) in rigid motions of unit amplitude: (n_rigid, n d).
+    """Return the displacements of points (n, d) in rigid motions: (n_rigid, n d).
 
-    The motions are the translations along the axes, then the rotations e x r about the origin.
+    The motions are unit translations along the axes, then rotations e x r about the origin: three
+    motions for d = 2, six for d = 3.
     """
     dimension = points.shape[1]
     spatial_points = np.pad(points, ((0, 0), (0, 3 - dimension)))
@@ -353,7 +365,7 @@ def rigid_motion_displacements(points: np.ndarray) -> np.ndarray:
 
 
 def _inertia_forces(mass: Any, acceleration: np.ndarray) -> np.ndarray:
-    """Return the inertia forces M a for all owned dofs: (n_dofs,) [N]."""
+    """Return the mass matrix M times an acceleration (n_dofs,) [m/s^2]: (n_dofs,) [N]."""
     petsc_acceleration, petsc_force = mass.createVecs()
     petsc_acceleration.array[:] = acceleration
     mass.mult(petsc_acceleration, petsc_force)
@@ -366,10 +378,11 @@ def _inertia_forces(mass: Any, acceleration: np.ndarray) -> np.ndarray:
 def _make_watch_vector_at_node(
     dofs: Dofs, nodes: np.ndarray, position: np.ndarray, distance_rank: int, direction: Vector
 ) -> np.ndarray:
-    """Return the vector whose product with u is a node's displacement in a direction: (n_local,).
+    """Return the vector to watch a node's displacement in a direction: (n_local,).
 
-    ``nodes`` of all ranks are sorted by distance from ``position``, equal distances by coordinates.
-    ``distance_rank`` 0 selects the nearest node, -1 the farthest.
+    The product with u is this displacement. The node is the nearest to ``position`` among ``nodes``
+    of all ranks if ``distance_rank`` is 0, the farthest if -1. Equal distances are sorted by
+    coordinates.
     """
     all_points = gather_rows(dofs.comm, dofs.points[nodes])
     node_distances = np.linalg.norm(all_points - position, axis=1)

@@ -58,31 +58,33 @@ from fenics_crack.scene.tables import FORCE_KEYS, Damping, Excitation
 from fenics_crack.scene.tables import Structure as StructureTable
 
 NASTRAN_LETTER_BY_MATRIX = {"mass": "M", "stiffness": "K", "damping": "B"}
-"""Letter for each matrix in a file with several matrices."""
+"""Letter of each matrix in Nastran's files, which hold several matrices."""
 ROW_FILE_KEYS = ("gap", "tangential", *FORCE_KEYS)
-"""Keys of files with a row for each dof."""
+"""Keys in ``[structure]`` of files with a row for each dof."""
 SCENE_FILE_NAME = "matrices.toml"
-"""Name of the scene that reads the written files."""
+"""File name of the scene written by :func:`write_matrices`."""
 OUTPUT_FILE_NAMES = (
     *(f"{n}.mtx" for n in (*NASTRAN_LETTER_BY_MATRIX, *ROW_FILE_KEYS, "clearance", "areas")),
     SCENE_FILE_NAME,
 )
-"""Names of all files that may be written."""
+"""Names of all files that :func:`write_matrices` may write."""
 MAX_DENSE_DOFS = 3000
-"""Maximum dofs for a matrix of modal damping. It is dense: 4.5 million numbers."""
+"""Maximum number of dofs for writing modal damping as a matrix. The matrix is dense: 4.5 million
+numbers."""
 
 
 def read_structure(scene: Scene, damping_rule: DampingRule | None, comm: MPI.Comm) -> Structure:
-    """Read the structure of a scene's table ``[structure]`` (collective).
+    """Read the structure from the matrix files in a scene's table ``[structure]`` (collective).
 
-    Every rank reads the files and keeps its rows. ``damping_rule`` is the damping, unless a file
-    has it.
+    Every rank reads the files and keeps part of the rows. ``damping_rule`` is used unless the table
+    names a damping file.
 
     Raises
     ------
     InputError
         A file cannot be read, a shape does not fit, an entry is not finite, a matrix is not
-        symmetric, or the mass is not positive definite. Or no pairs are found.
+        symmetric, or the mass is not positive definite. Or a scene with contact has no contact
+        pairs.
     """
     table = scene.given("structure")
     try:
@@ -100,7 +102,7 @@ def read_structure(scene: Scene, damping_rule: DampingRule | None, comm: MPI.Com
 def _make_structure(
     scene: Scene, table: StructureTable, damping_rule: DampingRule | None, comm: MPI.Comm
 ) -> Structure:
-    """Make the structure of a table ``[structure]`` from the table's files."""
+    """Make a structure from the files named in ``table`` (collective)."""
     labelled_matrix_by_name, gaps_and_forces_by_name, model = call_on_each_rank(
         comm, lambda: _read_matrices_columns_and_model(table)
     )
@@ -163,16 +165,16 @@ def _make_structure(
 def _read_matrices_columns_and_model(
     table: StructureTable,
 ) -> tuple[dict[str, LabelledMatrix], dict[str, Any], Model | None]:
-    """Read the files of a table.
+    """Read the files named in a table ``[structure]``.
 
     Returns
     -------
     matrices : dict of str to LabelledMatrix
-        Mass, stiffness and damping, with the rows of the stiffness.
+        Mass, stiffness and, if given, damping, with rows in the stiffness's order.
     columns : dict of str to (n_dofs, m)
-        Gap matrix, tangential gaps and forces, by the key of the table.
+        Gap matrix, tangential gaps and forces, if given, by key.
     model : Model or None
-        Nodes and cells of the input file.
+        Nodes and cells of the model's input file; None without the key ``model``.
     """
     label_file, labelled_matrix_by_name = None if table.dofs is None else Path(table.dofs), {}
     n_rows, model = None, None
@@ -227,18 +229,18 @@ def _read_matrices_columns_and_model(
 def _order_rows_by_nodes(
     model: Model, row_labels: np.ndarray, table: StructureTable
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Order the matrices' rows by nodes.
+    """Order the matrices' rows so that rows of a node are neighbours.
 
-    ``row_labels`` (n_dofs, 2) are node and direction of each row.
+    ``row_labels`` (n_dofs, 2) are the node's number and the direction (1 to 6) of each row.
 
     Returns
     -------
     row_order : (n_dofs,) int
-        Present index of each row in the new order.
+        Old index of each row in the new order.
     node_dofs : (n_nodes, 3) int
-        New row of each node along x, y and z, or -1.
+        New row of each model node along x, y and z; -1 without such a row.
     node_starts : (n + 1,) int
-        Start of each node's rows, and end of the last rows.
+        First new row of each node with rows, and the number of rows.
     """
     _, first_rows, node_index_of_row = np.unique(
         row_labels[:, 0], return_index=True, return_inverse=True
@@ -271,7 +273,8 @@ def _order_rows_by_nodes(
 def _own_row_range(node_starts: np.ndarray, comm: MPI.Comm) -> tuple[int, int]:
     """Return start and stop of this rank's rows, ordered by nodes.
 
-    A rank has whole nodes, and about as many rows as others.
+    Nodes are not divided; all ranks have about equally many rows. ``node_starts`` (n + 1,) comes
+    from :func:`_order_rows_by_nodes`.
     """
     target_rows = node_starts[-1] * np.array([comm.rank, comm.rank + 1]) // comm.size
     start, stop = node_starts[np.searchsorted(node_starts, target_rows)]
@@ -279,10 +282,10 @@ def _own_row_range(node_starts: np.ndarray, comm: MPI.Comm) -> tuple[int, int]:
 
 
 def _own_nodes(model: Model, node_dofs: np.ndarray, start: int, stop: int, comm: MPI.Comm) -> Nodes:
-    """Return the nodes of this rank.
+    """Return the nodes of this rank's rows ``start`` to ``stop``, with cells for drawing.
 
-    A rank has the nodes of its dofs; rank 0 also has nodes without dofs. Cells are kept if all have
-    one drawable kind, and nodes carry all dofs.
+    Rank 0 also has nodes without dofs, and all cells. Cells are kept if all are of a single kind
+    except wedges, and every row is a translation of a model node.
     """
     nodes_have_all_dofs = int(np.count_nonzero(node_dofs >= 0)) == comm.allreduce(stop - start)
     vtk_type = (
@@ -310,7 +313,10 @@ def _own_nodes(model: Model, node_dofs: np.ndarray, start: int, stop: int, comm:
 
 
 def _read_number_or_pair_values(name: str, number_or_path: float | str, n_pairs: int) -> Any:
-    """Return a number, or a file's numbers (n_pairs,) for the pairs."""
+    """Return a setting that is a number, or read a value per pair (n_pairs,) from a file.
+
+    ``name`` is the key for errors. Without pairs a file is not read, and the result is 0.
+    """
     if not isinstance(number_or_path, str):
         return number_or_path
     return (
@@ -321,9 +327,10 @@ def _read_number_or_pair_values(name: str, number_or_path: float | str, n_pairs:
 
 
 def table_pair_upper_bound(table: StructureTable) -> int:
-    """Return the maximum number of pairs in a table ``[structure]``.
+    """Return an upper bound for the number of contact pairs in a table ``[structure]``.
 
-    Unusable files give 0.
+    The bound is the gap file's number of columns, else the model's number of coincident nodes. The
+    result is 0 if the table has neither, or the file cannot be read.
     """
     path = table.gap or table.model
     if path is None:
@@ -341,22 +348,22 @@ def table_pair_upper_bound(table: StructureTable) -> int:
 
 
 def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None = None) -> None:
-    """Write matrices as Matrix Market files, with a scene (collective).
+    """Write a structure's matrices as Matrix Market files, with a scene (collective).
 
-    The scene reads the files. They are named like the keys of ``[structure]``: ``mass.mtx``.
-    Without pairs, tangential gaps or areas there is no such file. A rotating structure has the
-    stiffness and mean load at its speed. Up to 3,000 dofs, modal damping is also written as a
-    matrix for other programs. The scene has its ratios and the number of damped modes.
+    The scene ``matrices.toml`` reads the files again. Files are named like the keys of
+    ``[structure]``, as ``mass.mtx``; data that the structure lacks has no file. A rotating
+    structure has the stiffness and mean load at the current speed. Up to 3,000 dofs, modal damping
+    is also written as a matrix, for other programs; the scene states the damping ratios.
 
     Parameters
     ----------
     structure : Structure
-        Not reduced; its rows may be shared by ranks.
+        Structure that is not reduced; ranks may share the rows.
     folder : path
-        Earlier files of these names are replaced, and kept in its folder ``before``.
+        Folder for the files. Earlier files with these names move to the subfolder ``before``.
     scene : Scene, optional
-        Its frequency, contact, harmonic balance and reduction complete ``matrices.toml``.
-        Without it, ``[excitation]`` and ``[contact]`` have to be added.
+        Source of frequency, contact, harmonic balance and reduction for ``matrices.toml``. Without
+        a scene, the user has to add ``[excitation]`` and ``[contact]``.
 
     Raises
     ------
@@ -398,7 +405,7 @@ def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None
     )
 
     def write_files() -> None:
-        """Write the gathered matrices, on rank 0."""
+        """Write the gathered matrices and the scene; called on rank 0."""
         full_matrix_by_name = {
             name: sparse.vstack(local_matrix)
             for name, local_matrix in gathered_parts_by_name.items()
@@ -425,9 +432,10 @@ def write_matrices(structure: Structure, folder: str | Path, scene: Scene | None
 
 
 def _scene_text(structure: Structure, file_by_name: dict[str, str], scene: Scene | None) -> str:
-    """Return the text of a scene that reads the files.
+    """Return the TOML text of a scene that reads the written files.
 
-    The result is solved like ``scene``. Without a scene, [excitation] and [contact] are missing.
+    ``file_by_name`` has file names by the key in ``[structure]``. Excitation frequency, contact,
+    harmonic balance and reduction are copied from ``scene``; without a scene they are left out.
     """
     table_by_name: dict[str, Any] = {}
     damping_rule = structure.damping or RayleighDamping()
@@ -464,7 +472,7 @@ FACETS_BY_CORNER_COUNT = {
     4: [FACET_CORNERS_BY_CORNER_COUNT[4]], 8: [FACET_CORNERS_BY_CORNER_COUNT[8]],
     6: [np.array([[0, 1, 2], [3, 4, 5]]), np.array([[0, 1, 4, 3], [1, 2, 5, 4], [2, 0, 3, 5]])],
 }  # fmt: skip
-"""Facets of a cell by its number of corners: triangles, then quadrilaterals."""
+"""Corners of a cell's facets, by the cell's number of corners: triangles, then quadrilaterals."""
 N_CORNERS_BY_VTK_TYPE = {10: 4, 24: 4, 13: 6, 26: 6, 12: 8, 25: 8}
 """Number of corners of a cell, by VTK's cell type."""
 CELL_EDGES_BY_CORNER_COUNT = {
@@ -477,7 +485,10 @@ CELL_EDGES_BY_CORNER_COUNT = {
 
 
 def find_coincident_node_pairs(points: np.ndarray) -> np.ndarray:
-    """Return pairs of coincident nodes: (n, 2) int."""
+    """Return pairs of nodes at the same position, as indices: (n, 2) int.
+
+    The tolerance is 1e-6 of the model's largest extent.
+    """
     from scipy.spatial import cKDTree  # slow to import, and only foreign models need it
 
     tolerance = RELATIVE_POSITION_TOLERANCE * float(np.ptp(points, axis=0).max())
@@ -486,27 +497,27 @@ def find_coincident_node_pairs(points: np.ndarray) -> np.ndarray:
 
 
 class _TwinNodes:
-    """Coincident nodes of a model that are not connected, and their surroundings.
+    """Pairs of coincident nodes of a model that the stiffness does not connect.
 
     Attributes
     ----------
     points : (n_nodes, 3) [m]
         Positions of all nodes.
     dofs : (n_nodes, 3) int
-        Rows of each node along x, y, z in the matrices, or -1.
+        Row of each node along x, y, z in the matrices; -1 without a row.
     n_dofs : int
-        Number of rows.
+        Number of rows of the matrices.
     first_nodes, second_nodes : (n_pairs,) int
         Both nodes of each pair.
     pair_index : (n_nodes,) int
-        Pair of each node, or -1.
+        Index of each node's pair; -1 for all other nodes.
     place_numbers : (n_nodes,) int
-        Equal for coincident nodes.
+        Number of each node's position, equal for coincident nodes.
     connectivity : (n_nodes, n_nodes) bool
         True if the stiffness connects two nodes.
     is_in_half_held_pair : (n_nodes,) bool
-        True for both of two coincident nodes if only one has dofs. The other is clamped, or tied
-        by equations.
+        True for two coincident nodes of which a single one has dofs. The other node is clamped, or
+        tied by equations.
     """
 
     def __init__(self, model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix) -> None:
@@ -567,26 +578,26 @@ def find_gap_matrix_and_pairs(
     Parameters
     ----------
     model : Model
-        With (n,) nodes.
+        Model with n nodes.
     dofs : (n, 3) int
-        Rows of the stiffness along x, y, z, or -1.
+        Row of each node along x, y, z in the stiffness; -1 without a row.
     stiffness : (n_dofs, n_dofs)
-        Shows connections between nodes.
+        Stiffness; an entry connects two nodes.
     has_rotations : bool
-        True if nodes have rotations, as in shells. Their cracks are lines.
+        True if nodes have rotations, as in shells. Crack faces are then lines, not surfaces.
 
     Returns
     -------
     gap : (n_dofs, n_pairs)
-        B of the gaps B^T u.
+        Matrix B from the displacement u to the gaps B^T u.
     pairs : Pairs
-        Positions, areas and cracks of the pairs.
+        Positions, areas (None without cells) and crack of each pair.
 
     Raises
     ------
     InputError
-        There are no coincident nodes, three of them coincide, or a crack's sides cannot be told
-        apart.
+        There are no coincident nodes, three nodes coincide, or both nodes of a pair lie on the same
+        side.
     """
     twins = _TwinNodes(model, dofs, stiffness)
     facets = _crack_face_facets(model, twins)
@@ -619,9 +630,10 @@ def find_gap_matrix_and_pairs(
 
 
 def _find_crack_of_each_pair(twins: _TwinNodes, twin_pair_index: np.ndarray) -> np.ndarray:
-    """Return the crack of each pair, numbered from bottom to top: (n_pairs,) int.
+    """Return the crack number of each pair: (n_pairs,) int.
 
-    Pairs with connected nodes are on one crack.
+    Pairs whose nodes the stiffness connects, on both faces, are on the same crack. Cracks are
+    numbered from 0, from bottom to top. ``twin_pair_index`` selects pairs of ``twins``.
     """
     from scipy.sparse.csgraph import connected_components
 
@@ -651,16 +663,17 @@ def _find_crack_of_each_pair(twins: _TwinNodes, twin_pair_index: np.ndarray) -> 
 # --- of facets ------------------------------------------------------------------------------------
 
 Facets = tuple[np.ndarray, np.ndarray]
-"""Nodes of facets and centres of their cells.
+"""Facets of cells: nodes (m, 2 k), and centres of the facets' cells (m, 3) [m].
 
-Nodes are (m, 2 k): corners, then middle nodes of edges, or -1. Centres are (m, 3).
+The nodes are k corners, then the middle nodes of k edges, or -1 for cells of order 1.
 """
 
 
 def _crack_face_facets(model: Model, twins: _TwinNodes) -> list[Facets]:
-    """Return the facets on crack faces: triangles, then quadrilaterals.
+    """Return the facets on crack faces: triangles, then quadrilaterals; empty without any.
 
-    Such a facet belongs to one cell, and coincides with another facet.
+    A facet is on a crack face if a single cell has it, exactly two such facets coincide, and a
+    corner is in a pair. Facets with half-held pairs are left out.
     """
     facet_sets = []
     for n_facet_corners in (3, 4):
@@ -694,10 +707,10 @@ def _crack_face_facets(model: Model, twins: _TwinNodes) -> list[Facets]:
 def _cell_facets_and_cell_centres(
     points: np.ndarray, cells: np.ndarray, n_corners: int, local_facets: np.ndarray
 ) -> Facets:
-    """Return the facets of all cells of one kind.
+    """Return the facets of all cells of the same kind, with the cells' centres.
 
-    ``cells`` (n, k) has the corners first; ``local_facets`` are the columns of each facet's
-    corners. A facet's nodes are corners, then edge middles or -1.
+    ``cells`` (n, k) are nodes, ``n_corners`` corners first. ``local_facets`` (m, n_facet_corners)
+    are the columns of each facet's corners in ``cells``.
     """
     n_facet_corners = local_facets.shape[1]
     middle_column_by_edge = {
@@ -719,7 +732,7 @@ def _cell_facets_and_cell_centres(
 
 
 def _row_multiplicities(rows: np.ndarray) -> np.ndarray:
-    """Count each row among all rows: (n,) int.
+    """Return how often each row of nodes occurs among all rows: (n,) int.
 
     The order of nodes in a row does not matter.
     """
@@ -728,18 +741,19 @@ def _row_multiplicities(rows: np.ndarray) -> np.ndarray:
 
 
 def _facet_basis(n_corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Evaluate the basis functions of a facet at Gauss points.
+    """Evaluate the basis functions of a facet with k corners at Gauss points.
 
-    The rule is exact for degree 5.
+    k = ``n_corners`` is 3 or 4. The Gauss rule has 3 x 3 points.
 
     Returns
     -------
     weighted_functions : (2, k, n_points)
-        Linear functions of the corners, and quadratic ones of the edge middles, times the weights.
+        Linear functions of the corners, then quadratic functions of the edge middles, both times
+        the Gauss weights.
     linear : (k, n_points)
-        Linear functions.
+        Linear functions of the corners.
     slopes : (2, k, n_points)
-        Derivatives of the linear functions by both coordinates.
+        Derivatives of the linear functions by the facet's two coordinates.
     """
     gauss_points, gauss_weights = (
         0.5 * coordinates for coordinates in np.polynomial.legendre.leggauss(3)
@@ -775,20 +789,20 @@ def _facet_basis(n_corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _assemble_patch_gap_matrix(
     twins: _TwinNodes, facets: list[Facets]
 ) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray, np.ndarray]:
-    """Assemble the normal gaps of crack faces with facets, averaged over patches.
+    """Assemble normal gaps from the facets of crack faces, averaged over patches.
 
-    Each pair of corner nodes has a patch: the support of a linear pressure function.
+    Each pair of corner nodes has a patch: the facets with a nonzero linear pressure function.
 
     Returns
     -------
     gap : (n_dofs, n)
-        B of the gaps B^T u.
+        Matrix B from the displacement u to the gaps B^T u.
     areas : (n,) [m^2]
         Areas of the patches.
     twin_pair_index : (n,) int
-        Index in ``twins`` of the pair at each patch.
+        Index in ``twins`` of the pair at each patch's centre.
     front_nodes : (m,) int
-        Nodes of the fronts.
+        Corner nodes on the crack fronts.
     """
     n_pairs = len(twins.first_nodes)
     corner_nodes = [nodes[:, : nodes.shape[1] // 2] for nodes, _ in facets]
@@ -855,16 +869,16 @@ def _assemble_patch_gap_matrix(
 def _assemble_normal_gap_matrix(
     twins: _TwinNodes, crack_dimension: int
 ) -> tuple[sparse.csr_matrix, np.ndarray]:
-    """Assemble the normal gaps between coincident nodes, without cells.
+    """Assemble normal gaps between coincident nodes, for a model without cells.
 
-    ``crack_dimension`` is 2 for crack faces that are surfaces, 1 for lines.
+    ``crack_dimension`` is 2 if crack faces are surfaces, 1 if they are lines.
 
     Returns
     -------
     gap : (n_dofs, n_pairs)
-        B of the gaps B^T u.
+        Matrix B from the displacement u to the gaps B^T u.
     front_nodes : (m,) int
-        Nodes of the fronts.
+        Nodes connected to both nodes of a pair: the crack fronts.
     """
     model_points = twins.points
     gap_matrix = sparse.lil_matrix((twins.n_dofs, len(twins.first_nodes)))

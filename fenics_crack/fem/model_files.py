@@ -19,35 +19,38 @@ from fenics_crack.model.matrices import read_number_rows, yield_numbered_lines
 from fenics_crack.scene.fields import MAX_ALLOWED_MAGNITUDE
 
 VTK_TYPE_BY_NODE_COUNT = {4: 10, 6: 13, 8: 12, 10: 24, 15: 26, 20: 25}
-"""VTK's type of tetrahedra, wedges and hexahedra, by their number of nodes."""
+"""VTK's cell type of tetrahedra, wedges and hexahedra, by number of nodes."""
 GENERATOR_KEYWORDS = ("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY", "SYSTEM", "TRANSFORM", "NMAP")
-"""Keywords of CalculiX and Abaqus that generate nodes and cells, or rotate them."""
+"""Keywords of CalculiX and Abaqus that generate or rotate nodes or cells. A file with any such
+keyword is refused."""
 match_include = re.compile(r"\*\s*INCLUDE\b", re.IGNORECASE).match
-"""Match an include line of CalculiX or Abaqus."""
+"""Match a line ``*INCLUDE`` of CalculiX or Abaqus."""
 ANSYS_SOLID_TYPE_NUMBERS = {
     5, 45, 46, 62, 64, 65, 72, 73, 92, 95, 98, 185, 186, 187, 190, 191, 215, 216, 217, 220, 221,
     226, 227, 285,
 }  # fmt: skip
-"""Ansys' solid elements. The same blocks also hold surfaces, contact, shells and springs."""
+"""Numbers of Ansys' solid element types. All other types in a block are skipped: surfaces, contact,
+shells and springs."""
 NASTRAN_ORDER_BY_NODE_COUNT = {
     15: [*range(9), 12, 13, 14, 9, 10, 11],
     20: [*range(12), 16, 17, 18, 19, 12, 13, 14, 15],
 }
-"""Nastran's nodes in VTK's order. Nastran has vertical edges before the upper edges."""
+"""Position in Nastran's node list of each node in VTK's order, by number of nodes. Nastran lists
+vertical edges before upper edges."""
 
 
 @dataclass(frozen=True)
 class Model:
-    """Nodes and cells of a model.
+    """Nodes and solid cells from another program's input file.
 
     Attributes
     ----------
     labels : (n,) int
-        Node labels, in ascending order.
-    points : (n, 3)
+        Node numbers in the file, in ascending order.
+    points : (n, 3) [m]
         Node positions.
     cells_by_vtk_type : dict of int to (m, k) int
-        Rows of the cells' nodes in ``labels``, in VTK's order, by VTK's cell type.
+        Nodes of the cells as indices in ``labels``, in VTK's order, by VTK's cell type.
     """
 
     labels: np.ndarray
@@ -56,15 +59,16 @@ class Model:
 
 
 def read_model(path: Path) -> Model:
-    """Read nodes and cells from a file.
+    """Read nodes and solid cells from another program's input file.
 
     The ending tells the format: .inp (CalculiX, Abaqus), .bdf, .dat or .nas (Nastran), .cdb
-    (Ansys). Other files have rows with node, x, y, z between commas.
+    (Ansys). Any other file is a table with rows "node, x, y, z".
 
     Raises
     ------
     OSError, ValueError
-        The file cannot be read, or contradicts itself. The message names the line.
+        The file cannot be read, has no nodes, or contradicts a former line. The message names the
+        line.
     """
     nodes: dict[int, tuple[float, ...]] = {}
     cells: dict[int, list[list[int]]] = {}
@@ -88,10 +92,10 @@ def read_model(path: Path) -> Model:
 
 
 def list_included_files(path: Path) -> list[Path]:
-    """Return further files that a matrix or model file needs.
+    """List further files that a matrix or model file needs; empty if none.
 
-    CalculiX's matrices have a file for their rows. Input files of CalculiX or Abaqus include
-    others.
+    CalculiX's matrices (.sti, .mas) need the file .dof with the rows' nodes. Input files (.inp) of
+    CalculiX or Abaqus may include other files.
     """
     if path.suffix.lower() in (".sti", ".mas"):
         return [path.with_suffix(".dof")]
@@ -110,25 +114,26 @@ def list_included_files(path: Path) -> list[Path]:
 
 
 def _included_path(path: Path, line: str) -> Path:
-    """Return the path in a line *INCLUDE, INPUT=... of an input file."""
+    """Return the path in a line ``*INCLUDE, INPUT=...`` of the input file ``path``."""
     return path.parent / line.partition("=")[2].strip().strip('"')
 
 
 NodePositions = dict[int, tuple[float, ...]]
-"""Position of each node, by its label."""
+"""Position of each node, by node number."""
 CellLabels = dict[int, list[list[int]]]
-"""Node labels of the cells, by VTK's type."""
+"""Node numbers of each cell, by VTK's cell type."""
 
 
 def _add_node(
     nodes: NodePositions, line_number: int, label: int, position: tuple[float, ...]
 ) -> None:
-    """Add a node's position to ``nodes``, by the label.
+    """Add the position of node ``label`` to ``nodes``. Errors name ``line_number``.
 
     Raises
     ------
     ValueError
-        A coordinate is too large or no number, or the node has another position already.
+        A coordinate is no number or beyond ``MAX_ALLOWED_MAGNITUDE``, or the node has another
+        position already.
     """
     if not all(abs(coordinate) <= MAX_ALLOWED_MAGNITUDE for coordinate in position):
         raise ValueError(
@@ -140,7 +145,7 @@ def _add_node(
 
 
 def _read_node_table(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
-    """Read nodes from a table with lines "node, x, y, z", into ``nodes``."""
+    """Read nodes from a table with rows "node, x, y, z" into ``nodes``; ``cells`` is unused."""
     for row_number, (label, *coordinates) in enumerate(
         read_number_rows(path, 4, "#", ",").tolist(), 1
     ):
@@ -153,7 +158,11 @@ def _read_node_table(path: Path, nodes: NodePositions, cells: CellLabels) -> Non
 
 
 def _read_abaqus(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
-    """Read an input file of CalculiX or Abaqus into ``nodes`` and ``cells``."""
+    """Read an input file of CalculiX or Abaqus into ``nodes`` and ``cells``.
+
+    Included files are read, too. Elements other than C3D solids are skipped. ValueError for
+    generated, moved or rotated nodes.
+    """
     keyword, n_nodes_per_element, element_and_node_labels = "", 0, list[int]()
     for line_number, line in yield_numbered_lines(path, "**"):
         try:
@@ -204,7 +213,11 @@ def _read_abaqus(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
 
 
 def _read_nastran(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
-    """Read Nastran's bulk data into ``nodes`` and ``cells``."""
+    """Read Nastran's bulk data into ``nodes`` and ``cells``.
+
+    Entries other than GRID, CTETRA, CPENTA and CHEXA are skipped. ValueError for an INCLUDE, or
+    another coordinate system than the basic one.
+    """
     for line_number, card in _yield_nastran_cards(path):
         name, *fields = card
         try:
@@ -236,12 +249,12 @@ def _read_nastran(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
 
 
 def _parse_real(field: str) -> float:
-    """Parse a real number whose exponent may lack its E: "1.5-3"."""
+    """Parse Nastran's real number, as "1.5-3" for 1.5e-3; empty text is 0."""
     return float(re.sub(r"(?<=[\d.])([+-]\d+)$", r"E\1", field.upper().replace("D", "E")) or 0.0)
 
 
 def _yield_nastran_cards(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield the entries of Nastran's bulk data.
+    """Yield the entries (cards) in a file with Nastran's bulk data.
 
     Fields have 8 or 16 characters, or stand between commas. Fields of continuation lines are
     appended.
@@ -249,9 +262,9 @@ def _yield_nastran_cards(path: Path) -> Iterator[tuple[int, list[str]]]:
     Yields
     ------
     int
-        Number of the first line.
+        Line number at which the entry begins, from 1.
     list of str
-        Name and fields.
+        Name in upper case, then the fields.
     """
     first_line_number, card = 0, list[str]()
     for line_number, line in yield_numbered_lines(path, "$"):
@@ -282,7 +295,9 @@ def _yield_nastran_cards(path: Path) -> Iterator[tuple[int, list[str]]]:
 def _read_ansys(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
     """Read the blocks NBLOCK and EBLOCK of Ansys' CDWRITE into ``nodes`` and ``cells``.
 
-    The line below a block's name states number and width of the fields.
+    The line below a block's name states number and width of the fields. Elements of other types
+    than ``ANSYS_SOLID_TYPE_NUMBERS`` are skipped. ValueError for nodes with angles and for
+    degenerate bricks.
     """
     block, n_nodes_per_element, node_labels = "", 0, list[int]()
     integer_width, real_width, n_integers = 0, 0, 0

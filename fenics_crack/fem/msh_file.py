@@ -55,11 +55,11 @@ from fenics_crack.fem.cracks import (
 )
 
 Group = tuple[int, int, str, int, np.ndarray]
-"""Dimension, tag, name, gmsh's kind of the elements, and their nodes."""
+"""Group of elements: dimension, tag, name, gmsh's kind of elements, and node numbers."""
 RawMesh = tuple[np.ndarray, np.ndarray, list[Group]]
-"""Numbers and positions of all nodes, and the groups."""
+"""Mesh as in a file: numbers (n,) and positions (n, 3) [m] of all nodes, and the groups."""
 CRACK_NAME_PATTERN = re.compile(r"crack([ _.-]?\d+)?$", re.IGNORECASE)
-"""Pattern for names of curves and surfaces that are cracks."""
+"""Pattern for group names of cracks: "crack" or with a number, as "crack 1"."""
 
 _MESH_HEADER_PATTERN = re.compile(
     rb"\$MeshFormat[ \t]*\r?\n[ \t]*(2|2\.[0-2]|4|4\.[01])[ \t]+[01][ \t]+8\s"
@@ -69,7 +69,7 @@ _FACET_KIND_BY_CELL_KIND = {
     2: {2: 1, 3: 1, 9: 8, 10: 8, 21: 26, 36: 26},
     3: {4: 2, 11: 9, 5: 3, 12: 10},
 }
-"""gmsh's kind of facets, for each dimension and each kind of cells that DOLFINx reads."""
+"""gmsh's kind of facets, by dimension and gmsh's kind of cells. Other cells cannot be read."""
 _POINT_KIND = 15
 """gmsh's kind of a point element."""
 _LINEAR_KIND_BY_SHAPE = {(2, 3): 2, (2, 4): 3, (3, 4): 4, (3, 8): 5}
@@ -78,13 +78,16 @@ _CELL_REQUIREMENT_AND_FACET_WORD_BY_DIMENSION = {
     2: ("surfaces hold one kind of cells, triangles or quadrilaterals", "curve"),
     3: ("volumes hold one kind of cells, tetrahedra or hexahedra", "surface"),
 }
-"""Required contents of groups with cells, and the word for a group of facets."""
+"""Texts for errors, by dimension: required contents of cell groups, and word for a facet group."""
 _FACET_WORD_BY_DIMENSION = {2: "an edge", 3: "a facet"}
-"""Word for a facet in messages, for each dimension."""
+"""Word for a facet in errors, by dimension."""
 
 
 def read_mesh_into_gmsh(path: Path, dimension: int) -> tuple[NamedParts, Cracks]:
-    """Read a mesh file into gmsh's current model, as :func:`load_mesh_into_gmsh` does.
+    """Read a mesh file into gmsh's current model.
+
+    ``dimension`` is 2 for a plate, 3 for a solid. The results are those of
+    :func:`load_mesh_into_gmsh`.
 
     Raises
     ------
@@ -101,14 +104,16 @@ def read_mesh_into_gmsh(path: Path, dimension: int) -> tuple[NamedParts, Cracks]
 
 
 def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, Cracks]:
-    """Load a mesh of a plate or solid into gmsh's current model.
+    """Check a mesh, split the cracks, and load the mesh into gmsh's current model.
+
+    ``dimension`` is 2 for a plate, 3 for a solid.
 
     Returns
     -------
     NamedParts
-        Named facets and points.
+        gmsh's group tags of named curves or surfaces, and positions of named points.
     Cracks
-        Cracks from bottom to top.
+        Cracks sorted from bottom to top.
 
     Raises
     ------
@@ -187,7 +192,7 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
 
 
 def _read_raw_mesh(path: Path) -> RawMesh:
-    """Read nodes and groups from a mesh file.
+    """Read nodes and groups from a gmsh file, in a separate process.
 
     Raises
     ------
@@ -215,15 +220,16 @@ def _read_raw_mesh(path: Path) -> RawMesh:
 
 
 def check_file_exists(key: str, path: Path | str) -> None:
-    """Raise InputError unless a file exists."""
+    """Raise InputError for ``key`` unless a regular file exists."""
     if not os.path.isfile(path):
         raise InputError(key, str(path), "an existing gmsh mesh file")
 
 
 def unpack_groups(contents: dict[str, np.ndarray]) -> list[Group]:
-    """Convert arrays of :func:`~fenics_crack.fem.solid_mesher.collect_groups` to a list of groups.
+    """Convert arrays of :func:`~fenics_crack.fem.solid_mesher.collect_groups` to groups.
 
-    A group is (dimension, tag, name, gmsh's kind of elements, node numbers).
+    A group is (dimension, tag, name, gmsh's kind of elements, node numbers). A named group with
+    several kinds or entities becomes several groups.
     """
     group_nodes = np.split(contents["nodes"], np.cumsum(contents["heads"][:, 3])[:-1])
     heads_names_and_nodes = zip(
@@ -238,9 +244,10 @@ def unpack_groups(contents: dict[str, np.ndarray]) -> list[Group]:
 def _select_cells(
     raw_mesh: RawMesh, dimension: int
 ) -> tuple[int, Cells, np.ndarray, dict[str, np.ndarray], list[Group]]:
-    """Select cells, named facets and points, and renumber their nodes.
+    """Select cells, named facets and named points, with nodes numbered from 0.
 
-    A cell may be in several groups, and is kept once.
+    Nodes without cells are dropped. A cell in several groups is kept once. InputError if cells are
+    of several kinds, or no facets are named "clamp".
 
     Returns
     -------
@@ -249,9 +256,9 @@ def _select_cells(
     cells : Cells
         The cells.
     positions : (n_nodes, 3) [m]
-        Positions of the nodes of cells.
+        Node positions.
     facets_by_name : dict of str to (m, k) int
-        Nodes of named facets. A clamp is among them.
+        Nodes of the facets with each name, "clamp" included.
     point_groups : list of Group
         Groups of named points.
     """
@@ -313,18 +320,19 @@ def _select_cells(
 def _select_named_groups(
     groups: list[Group], kind_by_dimension: dict[int, int], used_numbers: np.ndarray
 ) -> tuple[dict[str, np.ndarray], list[Group]]:
-    """Select the named facets and points of a mesh file, and renumber their nodes.
+    """Select a mesh file's named facets and points, with nodes numbered from 0.
 
-    The results are those of :func:`_select_cells`.
+    The results are ``facets_by_name`` and ``point_groups`` of :func:`_select_cells`. InputError if
+    a named group has other elements than the cells' facets or corners.
 
     Parameters
     ----------
     groups : list of Group
         All groups of the file.
     kind_by_dimension : dict of int to int
-        gmsh's kind of elements for each dimension of a named group.
+        Allowed kind of elements (gmsh's number) in named groups, by dimension of the group.
     used_numbers : (n_nodes,) int
-        Numbers of nodes of cells, in ascending order.
+        Numbers in the file of all nodes with cells, in ascending order.
     """
     row_lists_by_group: dict[tuple[int, str], list[np.ndarray]] = {}
     for dimension, _, name, kind, nodes in groups:
@@ -353,10 +361,7 @@ def _select_named_groups(
 
 
 def make_cells_of_kind(kind: int, nodes: np.ndarray) -> Cells:
-    """Make :class:`Cells` from nodes (n_cells, k) and gmsh's kind of cells.
-
-    A node lies between the corners whose linear basis functions are not zero at the node.
-    """
+    """Make :class:`Cells` from nodes (n_cells, k) and gmsh's number for the kind of cells."""
     _, dimension, *_, n_corners = gmsh.model.mesh.getElementProperties(kind)
     is_supporting_corner = (
         _evaluate_basis_functions(
@@ -388,9 +393,9 @@ def _renumber_facets_after_split(
     cells : Cells
         Cells before the split.
     split_cell_nodes : (n_cells, k) int
-        Nodes of the cells after the split. Facets at a crack take these from their own cell.
+        Nodes of the cells after the split, for facets with a doubled node.
     node_map : (n_nodes,) int
-        New number of each node. Facets elsewhere take this number.
+        New number of each old node, for all other facets.
     """
     sorted_facets, owner, _ = cells.sorted_facets_and_owners
     n_key_corners = min(sorted_facets.shape[1], 3)  # three corners identify a facet
@@ -419,10 +424,10 @@ def _renumber_facets_after_split(
 def _check_mouths_are_open(
     cells: Cells, positions: np.ndarray, face_edges: Sequence[np.ndarray]
 ) -> None:
-    """Raise InputError if a crack is closed at the plate's edge.
+    """Raise InputError if both crack faces share a node at the plate's edge.
 
-    At the edge a crack has a mouth, which needs a node for each face. ``face_edges`` are the
-    corners of the lower and upper face's edges, (n, 2) each.
+    A crack that reaches the edge has a mouth, with a node for each face. ``face_edges`` are the
+    nodes of element edges on the lower and on the upper face, (n, 2) each.
     """
     boundary_edges = cells.sorted_facets_and_owners[0][cells.is_boundary_facet]
     boundary_edges = boundary_edges[~are_rows_in(boundary_edges, np.concatenate(face_edges))]
@@ -437,19 +442,21 @@ def _check_mouths_are_open(
 def _tag_name_combinations(
     edges_by_name: dict[str, np.ndarray],
 ) -> tuple[dict[str, tuple[int, ...]], list[tuple[int, str, np.ndarray]]]:
-    """Tag the edges of named curves, with one tag for each combination of names.
+    """Sort named facets into disjoint groups, with a tag for each combination of names.
+
+    A DOLFINx facet has only a single tag, but may be in several named groups.
 
     Parameters
     ----------
     edges_by_name : dict of str to (m, k) int
-        Nodes of each curve's edges, or of each surface's facets. An edge may be on several curves.
+        Nodes of the edges on each named curve, or of the facets on each named surface.
 
     Returns
     -------
     tags_by_name : dict of str to tuple of int
-        Tags that make up each curve.
+        Tags of all combinations with this name.
     tagged_edges : list of (int, str, (m, k) int)
-        Tag, joined names, and edges of each combination.
+        Tag, joined names, and edges or facets of each combination.
     """
     all_edges = np.concatenate(list(edges_by_name.values()))
     edge_curve_index = np.repeat(
@@ -471,10 +478,10 @@ def _tag_name_combinations(
 
 
 def _fill_gmsh_model(positions: np.ndarray, groups: list[Group]) -> None:
-    """Fill gmsh's current model with nodes and physical groups.
+    """Add nodes, elements and named physical groups to gmsh's current model.
 
-    The groups (:func:`unpack_groups`) begin with those of cells. Nodes are rows of ``positions``
-    (n_nodes, 3).
+    The first of ``groups`` holds the cells. Nodes in groups are indices of ``positions`` (n_nodes,
+    3) [m].
     """
     model, dimension = gmsh.model, groups[0][0]
     node_entity = model.addDiscreteEntity(dimension)
@@ -489,19 +496,20 @@ def _fill_gmsh_model(positions: np.ndarray, groups: list[Group]) -> None:
 # --- checks of a mesh -----------------------------------------------------------------------------
 
 MIN_RELATIVE_DETERMINANT = 1e-9
-"""Minimum determinant, relative to the cell's maximum or to size^d."""
+"""Minimum Jacobian determinant in a cell, relative to the cell's maximum or to size^d. Smaller ones
+count as zero."""
 
 
 def _mesh_error(problem: str, position: np.ndarray, requirement: str) -> InputError:
-    """Return the error for a mesh with a problem at a position."""
+    """Return an InputError for the key "mesh", with a problem at a position (d,) [m]."""
     position_text = ", ".join(f"{coordinate:g}" for coordinate in position)
     return InputError("mesh", f"{problem} at ({position_text})", requirement)
 
 
 def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
-    """Raise InputError if cells are folded, without volume, or overlap.
+    """Raise InputError if cells are folded, without volume, or overlap at a facet.
 
-    At each facet at most two cells may meet, one on either side.
+    At most two cells may meet at a facet, on opposite sides.
 
     Parameters
     ----------
@@ -574,9 +582,10 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
 def _check_inner_surfaces(
     cells: Cells, facets_by_name: dict[str, np.ndarray], crack_names: list[str]
 ) -> None:
-    """Raise InputError if a named surface inside the mesh is neither crack nor clamp.
+    """Raise InputError if a named surface inside the solid is neither crack nor clamp.
 
-    ``facets_by_name`` are the nodes of facets by name. Such a surface would not separate anything.
+    A user may have meant the surface as a crack, but it would not separate the material.
+    ``facets_by_name`` has nodes of facets (m, k) by name, ``crack_names`` the names of cracks.
     """
     sorted_facets, _, _ = cells.sorted_facets_and_owners
     shared_facets = sorted_facets[1:][cells.is_shared]
@@ -605,9 +614,9 @@ def check_parts_are_clamped(
     clamped_nodes: np.ndarray,
     face_facets: Sequence[np.ndarray],
 ) -> None:
-    """Raise InputError if a part of the mesh has no clamp.
+    """Raise InputError if a part of the mesh has no clamped node.
 
-    Parts are groups of cells that share no nodes with each other.
+    A part is a set of cells connected by common nodes. Contact alone cannot hold a part.
 
     Parameters
     ----------
@@ -616,14 +625,14 @@ def check_parts_are_clamped(
     positions : (n_nodes, d) [m]
         Positions of all nodes.
     clamped_nodes : (m,) or (m, k) int
-        Nodes in the clamp.
+        Nodes on facets named "clamp".
     face_facets : sequence of (n, d) int
-        Corners of facets on crack faces.
+        Corners of the facets on each crack face.
     """
     part_labels = label_connected_rows(cells.cell_nodes)
 
     def is_in_part_with(nodes: np.ndarray) -> np.ndarray:
-        """Return True for cells whose part has one of the nodes: (n_cells,)."""
+        """Return True for all cells in parts with any of the nodes: (n_cells,) bool."""
         return np.isin(part_labels, part_labels[np.isin(cells.cell_nodes, nodes).any(axis=1)])
 
     is_loose_cell = ~is_in_part_with(clamped_nodes)
@@ -707,9 +716,10 @@ def check_parts_do_not_overlap(
 def _are_in_cells(
     kind: int, n_corners: int, cell_positions: np.ndarray, points: np.ndarray
 ) -> np.ndarray:
-    """Return True for each point in or on its cell: (n,) bool.
+    """Return True if point i lies in or on cell i: (n,) bool.
 
-    Points are (n, d) [m], and nodes of the cells (n, n_nodes, d) [m].
+    ``points`` are (n, d) [m], ``cell_positions`` the cells' node positions (n, n_nodes, d) [m].
+    ``kind`` is gmsh's kind of the cells. The tolerance is 1e-6 of the cell's size.
     """
     dimension = points.shape[1]
     linear_values = _evaluate_basis_functions(
@@ -773,7 +783,7 @@ def _are_in_cells(
 
 
 def _reference_node_positions(kind: int) -> np.ndarray:
-    """Return the nodes of a reference cell, by gmsh's kind: (n_nodes, 3)."""
+    """Return the node coordinates in the reference cell for gmsh's kind: (n_nodes, 3)."""
     _, dimension, _, n_nodes_per_cell, coordinates, _ = gmsh.model.mesh.getElementProperties(kind)
     positions = np.zeros((n_nodes_per_cell, 3))
     positions[:, :dimension] = np.reshape(coordinates, (n_nodes_per_cell, dimension))
@@ -783,10 +793,10 @@ def _reference_node_positions(kind: int) -> np.ndarray:
 def _evaluate_basis_functions(
     kind: int, reference_points: np.ndarray, function_name: str = "Lagrange"
 ) -> np.ndarray:
-    """Evaluate basis functions of a kind of cells: (n, n_functions).
+    """Evaluate the basis functions of cells at points of the reference cell.
 
-    ``function_name`` is gmsh's name. Gradients "GradLagrange" have three columns for each function.
-    Reference points are (n, 3).
+    ``kind`` is gmsh's kind of cells, ``reference_points`` are (n, 3). "Lagrange" gives values (n,
+    n_functions), "GradLagrange" gradients (n, 3 n_functions) with three columns per function.
     """
     return np.reshape(
         gmsh.model.mesh.getBasisFunctions(kind, reference_points.ravel(), function_name)[1],

@@ -17,24 +17,27 @@ _TRIANGLES_BY_NODE_COUNT = {
     6: [(0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)],
     9: [(0, 4, 8), (4, 1, 8), (1, 5, 8), (5, 2, 8), (2, 6, 8), (6, 3, 8), (3, 7, 8), (7, 0, 8)],
 }
-"""Triangles that a cell is cut into for colouring, by its number of nodes, in VTK's order."""
+"""Nodes of the triangles into which a plate's cell is cut for pictures, by number of nodes in a
+cell."""
 
 
 class NodalMesh:
-    """Whole mesh of a structure, on every rank (collective to make).
+    """Whole mesh of a structure, gathered on every rank (collective to create).
+
+    InputError for a structure made from matrices without a mesh.
 
     Attributes
     ----------
     points : (n_nodes, d) [m]
         Node positions: d = 2 for a plate, 3 for a solid.
     cells : (n_cells, k) int
-        Nodes of the cells, in VTK's order.
+        Nodes of each cell, in VTK's order.
     vtk_type : int
         VTK's number of the cell type.
     size : float [m]
-        Largest extent along an axis.
+        Largest extent along x, y or z.
     is_clamped : (n_nodes,) bool
-        True where no component can move.
+        True if no displacement component of the node is free.
     """
 
     def __init__(self, structure: Structure) -> None:
@@ -54,43 +57,45 @@ class NodalMesh:
         self.vtk_type = nodes.vtk_type
 
     def nodal_vectors(self, dof_rows: np.ndarray) -> np.ndarray:
-        """Return nodal vectors (m, n_nodes, d) for dof values (m, n_local).
+        """Convert values of dofs (m, n_local) to nodal vectors (m, n_nodes, d) (collective).
 
-        Clamped components are zero.
+        Clamped components are zero. The vectors are in space, not in the nodes' frames.
         """
         dof_values = np.concatenate(self.structure.comm.allgather(dof_rows), axis=1)
         vectors = np.where(self._node_dofs >= 0, dof_values[:, np.maximum(self._node_dofs, 0)], 0.0)
         return vectors if self._frames is None else np.einsum("nij,mnj->mni", self._frames, vectors)
 
     def to_nodal_frames(self, vectors: np.ndarray) -> np.ndarray:
-        """Rotate nodal vectors (m, n_nodes, d) from space into the frames of the nodes.
+        """Rotate nodal vectors (m, n_nodes, d) from space into the nodes' frames.
 
-        A node's dofs are components in the node's frame; in a wheel, each sector has a frame.
+        Each sector of a bladed disk has a frame in which the dofs are components. Other structures
+        have no frames: the vectors come back unchanged.
         """
         frames = self._frames
         return vectors if frames is None else np.einsum("nji,mnj->mni", frames, vectors)
 
     @property
     def dimension(self) -> int:
-        """Return 2 for a plate, 3 for a solid."""
+        """Return the number of coordinates: 2 for a plate, 3 for a solid."""
         return int(self.points.shape[1])
 
     @property
     def triangles(self) -> np.ndarray:
-        """Return nodes of the triangles that a plate's cells are cut into: (n, 3)."""
+        """Cut a plate's cells into triangles and return the nodes: (n, 3)."""
         return self.cells[:, _TRIANGLES_BY_NODE_COUNT[self.cells.shape[1]]].reshape(-1, 3)
 
     @cached_property
     def pair_centre_and_pressure_matrices(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the patches of a solid's contact pairs as functions of the nodes.
+        """Return patch centres and pressure functions of a solid's contact pairs, at nodes.
 
         Returns
         -------
         centre_matrix : (n_nodes, n_pairs)
-            1 at the two nodes in the centre of each patch.
+            1 at the two nodes, on both crack faces, in the centre of each pair's patch; else 0.
         nodal_pressure_matrix : (n_nodes, n_pairs)
-            Pressure functions on the crack faces, linear between corners of facets. If the
-            pairs' shares are unknown, each corner has the nearest pair, and fronts have none.
+            Value of each pair's pressure function at the nodes of crack faces, linear between facet
+            corners. If the structure has no ``pressure_matrix``, the function is 1 at the corners
+            nearest to the pair and 0 on fronts.
         """
         from scipy.spatial import cKDTree
 
@@ -132,18 +137,16 @@ class NodalMesh:
 
     @cached_property
     def _all_cell_sides(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the sides of all cells.
-
-        They are a plate's edges, or a solid's facets.
+        """Return the edges of a plate's cells or the facets of a solid's cells, each once.
 
         Returns
         -------
         sides : (n, k) int
-            Nodes of each side, in cyclic order. A facet has its corners only.
+            Nodes of each edge or facet, in cyclic order; of a facet only the corners.
         cell_counts : (n,) int
             Number of cells with this side: 1 on the boundary.
         cell_index : (n,) int
-            One of these cells.
+            First cell with this side.
         """
         n_nodes_per_cell = self.cells.shape[1]
         n_cell_corners = 3 if n_nodes_per_cell in (3, 6) else 4
@@ -167,15 +170,18 @@ class NodalMesh:
 
     @property
     def edges(self) -> np.ndarray:
-        """Return nodes of a plate's edges: (n_edges, 2 or 3), a middle node in between."""
+        """Return the nodes of element edges in a plate: (n_edges, 2), or (n_edges, 3) in order 2.
+
+        The middle node of an edge is between the ends.
+        """
         return self._all_cell_sides[0]
 
     @cached_property
     def boundary_sides(self) -> np.ndarray:
-        """Return sides that belong to one cell only, as nodes (n, k).
+        """Return the nodes of boundary edges or facets, crack faces included: (n, k) int.
 
-        A plate has edges, as in ``edges``. A solid has facets with 3 or 4 corners, anticlockwise
-        seen from outside.
+        For a plate the rows are as in ``edges``. For a solid they are 3 or 4 facet corners,
+        anticlockwise seen from outside.
         """
         sides, cell_counts, cell_index = self._all_cell_sides
         sides, cells = sides[cell_counts == 1], self.cells[cell_index[cell_counts == 1]]
@@ -194,7 +200,11 @@ class NodalMesh:
 
     @cached_property
     def crack_face_sides(self) -> np.ndarray:
-        """Return the boundary sides that coincide with another side: (n, k) nodes."""
+        """Return the nodes of edges or facets on crack faces: (n, k) int.
+
+        A boundary side is on a crack face if the centre coincides with another side's centre. Rows
+        are as in ``boundary_sides``.
+        """
         from scipy.spatial import cKDTree  # slow to import, and few pictures need it
 
         side_centres = self.points[self.boundary_sides].mean(axis=1)

@@ -36,20 +36,20 @@ from fenics_crack.scene.scene import Scene
 
 @dataclass(frozen=True)
 class PartMesh:
-    """Distributed mesh of a plate or solid, and its named parts.
+    """Distributed mesh of a plate or solid, with named curves, surfaces and points.
 
     Attributes
     ----------
     mesh, facet_tags : dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags
-        Mesh, and tags of its facets.
+        Mesh, and facet tags; None without tags.
     tags_by_group : dict of str to tuple of int
         Facet tags of each named curve or surface: ``clamp``, and with a crack ``lower_lip`` and
-        ``upper_lip``. A plate made here also has ``left``, ``right``, ``top`` and ``bottom``. A
-        mesh file may name others. A facet in several groups has a tag of its own.
+        ``upper_lip``, the crack faces. A meshed plate also has ``left``, ``right``, ``top`` and
+        ``bottom``; a mesh file may have any names. Each combination of names has a tag.
     position_by_point_name : dict of str to tuple of float
         Positions of the named points in a mesh file [m].
     crack_paths_or_surfaces : tuple of CrackPath or of CrackSurface
-        Cracks in the order of the scene or, for a mesh file, from bottom to top.
+        Cracks in the order of the scene; for a mesh file, from bottom to top.
     """
 
     mesh: Any
@@ -60,17 +60,17 @@ class PartMesh:
 
     @property
     def has_cracks(self) -> bool:
-        """Return True if there are crack faces."""
+        """Return True if the mesh has crack faces."""
         return "lower_lip" in self.tags_by_group
 
     def facets(self, group_name: str) -> np.ndarray:
-        """Return this rank's facets of a named curve or surface."""
+        """Return the local numbers of this rank's facets on a named curve or surface: (n,) int."""
         return np.sort(
             np.concatenate([self.facet_tags.find(tag) for tag in self.tags_by_group[group_name]])
         )
 
     def measure_on(self, *group_names: str) -> Any:
-        """Return the measure ds for integrals over named curves or surfaces."""
+        """Return the UFL measure ds for integrals over all given curves or surfaces, by name."""
         facet_tags = tuple(
             tag for group_name in group_names for tag in self.tags_by_group[group_name]
         )
@@ -83,8 +83,8 @@ def build_plate_or_solid_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> 
     Raises
     ------
     InputError
-        The mesh file cannot be read, is not a plane mesh of one kind of cells, or lacks a
-        group.
+        The mesh file cannot be read, has several kinds of cells, or lacks a group. Or gmsh cannot
+        mesh the scene.
     """
     with _gmsh_on_root_context(comm):
         (facet_tags_by_group, position_by_point_name), crack_paths_or_surfaces = on_root(
@@ -97,14 +97,14 @@ def build_plate_or_solid_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> 
 
 
 def write_msh(scene: Scene, path: str | Path) -> None:
-    """Write the mesh of a scene, with its named groups, to a gmsh file (format 4.1).
+    """Mesh a scene and write the mesh with named groups to a gmsh file.
 
     Parameters
     ----------
     scene : Scene
-        With a plate.
+        Scene with a plate or solid.
     path : path
-        The file.
+        File to write, in gmsh's format 4.1; an earlier file is replaced.
 
     Raises
     ------
@@ -127,7 +127,10 @@ def write_msh(scene: Scene, path: str | Path) -> None:
 
 @contextmanager
 def _gmsh_on_root_context(comm: MPI.Comm) -> Iterator[None]:
-    """Run gmsh with an empty model on rank 0."""
+    """Run gmsh with an empty model on rank 0, and remove the model at the end.
+
+    gmsh is stopped at the end unless it was running before.
+    """
     if comm.rank != 0:
         yield
         return
@@ -147,14 +150,14 @@ def _gmsh_on_root_context(comm: MPI.Comm) -> Iterator[None]:
 
 
 def _fill_gmsh_model_from_scene(scene: Scene) -> tuple[NamedParts, Cracks]:
-    """Fill gmsh's current model with the mesh of a scene.
+    """Mesh a scene, or read the scene's mesh file, into gmsh's current model.
 
     Returns
     -------
     NamedParts
-        Named curves or surfaces, and points.
+        gmsh's group tags of named curves or surfaces, and positions of named points.
     Cracks
-        Cracks of the mesh.
+        Cracks in the order of the scene; for a mesh file, from bottom to top.
     """
     if scene.mesh.layout == "file":
         from fenics_crack.fem.msh_file import read_mesh_into_gmsh  # only mesh files need its checks
@@ -170,17 +173,17 @@ def _fill_gmsh_model_from_scene(scene: Scene) -> tuple[NamedParts, Cracks]:
 
 
 class Dofs:
-    """Free dofs of a mesh, and their numbers in the structure.
+    """Free dofs of a mesh, with the numbers in the structure.
 
-    On a sector's right side, displacements are in the next sector's frame, and equal to those on
-    its left side.
+    For a disk sector (:meth:`set_sector_sides`), dofs on the right side are components in the next
+    sector's frame: equal motion of all sectors has equal dofs on both sides.
     """
 
     side_node_pairs: np.ndarray | None = None
-    """Nodes on the left side of a sector, and their partners on the right side: (2, m)."""
+    """Nodes on a disk sector's left side, and the matching nodes on the right side: (2, m) int.
+    None without a sector."""
     node_to_global_rotations: np.ndarray | None = None
-    """Matrix for each node that rotates its displacement into the spatial frame: (n_nodes, d, d).
-    """
+    """Rotation from each node's frame into space: (n_nodes, d, d). None without a sector."""
     _rotation_matrix: sparse.csr_matrix | None = None
 
     def __init__(
@@ -190,10 +193,10 @@ class Dofs:
         comm: MPI.Comm,
         is_constrained: np.ndarray | None = None,
     ) -> None:
-        """Number the free dofs.
+        """Number the free dofs of all ranks (collective).
 
-        ``is_constrained`` (n_dofs,) is True for this rank's dofs that are held at zero; by default
-        the dofs at the clamp.
+        ``is_constrained`` (n_dofs,) is True for this rank's dofs held at zero. Default: all dofs at
+        nodes on the clamp.
         """
         self.comm, self.part_mesh, self.space = comm, part_mesh, space
         self.dimension = space.mesh.geometry.dim
@@ -206,22 +209,22 @@ class Dofs:
         """Owned free dofs, as local numbers of the function space."""
         first_free_dof_number = self.comm.exscan(len(self.free_dofs)) or 0
         self.structure_dof_numbers = np.full(is_constrained.size, -1)
-        """Number in the structure of each owned dof; -1 if clamped."""
+        """Global number in the structure of each owned dof; -1 if clamped: (n_dofs,) int."""
         self.structure_dof_numbers[self.free_dofs] = first_free_dof_number + np.arange(
             len(self.free_dofs)
         )
 
     @property
     def points(self) -> np.ndarray:
-        """Return positions of this rank's nodes: (n_nodes, d) [m]."""
+        """Return the positions of the nodes owned by this rank: (n_nodes, d) [m]."""
         return np.asarray(
             self.space.tabulate_dof_coordinates()[: self.n_own_nodes, : self.dimension]
         )
 
     def nodes_on(self, group_name: str, space: Any = None) -> np.ndarray:
-        """Return this rank's local nodes in a facet group.
+        """Return this rank's nodes on a named curve or surface, in ascending order: (n,) int.
 
-        They are nodes of another function space if ``space`` is given.
+        The local numbers belong to ``space``; default: the space of displacements.
         """
         group_facets, topology = self.part_mesh.facets(group_name), self.part_mesh.mesh.topology
         facet_dimension = topology.dim - 1
@@ -231,16 +234,17 @@ class Dofs:
         return nodes[nodes < space.dofmap.index_map.size_local]
 
     def set_sector_sides(self, side_node_pairs: np.ndarray, rotation: np.ndarray) -> None:
-        """Set a sector's sides, and rotate the right side's frames.
+        """Set a disk sector's sides, and rotate the dofs on the right side.
 
-        Later matrices and forces are rotated, too. One rank has the whole sector.
+        All matrices, forces and functions made afterwards use the rotated dofs. A single rank has
+        the whole sector.
 
         Parameters
         ----------
         side_node_pairs : (2, m) int
-            Nodes on the left side, and their partners on the right side.
+            Nodes on the left side, and the matching nodes on the right side.
         rotation : (d, d)
-            Matrix that turns the left side to the right one.
+            Rotation matrix from the left side to the right side.
         """
         self.side_node_pairs, self.node_to_global_rotations = (
             side_node_pairs,
@@ -255,7 +259,10 @@ class Dofs:
         self._rotation_matrix.eliminate_zeros()
 
     def restrict_to_free(self, forces: np.ndarray) -> np.ndarray:
-        """Restrict forces (..., n_dofs) to the free dofs: (..., n_local)."""
+        """Select the free dofs from forces (..., n_dofs): (..., n_local).
+
+        For a disk sector, forces on the right side are rotated into the nodes' frames.
+        """
         free_forces = forces[..., self.free_dofs]
         return (
             free_forces
@@ -264,12 +271,11 @@ class Dofs:
         )
 
     def restrict_matrix(self, full_matrix: Any) -> Any:
-        """Return the free rows and columns of a matrix, which is destroyed.
+        """Return a PETSc matrix with only the free rows and columns; ``matrix`` is destroyed.
 
-        Stored zeros are removed, such as masses between directions. Products with M then take a
-        half or a third of the time. The result has the caller's communicator. PETSc collects
-        discarded objects by communicator, and could not free them after the mesh's communicator is
-        gone.
+        Stored zeros are removed, as the mass between directions: products with M then take a half
+        or a third of the time. The result has the communicator ``comm`` of this object, since PETSc
+        could not free matrices after the mesh's communicator is gone (collective).
         """
         global_free_dofs = (self.dimension * self.first_node + self.free_dofs).astype(PETSc.IntType)
         index_set = PETSc.IS().createGeneral(global_free_dofs, comm=full_matrix.comm)
@@ -287,9 +293,9 @@ class Dofs:
         return free_matrix
 
     def function(self, displacement: np.ndarray) -> Any:
-        """Return a displacement (n_local,) as a DOLFINx Function (collective).
+        """Convert a displacement (n_local,) to a DOLFINx Function, 0 at clamped dofs.
 
-        It is zero where clamped.
+        For a disk sector the values are rotated into space (collective).
         """
         function = dolfinx.fem.Function(self.space)
         rotated_displacement = (
@@ -300,7 +306,10 @@ class Dofs:
         return function
 
     def make_node_data(self) -> Nodes:
-        """Return this rank's node positions, dofs and cells for searches and pictures."""
+        """Return this rank's node positions, dofs and cells, for searches and pictures.
+
+        Nodes of cells are global numbers (collective).
+        """
         cells, vtk_cell_type = compat.vtk_cells_and_type(self.space)
         global_node_numbers = self.space.dofmap.index_map.local_to_global(
             cells.ravel().astype(np.int32)

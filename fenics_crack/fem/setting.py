@@ -14,7 +14,7 @@ from fenics_crack.scene.tables import Damping, Excitation, add_harmonics
 
 
 def damping_rule_of(table: Damping) -> DampingRule:
-    """Return the damping that a table describes."""
+    """Convert a scene's table ``[damping]`` to modal or Rayleigh damping."""
     if table.ratio is not None:
         return ModalDamping(table.ratio, None if table.modes == "all" else int(table.modes))
     if table.ratios is not None and table.omegas is not None:
@@ -23,12 +23,14 @@ def damping_rule_of(table: Damping) -> DampingRule:
 
 
 def clearance_of(scene: Scene, pairs: Pairs) -> np.ndarray:
-    """Return the clearance of every pair: (n_pairs,) [m].
+    """Return the clearance of every pair from the scene's crack tables: (n_pairs,) [m].
+
+    A single table counts for all cracks; without a table the clearance is 0.
 
     Raises
     ------
     InputError
-        There are several tables, but not one for each crack of a mesh file.
+        The number of crack tables is neither 1 nor the mesh file's number of cracks.
     """
     crack_clearances = np.array(
         [crack.clearance for crack in scene.crack_by_name.values()] or [0.0]
@@ -49,10 +51,10 @@ def clearance_of(scene: Scene, pairs: Pairs) -> np.ndarray:
 
 
 def list_force_harmonic_vectors(scene: Scene) -> list[Vector]:
-    """Return the excitation's force by harmonic part [N].
+    """Return the force vectors of ``[excitation]``: mean, then cosine and sine parts [N].
 
-    The first vector is the mean, followed by the cosine and sine parts of each order. The orders
-    are those of all loads in the scene.
+    The list has 2K+1 vectors, K the highest order among all loads in the scene. Parts without a
+    force are zero vectors.
     """
     excitation, zero_vector = scene.excitation, (0.0,) * scene.dimension
     mean_cos_and_sin_forces = excitation.force_mean, excitation.force_cos, excitation.force_sin
@@ -78,14 +80,14 @@ def list_force_harmonic_vectors(scene: Scene) -> list[Vector]:
 def read_load_coefficients_and_residual(
     load: Excitation, dimension: int
 ) -> tuple[np.ndarray, float]:
-    """Return the Fourier coefficients of a load's table of one period.
+    """Compute Fourier coefficients from a load's ``wave``, a table of force over a period.
 
     Returns
     -------
     coefficients : (2K+1, dimension)
-        Mean, then cosine and sine parts of each order.
+        Mean, then cosine and sine parts of each order up to K = ``wave_harmonics``.
     residual : float
-        Root mean square of the part of the table that these harmonics leave out, relative.
+        Root mean square of the table less these harmonics, relative to the table less the mean.
     """
     return read_load_harmonics_and_error(
         load.full_key("wave"), load.given("wave"), load.wave_harmonics, dimension

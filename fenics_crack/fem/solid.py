@@ -42,34 +42,36 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Crack
 
 MILLIMETRE = 1e-3
-"""Unit of length for meshing parts [m]."""
+"""Unit of length in which parts from CAD files are meshed [m]."""
 FILE_MARK_BY_ENDING = {".brep": b"DBRep_DrawableShape"}
-"""Text near the beginning of a file, by its ending; other files are STEP."""
+"""Text required in a CAD file's first 4096 bytes, by ending. Files with any other ending must be
+STEP."""
 ALLOWED_MESHING_SECONDS = 600
 """Maximum processor time for meshing a part [s]."""
 ALLOWED_MESHING_BYTES = 2**33
 """Maximum address space for meshing a part [byte]."""
 MEASURED_FRACTION_FROM_FRONT_MIDDLE = 0.4
-"""Distance from a front's middle up to which depth and ligament are measured, over its length."""
+"""Maximum distance from a front's middle at which depth and ligament are measured, relative to the
+front's length."""
 MAX_CELLS = 2e6
-"""Maximum number of cells of a part. gmsh makes about 1e4 in a second."""
+"""Maximum number of cells in a part from a CAD file. gmsh makes about 1e4 cells in a second."""
 
 
 def mesh_solid(scene: Scene) -> tuple[NamedParts, Cracks]:
-    """Fill gmsh's current model with the mesh of a scene's solid.
+    """Mesh a scene's solid into gmsh's current model, with split cracks.
 
     Returns
     -------
     NamedParts
-        Named surfaces.
+        gmsh's group tags of the named surfaces.
     Cracks
-        Cracks in the order of the scene.
+        Crack surfaces in the order of the scene.
 
     Raises
     ------
     InputError
-        The file of a part or a crack cannot be used, gmsh cannot mesh the solid, or a crack's
-        surface cannot be split.
+        A part's file or a crack is unusable, gmsh cannot mesh the solid, or a crack's surface
+        cannot be split.
     """
     from fenics_crack.fem.msh_file import load_mesh_into_gmsh, unpack_groups  # it splits cracks
 
@@ -105,7 +107,9 @@ def mesh_solid(scene: Scene) -> tuple[NamedParts, Cracks]:
 def read_part_triangles_and_owners(
     part_file: str, length_unit_name: str | None
 ) -> dict[str, np.ndarray]:
-    """Return the triangulated faces of a part.
+    """Read a CAD part and triangulate the faces, for pictures and measurements.
+
+    ``unit`` is the file's unit of length, "m", "mm" or "inch"; None: mm.
 
     Returns
     -------
@@ -115,17 +119,18 @@ def read_part_triangles_and_owners(
     Raises
     ------
     InputError
-        The file does not hold one solid.
+        The file cannot be read, or does not hold a single solid.
     """
     array_by_name = _run_mesher(part_file, {"unit": length_unit_name or "mm"})
     return array_by_name | {"triangles": MILLIMETRE * array_by_name["triangles"]}
 
 
 def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
-    """Describe the named faces, crack positions and crack fronts of a part (collective).
+    """Describe named faces, crack positions and crack fronts, as text by name (collective).
 
-    Faces have area and position. Fronts have their length, and off their ends the largest depth
-    and the shortest ligament ahead. Distances are measured from plane facets.
+    A face's text has area and centre. A crack's text has the distance from the surface. A front's
+    text has length, largest depth and shortest ligament ahead; the last two are measured off the
+    front's ends, from plane facets.
     """
     from fenics_crack.fem.fronts import find_fronts  # takes a while, with SciPy's splines
 
@@ -198,10 +203,10 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
 
 
 def find_ray_hit_distance(point: np.ndarray, direction: np.ndarray, triangles: np.ndarray) -> float:
-    """Return the distance to the first triangle along a ray.
+    """Return the distance from a point to the first triangle along a ray [m].
 
-    The ray begins at a point, and its direction has the length 1. Triangles are (n, 3, 3). Without
-    a hit, the result is the triangles' extent.
+    ``direction`` (3,) has the length 1; ``triangles`` are (n, 3, 3) [m]. Without a hit, the result
+    is the largest extent of all triangles along x, y or z.
     """
     side_1, side_2 = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     direction_cross_side_2 = np.cross(direction, side_2)
@@ -218,9 +223,10 @@ def find_ray_hit_distance(point: np.ndarray, direction: np.ndarray, triangles: n
 
 
 def find_reaches_from_crack_middle(scene: Scene) -> tuple[float, float]:
-    """Find how far a solid reaches along its first crack, backwards and ahead [m].
+    """Measure the solid in the plane of the first crack, behind and ahead of the middle [m].
 
-    Both lengths are measured in the crack's plane from its middle.
+    Both lengths are >= 0, along the crack's direction e_1 from the crack's middle to the farthest
+    point of the solid's section.
     """
     crack, geometry = _make_mesher_cracks(scene, 1.0)[0], scene.geometry
     triangles = (
@@ -252,9 +258,9 @@ def _mesh_cad_part(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
     Returns
     -------
     dict
-        Mesh in the form of :func:`fenics_crack.fem.solid_mesher.collect_mesh`.
+        Arrays of :func:`fenics_crack.fem.solid_mesher.collect_mesh`.
     float
-        Unit of the mesh's lengths [m].
+        Unit of length in the arrays [m].
     """
     unit_scene, unit = scale_scene_to_mesh_unit(scene, MILLIMETRE)
     geometry, mesh = scene.geometry, unit_scene.mesh
@@ -276,7 +282,9 @@ def _run_mesher(
 ) -> dict[str, np.ndarray]:
     """Run ``solid_mesher.py`` on a CAD file in a separate process.
 
-    ``mesher_request`` and the result are those of :func:`fenics_crack.fem.solid_mesher.read`.
+    ``mesher_request`` and result are as in :func:`fenics_crack.fem.solid_mesher.read`. InputError if the
+    file is unusable, or the mesher takes more than 600 s or 8 GiB; ``scene`` gives the value of a
+    refused key in the message.
     """
     with report_read_errors(
         "geometry.file", path, "a CAD file with a part that gmsh can read and mesh"
@@ -304,17 +312,16 @@ def _run_mesher(
 
 
 def _value_for_message(scene: Scene, key: str) -> object:
-    """Return the value of a scene's key for a message; for faces their names."""
+    """Return the value of a scene's key "table.field" for a message; for faces, the names."""
     table_name, _, field_name = key.rpartition(".")
     value = getattr(scene.crack_by_name.get(table_name) or getattr(scene, table_name), field_name)
     return [face_table.key for face_table in value] if field_name == "faces" else value
 
 
 def _make_mesher_cracks(scene: Scene, metres_per_unit: float) -> list[dict[str, Any]]:
-    """Return cracks as :func:`fenics_crack.fem.solid_mesher.insert_cracks` takes them.
+    """Convert a scene's cracks to dicts for :func:`fenics_crack.fem.solid_mesher.insert_cracks`.
 
-    ``metres_per_unit`` is the length of the mesh's unit; lengths of the scene [m] are divided by
-    it.
+    The scene's lengths must be in the mesh's unit already; ``unit`` [m] is passed on.
     """
     mesher_cracks = []
     for crack_key, crack in scene.crack_by_name.items():
@@ -342,14 +349,15 @@ def _make_mesher_cracks(scene: Scene, metres_per_unit: float) -> list[dict[str, 
 
 
 def _make_box_crack_geometry(crack: Crack, box_sides: Sequence[float]) -> dict[str, Any]:
-    """Return the geometry of a box's crack in a plane y = height.
+    """Return position and shape of a crack in a box, in a plane y = ``height``.
 
-    The crack is an ellipse or rectangle centred on the face z = thickness.
+    The crack is an ellipse or rectangle centred on the face z = thickness. ``sides`` are the box's
+    width, height and thickness.
 
     Returns
     -------
     dict
-        "middle", "half", "frame", "is_round" and "reach" of
+        Keys "middle", "half", "frame", "is_round" and "reach" for
         :func:`fenics_crack.fem.solid_mesher.insert_cracks`.
     """
     width, _, thickness = box_sides
@@ -367,7 +375,10 @@ def _make_box_crack_geometry(crack: Crack, box_sides: Sequence[float]) -> dict[s
 
 
 def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
-    """Mesh a box or a disk's sector; the results are those of :func:`_mesh_cad_part`."""
+    """Mesh a box or a disk's sector in this process.
+
+    The results are as in :func:`_mesh_cad_part`. InputError if a crack is unusable, or gmsh fails.
+    """
     unit_scene, metres_per_unit = scale_scene_to_mesh_unit(scene)
     width, height, thickness = box_size = unit_scene.geometry.sides
     occ, disk_rim_or_none = gmsh.model.occ, None if scene.disk is None else DiskRim(unit_scene)
@@ -417,9 +428,9 @@ def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
 
 
 def _check_cell_number(scene: Scene, metres_per_unit: float, fronts: list[dict[str, Any]]) -> None:
-    """Raise InputError before gmsh makes too many cells.
+    """Raise InputError if gmsh would make too many cells (:func:`check_cell_count`).
 
-    ``metres_per_unit`` [m] is the mesh's unit of length. ``fronts`` are crack fronts of
+    ``metres_per_unit`` [m] is the mesh's unit of length. ``fronts`` come from
     :func:`fenics_crack.fem.solid_mesher.insert_cracks`, in this unit.
     """
     n_bulk_cells, n_front_cells = solid_mesher.estimate_bulk_and_front_cells(

@@ -23,62 +23,66 @@ import gmsh
 import numpy as np
 
 Tags = list[tuple[int, int]]
-"""Dimensions and tags of gmsh's entities."""
+"""Dimension and tag of each of several gmsh entities."""
 CrackData = dict[str, Any]
+"""Position, shape and mesh settings of a crack; keys in :func:`insert_cracks`."""
 FrontData = dict[str, Any]
-"""Data of a crack and of a front, see :func:`insert_cracks`."""
+"""Curves and element lengths of a crack front; keys in :func:`insert_cracks`."""
 
 MILLIMETRES_BY_UNIT = {"m": 1e3, "mm": 1.0, "inch": 25.4}
-"""Lengths of the units for files without one [mm]."""
+"""Length in mm of each unit that a user may state for a CAD file without a unit."""
 CELLS_PER_CUBED_LENGTH = 5.0
-"""Number of tetrahedra of length h that gmsh makes in a volume h^3."""
+"""Number of tetrahedra with edge length h in a volume h^3."""
 COARSE_TRIANGLES_PER_DIAGONAL = 25.0
-"""Number of triangles along a part's diagonal in the coarse mesh."""
+"""Number of triangles along the diagonal of a part's bounding box, in the coarse mesh of faces."""
 STRAIGHT_CELL_DISTANCE_IN_ELEMENTS = 2.5
-"""Distance from a front up to which cells are straight, in elements at the front."""
+"""Distance from a front up to which cells get straight edges, in element lengths at the front."""
 MIN_JACOBIAN_RATIO_IN_CELL = 0.2
-"""Minimum ratio of a cell's smallest to largest Jacobian determinant. Below it, a curved cell
-becomes straight."""
+"""Minimum ratio of smallest to largest Jacobian determinant in a cell. Below, the cell's edges are
+straightened."""
 MIN_CURVED_LENGTH_TO_SIZE = 0.1
-"""Minimum element length due to curvature, relative to the size."""
+"""Minimum element length on curved faces, relative to ``mesh.size``."""
 MIN_LIGAMENT_IN_ELEMENTS = 0.1
-"""Minimum ligament at a front, relative to the front's elements."""
+"""Minimum distance between crack front and part surface, in element lengths at the front."""
 MAX_FACE_POINT_DISTANCE_RATIO = 0.1
-"""Maximum distance of a named point from a face, relative to the part's size."""
+"""Maximum distance between a named point and the nearest face, relative to the part's size."""
 ELLIPSE_START_ANGLE = 1.0 + math.pi
-"""Angle at which an ellipse begins and ends [rad]. On an axis, its vertex would be beside the mouth
-of a half ellipse, and rounded numbers would make a short edge there."""
+"""Angle at which a drawn ellipse begins and ends [rad]. On an axis, the curve's end would lie
+beside the mouth of a half ellipse, and rounding would make a short edge."""
 MAX_SHORT_TO_LONG_RADIUS = 1.0 - 1e-9
-"""Maximum ratio of an ellipse's radii. Intersections with one that is a circle fail in gmsh 4.8."""
+"""Maximum ratio of shorter to longer radius. In gmsh 4.8, intersections fail for an ellipse with
+equal radii."""
 N_CURVE_INTERVALS = 40
 """Number of intervals on a curve between sample points, and of triangles that identify a face."""
 
 
 class Refusal(Exception):
-    """Report an unusable key of a scene, and what is allowed."""
+    """Error for an unusable key of a scene. Arguments: key, and requirement on the value."""
 
 
 def read(path: str, _max_bytes: int, request: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Return the mesh in a file, or that of a CAD part, or the triangles of its faces.
+    """Read a mesh file with gmsh, or mesh a CAD part or only the part's faces.
 
-    The caller limits memory, so the number of bytes is not checked here. Lengths of parts are in
-    mm, the unit of the mesh.
+    Called in a separate program, whose memory the caller limits: ``_max_bytes`` is unused. Lengths
+    of CAD parts are in mm.
 
     Parameters
     ----------
     path : str
+        Mesh file or CAD file.
     request : dict or None
-        None if the file holds a mesh. Of a part: "unit" of the file; "size" of the elements,
-        without which only faces are returned; "faces", a list of [name, point]; "cracks" of
-        :func:`insert_cracks`; "per_turn", elements on a full turn of a curved face; "cells", their
-        maximum number.
+        None for a mesh file. For a CAD part: "unit" of the file; "size" of the elements, without
+        which only faces are returned; "faces", a list of [name, point]; "cracks" for
+        :func:`insert_cracks`; "per_turn", elements on a full turn of a curved face; "cells", the
+        maximum number of cells.
 
     Returns
     -------
     dict
-        Mesh in the form of :func:`collect_groups`. Of a part: mesh of :func:`collect_mesh` with
-        "straight", the number of straightened cells; or faces of :func:`mesh_faces_coarsely`,
-        "triangles" and "owners"; or "refused": key and requirement.
+        For a mesh file, arrays of :func:`collect_groups`. For a part, arrays of
+        :func:`collect_mesh` with "straight", the number of straightened cells. Without "size",
+        "triangles" and "owners" of :func:`mesh_faces_coarsely`. For an unusable part, "refused":
+        key and requirement.
     """
     with suppress(AttributeError, ValueError):  # as in basics/gmsh_process.py, for FLTK
         ctypes.c_ubyte.in_dll(gmsh.lib, "_ZN2Fl13options_read_E").value = 1
@@ -107,7 +111,10 @@ def read(path: str, _max_bytes: int, request: dict[str, Any] | None = None) -> d
 
 
 def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
-    """Mesh a CAD part, or only its faces; ``request`` and the result are those of :func:`read`."""
+    """Mesh a CAD part, or only the part's faces, as requested in :func:`read`.
+
+    Raises Refusal for a part that cannot be meshed.
+    """
     solid_dim_tags = _import_part(path, request["unit"])
     triangles, owners = mesh_faces_coarsely()
     if "size" not in request:
@@ -144,7 +151,10 @@ def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
 
 
 def _import_part(path: str, unit: str) -> Tags:
-    """Import the only solid in a file into gmsh, scaled to mm."""
+    """Import a CAD file's single solid into gmsh, scaled to mm; Refusal for other contents.
+
+    ``unit`` is a key in ``MILLIMETRES_BY_UNIT``. Returns the solid's dimension and tag in a list.
+    """
     gmsh.model.add("part")
     gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
     try:
@@ -161,14 +171,14 @@ def _import_part(path: str, unit: str) -> Tags:
 
 
 def mesh_faces_coarsely() -> tuple[np.ndarray, np.ndarray]:
-    """Mesh the part's faces coarsely.
+    """Mesh the faces of gmsh's current part coarsely, and clear the mesh again.
 
     Returns
     -------
-    triangles : (n, 3, 3)
+    triangles : (n, 3, 3) [mm]
         Corners of the triangles.
     owners : (n,) int
-        gmsh's tag of each triangle's face.
+        gmsh's tag of the face on which each triangle lies.
     """
     bounds = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
     max_size = float(np.linalg.norm(np.ptp(bounds, axis=0))) / COARSE_TRIANGLES_PER_DIAGONAL
@@ -187,7 +197,10 @@ def mesh_faces_coarsely() -> tuple[np.ndarray, np.ndarray]:
 
 
 def _face_triangles(tag: int) -> np.ndarray:
-    """Return the corners of gmsh's triangles on the face ``tag``, of any order: (n, 3, 3)."""
+    """Return the corners of the mesh's triangles on gmsh's face ``tag``: (n, 3, 3).
+
+    The triangles may be of any order. Without triangles n is 0.
+    """
     kinds, _, nodes = gmsh.model.mesh.getElements(2, tag)
     if not kinds:
         return np.zeros((0, 3, 3))
@@ -200,7 +213,7 @@ def _face_triangles(tag: int) -> np.ndarray:
 
 
 def pairwise_triangle_distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Return the distances between points (n, 3) and triangles (m, 3, 3): (n, m)."""
+    """Return the distance from each point (n, 3) to each triangle (m, 3, 3): (n, m)."""
     side_1, side_2 = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     offsets = points[:, None] - triangles[:, 0]
     side_1_squared = (side_1**2).sum(1)
@@ -236,19 +249,20 @@ def _find_names_and_face_tags(
     part_triangles: np.ndarray,
     triangle_faces: np.ndarray,
 ) -> Iterable[tuple[str, set[int]]]:
-    """Find the faces that a user names by points on them.
+    """Find the faces named by a user through points.
 
     Parameters
     ----------
-    names_and_points : pairs of (str, (3,))
-        Name and point; a name may have several points.
+    names_and_points : pairs of (str, (3,)) [mm]
+        Name of a face, and a point on the face. A name may occur with several points.
     part_triangles, triangle_faces
         From :func:`mesh_faces_coarsely`.
 
     Returns
     -------
     pairs of (str, set of int)
-        Each name with the tags of the faces nearest to its points.
+        Each name with gmsh's tags of the faces nearest to the points. Refusal if a point is farther
+        than a tenth of the part's size from all faces.
     """
     part_size = np.ptp(part_triangles.reshape(-1, 3), axis=0).max()
     face_tags_by_name: dict[str, set[int]] = {}
@@ -268,10 +282,11 @@ def _find_names_and_face_tags(
 def _match_surfaces(
     crack_surface_tags: list[int], part_triangles: np.ndarray, triangle_faces: np.ndarray
 ) -> dict[int, int]:
-    """Match the surfaces of the cracked part to the faces of the uncracked part.
+    """Match each outer surface of the cracked part to a face of the uncracked part.
 
-    ``crack_surface_tags`` are the tags of the cracks, which are left out. Returns the face's tag by
-    the tag of each other surface; faces are those of :func:`mesh_faces_coarsely`.
+    ``crack_surface_tags`` are gmsh's tags of the cracks, to be left out; the faces come from
+    :func:`mesh_faces_coarsely`. Returns the face's tag by the surface's tag; 0 for a surface
+    without triangles.
     """
     face_of_surface = {}
     for _, surface_tag in gmsh.model.getEntities(2):
@@ -293,30 +308,33 @@ def _match_surfaces(
 def insert_cracks(
     solid_dim_tags: Tags, cracks: list[CrackData], part_triangles: np.ndarray
 ) -> tuple[list[int], list[FrontData]]:
-    """Cut cracks into a solid, and return their surfaces and fronts.
+    """Cut cracks into a solid in gmsh, and return crack surfaces and fronts.
+
+    Raises Refusal for a crack that is not a single surface inside, cuts the part in two, or touches
+    another crack.
 
     Parameters
     ----------
     solid_dim_tags : list of (int, int)
-        The solid.
+        gmsh's dimension and tag of the solid.
     cracks : list of dict
-        "key" of the crack in the scene, as "cracks.1"; "shape", its key that a size is refused
-        under, as "radii"; "unit", the mesh's unit of length [m];
-        "middle" (3,); "frame" (3, 3), rows e_1, e_2 and the normal; "half" axes (2,), or None for a
-        half-plane that ends at its middle; "is_round", True for an ellipse; "reach", the extent
-        behind the front, or None; "elements" along this extent, and "grading", the longest over the
-        shortest.
+        Keys: "key", table of the crack in the scene, as "cracks.1"; "shape", name of the key for
+        the crack's size in errors, as "radii"; "unit", unit of length in the mesh [m]; "middle"
+        (3,); "frame" (3, 3), rows e_1, e_2 and the normal; "half", half axes (2,), None for a
+        half-plane that ends at the middle; "is_round", True for an ellipse, False for a rectangle;
+        "reach", extent behind the front, None for a half-plane; "elements", number along this
+        extent; "grading", longest over shortest element length.
     part_triangles : (n, 3, 3)
-        Faces of the solid. Empty if the scene has checked the crack's position.
+        Triangles on the faces of the solid. Empty if the crack's position is checked already.
 
     Returns
     -------
     surfaces : list of int
         gmsh's tag of each crack's surface.
     fronts : list of dict
-        "curves", gmsh's tags; "points" on the curves (n, 3); "ends" of the front (m, 3);
-        "shortest" element length at the front; "growth" of the length with the distance; "length"
-        of the front.
+        Keys: "curves", gmsh's tags of the front's curves; "points", on the curves (n, 3); "ends",
+        end points of the front (m, 3); "shortest", element length at the front; "growth", increase
+        of the element length per distance; "length", length of the front.
     """
     occ, crack_face_dim_tags = gmsh.model.occ, []
     for crack in cracks:
@@ -365,8 +383,7 @@ def insert_cracks(
             (crack for crack, front in zip(cracks, fronts, strict=True) if not front["curves"]),
             cracks[-1],
         )
-        raise Refusal(f"{crack['key']}.{crack['shape']}", "such that the crack does not cut the"
-                      " part in two, and crosses no other crack")  # fmt: skip
+        raise Refusal(f"{crack['key']}.{crack['shape']}", "such that the crack does not cut the" " part in two, and crosses no other crack")  # fmt: skip
     cracks_rims_and_fronts = [*zip(cracks, children[1:], rims, fronts, strict=True)]
     for crack_index, (crack, surface_dim_tags, rim, front) in reversed(
         [*enumerate(cracks_rims_and_fronts)]
@@ -380,7 +397,7 @@ def insert_cracks(
 
 
 def _describe_part_extent(crack: CrackData, part_triangles: np.ndarray) -> str:
-    """Describe the extent of a part, and whether a crack's position seems to be in mm."""
+    """Return text for an error: the part's extent, and a hint if a crack seems to be in mm."""
     lower_corner, upper_corner = part_triangles.min(axis=(0, 1)), part_triangles.max(axis=(0, 1))
     lower_corner_text, upper_corner_text = (
         ", ".join(f"{crack['unit'] * coordinate:.4g}" for coordinate in box_corner)
@@ -397,7 +414,7 @@ def _describe_part_extent(crack: CrackData, part_triangles: np.ndarray) -> str:
 
 
 def _draw_crack_face(crack: CrackData) -> Tags:
-    """Draw the ellipse or rectangle of a crack, and return its dimension and tag."""
+    """Draw a crack's ellipse or rectangle in gmsh; return dimension and tag in a list."""
     occ, (e_1, e_2, normal), (a, b) = gmsh.model.occ, np.array(crack["frame"]), crack["half"]
     if crack["is_round"] and a < b:
         a, b, e_1 = b, a, e_2
@@ -425,16 +442,17 @@ def _draw_crack_face(crack: CrackData) -> Tags:
 
 
 def _sample_curve(curve_tag: int) -> np.ndarray:
-    """Return points on a curve, including its ends: (n, 3)."""
+    """Return 41 points on a gmsh curve, with both ends: (41, 3)."""
     (first_parameter,), (last_parameter,) = gmsh.model.getParametrizationBounds(1, curve_tag)
     parameters = np.linspace(first_parameter, last_parameter, N_CURVE_INTERVALS + 1)
     return np.reshape(gmsh.model.getValue(1, curve_tag, parameters), (-1, 3))
 
 
 def _make_front_data(crack: CrackData, rim: set[int]) -> FrontData:
-    """Return the front of a crack.
+    """Return the data of a crack's front (keys in :func:`insert_cracks`).
 
-    It consists of the rim's curves on the border of the ellipse or rectangle.
+    The front are the curves in ``rim`` on the border of the ellipse or rectangle; all other curves
+    lie on the part's surface.
     """
     half_axes, frame, is_straight = crack["half"], np.array(crack["frame"]), crack["reach"] is None
     front_curves, point_arrays, extent_behind_front = [], [np.zeros((0, 3))], 0.0
@@ -479,9 +497,10 @@ def _make_front_data(crack: CrackData, rim: set[int]) -> FrontData:
 def _check_front_and_ligament_exist(
     crack: CrackData, surface_tag: int, front: FrontData, part_triangles: np.ndarray
 ) -> None:
-    """Raise Refusal if a crack is in a face, or almost without ligament.
+    """Raise Refusal if a crack lies in a face, or the front is too close to the surface.
 
-    A crack without a front inside the part is refused, too.
+    The distance between front and surface must be 0.1 element lengths, except near ends of the
+    front. A crack without a front inside the part is refused, too. ``surface`` is gmsh's tag.
     """
     point_key, shortest_length = f"{crack['key']}.point", front["shortest"]
     centre = np.array([gmsh.model.occ.getCenterOfMass(2, surface_tag)])
@@ -506,20 +525,19 @@ def _check_front_and_ligament_exist(
     )
     if shortest_ligament < MIN_LIGAMENT_IN_ELEMENTS * shortest_length:
         n_elements = shortest_ligament / shortest_length
-        raise Refusal(point_key, "farther from the surface: a part of the crack front is only"
-                      f" {n_elements:.2g} element lengths away")  # fmt: skip
+        raise Refusal(point_key, "farther from the surface: a part of the crack front is only" f" {n_elements:.2g} element lengths away")  # fmt: skip
 
 
 def estimate_bulk_and_front_cells(size: float, fronts: list[FrontData]) -> tuple[float, float]:
-    """Estimate the number of cells of the current model.
+    """Estimate the number of cells for gmsh's current model.
 
     Returns
     -------
     float
-        Cells away from fronts.
+        Number of cells with length ``size`` in the whole volume.
     float
-        Cells in tubes around fronts with shorter elements: the front's length times int 2 pi d
-        / h^3 dd.
+        Number of cells in tubes around fronts, as far as elements are shorter than ``size``: 5
+        times the front's length times int 2 pi d / h^3 dd, element length h at the distance d.
     """
     relative_volume = (
         sum(gmsh.model.occ.getMass(3, volume_tag) for _, volume_tag in gmsh.model.getEntities(3))
@@ -537,9 +555,10 @@ def estimate_bulk_and_front_cells(size: float, fronts: list[FrontData]) -> tuple
 
 
 def generate_mesh(size: float, fronts: list[FrontData], per_turn: int = 0) -> None:
-    """Mesh the current model.
+    """Mesh gmsh's current model with elements of length ``size``, shorter at fronts.
 
-    ``per_turn`` is the number of elements on a full turn of a curved face.
+    ``per_turn`` is the number of elements on a full turn of a curved face; 0: no limit by
+    curvature.
     """
     field_module = gmsh.model.mesh.field
     graded_fields = []
@@ -582,7 +601,7 @@ def generate_mesh(size: float, fronts: list[FrontData], per_turn: int = 0) -> No
 
 
 def _set_size_options(**options: float) -> None:
-    """Set gmsh's options for element lengths."""
+    """Set gmsh's options ``Mesh.MeshSize...`` by the end of the name."""
     for option_suffix, option_value in options.items():
         gmsh.option.setNumber(f"Mesh.MeshSize{option_suffix}", option_value)
 
@@ -590,20 +609,19 @@ def _set_size_options(**options: float) -> None:
 def collect_mesh(
     crack_surface_tags: list[int], surface_tags_by_name: dict[str, list[int]]
 ) -> dict[str, Any]:
-    """Collect gmsh's current mesh with named surfaces and cracks.
+    """Collect gmsh's current mesh, with named surfaces and cracks as groups.
 
     Parameters
     ----------
     crack_surface_tags : list of int
-        Tags of the cracks.
+        gmsh's tag of each crack.
     surface_tags_by_name : dict of str to list of int
-        Tags of the surfaces with a name.
+        gmsh's tags of the surfaces with each name.
 
     Returns
     -------
     dict
-        Arrays of :func:`collect_groups`, and "middles", the centres of the
-        cracks (n, 3).
+        Arrays of :func:`collect_groups`, and "middles", the cracks' centres of mass (n, 3).
     """
     group_rows = [(3, "solid", [tag for _, tag in gmsh.model.getEntities(3)])]
     group_rows += [(2, name, entities) for name, entities in surface_tags_by_name.items()]
@@ -622,17 +640,21 @@ def collect_mesh(
 
 
 def collect_groups(groups: list[tuple[Any, ...]]) -> dict[str, Any]:
-    """Collect nodes, and groups split by kind of elements.
+    """Collect the nodes and named groups of gmsh's current mesh as arrays.
+
+    A group with several kinds of elements, or several entities, becomes several rows.
 
     Parameters
     ----------
     groups : list of (dimension, tag, name, entities)
+        Groups, with gmsh's tags of the entities in each.
 
     Returns
     -------
     dict
-        "numbers" and "positions" of the nodes. "heads": dimension, tag, kind, and number of nodes
-        of each group; "names": its name; "nodes": all nodes in succession.
+        "numbers" (n,) and "positions" (n, 3) of all nodes. For m rows: "heads" (m, 4), dimension,
+        group tag, gmsh's kind of elements, number of entries in "nodes"; "names" (m,), group names.
+        "nodes": node numbers of all elements, row after row.
     """
     node_numbers, node_positions, _ = gmsh.model.mesh.getNodes()
     headers, header_names, node_arrays = [], [], [np.zeros(0, dtype=np.uint64)]
@@ -653,20 +675,23 @@ def collect_groups(groups: list[tuple[Any, ...]]) -> dict[str, Any]:
 
 
 TETRAHEDRON_EDGES = np.array([(0, 1), (1, 2), (0, 2), (0, 3), (2, 3), (1, 3)])
-"""Ends of the edges with a tetrahedron's nodes 4 to 9, in gmsh's order."""
+"""Corners at the ends of a tetrahedron's edges, for the middle nodes 4 to 9 in gmsh's order."""
 
 
 def straighten_edges(
     array_by_name: dict[str, Any], fronts: list[FrontData]
 ) -> tuple[np.ndarray, int]:
-    """Straighten edges of cells at fronts, and of cells that would fold.
+    """Straighten the edges of cells at crack fronts, and of nearly folded cells.
+
+    ``contents`` are arrays of :func:`collect_groups` for quadratic tetrahedra. Middle nodes move to
+    the middle of the edge.
 
     Returns
     -------
     positions : (n_nodes, 3)
         New positions of all nodes.
     int
-        Number of cells that change.
+        Number of changed cells.
     """
     positions, node_numbers = array_by_name["positions"].copy(), array_by_name["numbers"]
     number_order = np.argsort(node_numbers)
@@ -684,7 +709,7 @@ def straighten_edges(
     basis_gradients = np.reshape(basis_gradients, (10, 10, 3))
 
     def is_folded() -> np.ndarray:
-        """Return True for cells whose Jacobian determinants differ too much: (n_cells,)."""
+        """Return True for cells with too different Jacobian determinants: (n_cells,) bool."""
         determinants = np.linalg.det(np.einsum("cnx,pnr->cpxr", positions[cells], basis_gradients))
         return np.asarray(
             determinants.min(axis=1) < MIN_JACOBIAN_RATIO_IN_CELL * determinants.max(axis=1)

@@ -31,7 +31,7 @@ C_ARRAY_TYPE_BY_DTYPE = {
     }.items()
     for kind in kinds
 }  # fmt: skip
-"""C type of an array, by the dtype of its entries."""
+"""C array type for cffi, by the NumPy dtype of the entries."""
 
 
 def _bind_lapack() -> None:
@@ -50,9 +50,9 @@ def _bind_lapack() -> None:
 
 
 def require_shape(array: Any, *shape: int, kind: type = float) -> np.ndarray:
-    """Return an array for the kernel: C-contiguous, with entries of type ``kind``.
+    """Check an array's shape; return it C-contiguous, with entries of type ``kind``.
 
-    A copy is made only if necessary.
+    A copy is made only if necessary. The kernel does not check shapes.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def pointer(array: np.ndarray) -> Any:
     Raises
     ------
     ValueError
-        The array has gaps, or a dtype unknown to the kernel.
+        The array is not contiguous, or its dtype is not in ``C_ARRAY_TYPE_BY_DTYPE``.
     """
     array_type = C_ARRAY_TYPE_BY_DTYPE.get(array.dtype)
     if array_type is None:
@@ -81,12 +81,14 @@ def pointer(array: np.ndarray) -> Any:
 
 
 def attach_destructor(allocation: Any, destructor: Any) -> Any:
-    """Let Python free an object allocated by the kernel.
+    """Let Python free a kernel object by ``destructor`` with the last reference.
+
+    ``allocation`` is the C pointer to the object, ``destructor`` a kernel function.
 
     Raises
     ------
     MemoryError
-        The allocation is a null pointer.
+        ``allocation`` is a null pointer: the kernel had no memory.
     """
     if not allocation:
         raise MemoryError
@@ -94,14 +96,15 @@ def attach_destructor(allocation: Any, destructor: Any) -> Any:
 
 
 class Struct:
-    """A C struct of the kernel, made from its fields (members) by name.
+    """C struct of the kernel, created from the values of its members by name.
 
     A value is a number, an array, a pointer from the kernel, another struct or None (a null
-    pointer). The values live as long as the struct.
+    pointer). The object keeps arrays and structs alive for the C pointers.
 
     Attributes
     ----------
-    address : pointer to the struct, for functions of the kernel
+    address : cffi pointer
+        Pointer to the struct, an argument for kernel functions. Members are attributes.
     """
 
     def __init__(self, struct_type: str, **members: Any) -> None:
@@ -110,7 +113,7 @@ class Struct:
         self.address = ffi.new(f"{struct_type} *", c_members)
 
     def with_members(self, **members: Any) -> Struct:
-        """Return a copy with the given fields changed, quicker than a new struct."""
+        """Return a copy with changed values of the given members, quicker than a new struct."""
         copy = Struct.__new__(Struct)
         copy._value_by_member = self._value_by_member | members
         copy.address = ffi.new(ffi.typeof(self.address), self.address[0])
@@ -120,7 +123,7 @@ class Struct:
 
 
 def _as_c_member(member: Any) -> Any:
-    """Return a field's value for cffi: a pointer, a C struct or a number."""
+    """Convert a member's value for cffi: array to pointer, Struct to C struct, None to NULL."""
     if isinstance(member, np.ndarray):
         return pointer(member)
     if isinstance(member, Struct):

@@ -50,15 +50,17 @@ extern "Python" {
 """
 """C declarations of callbacks to equations in Python (``numerics/equations.py``)."""
 UNOPTIMISED_WRAPPERS_PRAGMA = '#pragma GCC optimize ("O0")'
-"""Pragma for cffi's wrappers after the headers. Wrappers only pass arguments; -O3 would take four
-times as long to compile."""
+"""C pragma before cffi's wrapper functions, to compile without optimisation. Wrappers only pass
+arguments; -O3 would take four times as long to compile."""
 SANITIZER_FLAGS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g", "-O1"]
+"""Compiler and linker options for checks of addresses and undefined behaviour."""
 
 
 def make_builder(folder: Path, *, sanitize: bool = False) -> FFI:
-    """Return cffi's builder of the module ``_kernel``.
+    """Return cffi's builder for the extension module ``_kernel``.
 
-    Paths of the C files are relative to ``folder`` if possible.
+    Paths of the C files are relative to ``folder`` if ``folder`` contains the kernel's folder,
+    otherwise absolute. ``sanitize`` adds checks of addresses and undefined behaviour.
     """
     headers = sort_headers(sorted(KERNEL_FOLDER.glob("*.h")))
     sources = sorted(KERNEL_FOLDER.glob("*.c"))
@@ -84,7 +86,10 @@ def make_builder(folder: Path, *, sanitize: bool = False) -> FFI:
 
 
 def sort_headers(headers: list[Path]) -> list[Path]:
-    """Return C headers and included headers, each after its includes."""
+    """Sort C headers: each comes after all headers included by ``#include``.
+
+    Included headers of the kernel's folder are added.
+    """
     sorted_headers: list[Path] = []
     for header in headers:
         include_names = re.findall(r'(?m)^#include "(.*)"', header.read_text(encoding="utf-8"))
@@ -96,7 +101,7 @@ def sort_headers(headers: list[Path]) -> list[Path]:
 
 
 def build(target_folder: Path, *, sanitize: bool = False) -> None:
-    """Compile the C files into the module ``_kernel`` of a folder."""
+    """Compile the C files into the module ``_kernel.abi3.so`` in ``target_folder``."""
     with tempfile.TemporaryDirectory() as scratch_folder:
         builder = make_builder(Path(scratch_folder), sanitize=sanitize)
         compiled_path = builder.compile(tmpdir=scratch_folder)

@@ -36,45 +36,46 @@ MACHINE_EPSILON = float(np.finfo(float).eps)
 SMALLEST_NORMAL = float(np.finfo(float).tiny)
 """Smallest positive number with full relative accuracy."""
 ROUNDING: float = kernel.ROUNDING
-"""Rounding error of solutions, relative to the largest entry."""
+"""Smallest rounding error assumed for a relative residual |F| / |x|: 1e-12."""
 CENTRAL_DIFFERENCE_STEP = float(np.cbrt(MACHINE_EPSILON))
-"""Parameter step for central differences. Truncation and rounding error are then about equal."""
+"""Relative step for derivatives by central differences, 6e-6. Truncation and rounding error are
+then about equal."""
 MAX_LOCATION_RESIDUAL = 1e-11
-"""Maximum |F| / |x| at a special point of a path, and maximum relative Newton
-step to an exact orbit."""
+"""Maximum relative residual |F| / |x| at a special point of a path. Also the maximum relative last
+Newton step to an exact orbit."""
 ROOT_TOLERANCE = math.sqrt(MACHINE_EPSILON)
-"""Distance from zero, relative to 1, below which a function counts as zero. Also the maximum
-relative Newton step to an orbit whose monodromy matrix is not formed."""
+"""Absolute value below which a dimensionless function counts as zero: 1.5e-8. Also the maximum
+relative Newton step to an orbit without a formed monodromy matrix."""
 COARSE_TOLERANCE = CENTRAL_DIFFERENCE_STEP
-"""Maximum |F| / |x| of a solution from which another solution starts or is assessed. Equations
-whose rounding error is larger are refused."""
+"""Maximum relative residual |F| / |x| of an approximate solution, used as a guess or to assess
+another solution: 6e-6. Equations with a larger rounding error are refused."""
 
 
 def residual_rounding(residual_slope: float) -> float:
     """Return the rounding error of a relative residual |F| / |x|.
 
-    ``residual_slope`` is the largest |dF| / |dx|. The result lies between ``ROUNDING`` and
-    ``COARSE_TOLERANCE``.
+    The result is machine epsilon times ``residual_slope``, the largest |dF| / |dx|, limited to the
+    range from ``ROUNDING`` to ``COARSE_TOLERANCE``.
     """
     return max(ROUNDING, min(COARSE_TOLERANCE, MACHINE_EPSILON * residual_slope))
 
 
 class Linearisation(ABC):
-    """Residual F and Jacobian J = dF/dx of a system at a point."""
+    """Residual F and Jacobian J = dF/dx of a system at unknowns x and parameter p."""
 
     unknown: np.ndarray
-    """x, in the shape of the system's unknowns."""
+    """Unknowns x, in the system's shape."""
     residual: np.ndarray
-    """F(x, p), in the shape and units of x."""
+    """Residual F(x, p), in the shape and units of x."""
 
     @abstractmethod
     def solve(self, right_side: np.ndarray) -> np.ndarray:
-        """Return J^-1 r for a right-hand side r in the shape of x."""
+        """Solve with the Jacobian J: return J^-1 r, with ``right_side`` r in the shape of x."""
 
     def apply(self, change: np.ndarray) -> np.ndarray:
-        """Multiply the Jacobian J by a change dx of the unknowns x.
+        """Return J dx, the Jacobian times a change dx of the unknowns, in the shape of x.
 
-        GMRES needs the products for systems without a formed J.
+        Only systems without a formed J implement the product, for GMRES.
         """
         raise NotImplementedError
 
@@ -85,13 +86,16 @@ class Linearisation(ABC):
 
     @property
     def record(self) -> np.ndarray:
-        """Return numbers for a step control that a path keeps, in any shape."""
+        """Return numbers to compute ``step_control_values`` from, ``n_record_entries`` in all.
+
+        Only systems for paths with a step control implement the record.
+        """
         raise NotImplementedError
 
     @property
     @abstractmethod
     def sign(self) -> float:
-        """Return the sign of det J, +1 or -1. Folds of a path change the sign."""
+        """Return the sign of det J, +1 or -1. The sign changes at a fold of a path."""
 
 
 class System(Protocol):
@@ -99,29 +103,30 @@ class System(Protocol):
 
     The unknowns are equal on every rank. A system may have further attributes:
 
-    - ``compiled_equations``: equations in the kernel.
+    - ``compiled_equations``: the same equations for the kernel, an :class:`Equations`.
     - ``angle_weights``: weight of each unknown in angles between tangents.
     - ``n_time_means``: number of leading unknowns that are means over time.
     - ``n_record_entries``: number of entries in a linearisation's ``record``.
-    - ``step_control_values(records)``: values (n, ...) for a step control, from records (n,
-      n_record_entries).
+    - ``step_control_values(records)``: values (n, ...) for a step control, from the records (n,
+      n_record_entries) of n points.
+    - ``rounding(p)``: rounding error of |F| / |x| at the parameter p.
     """
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> Linearisation:
-        """Return F and J at unknowns x and a parameter p."""
+        """Evaluate residual F and Jacobian J = dF/dx at unknowns x and a parameter p."""
 
 
 class DenseLinearisation(Linearisation):
-    """A point with a dense Jacobian, factorised by LAPACK on first use.
+    """Linearisation with a dense Jacobian, factorised by LAPACK on first use.
 
-    Derived classes form the matrix. An instance must not refer to itself: Python then frees the
-    matrices with the last reference.
+    Derived classes form the Jacobian. An instance must not refer to itself, or Python would not
+    free the matrices with the last reference.
     """
 
     @property
     @abstractmethod
     def jacobian(self) -> np.ndarray:
-        """Return J = dF/dx: (n, n), for the n entries of the residual in C order."""
+        """Return the Jacobian J = dF/dx: (n, n), for residual and unknowns flattened in C order."""
 
     def matrix_to_factorise(self) -> np.ndarray:
         """Return the matrix to factorise: J, or a smaller matrix with the same determinant."""
@@ -152,7 +157,7 @@ def factorise_transpose(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     factors : (n, n)
         L and U of A^T.
     pivots : (n,) int
-        Row swapped with each row by LAPACK.
+        Index, from 0, of the row that LAPACK swapped with each row.
     """
     lu_matrix, pivots, _ = dgetrf(matrix.T)
     return lu_matrix, pivots
@@ -161,7 +166,7 @@ def factorise_transpose(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def solve_by_transpose_factors(
     factors: tuple[np.ndarray, np.ndarray], right_side: np.ndarray
 ) -> np.ndarray:
-    """Solve A x = r with the LU factors of A^T. The right-hand side r may have any shape."""
+    """Solve A x = r with the factors from :func:`factorise_transpose`; x has the shape of r."""
     return np.reshape(dgetrs(*factors, right_side.ravel(), trans=1)[0], right_side.shape)
 
 
@@ -169,7 +174,7 @@ def solve_by_transpose_factors(
 
 
 class Equations(ABC):
-    """Equations F(x, p) = 0 for C loops of the kernel.
+    """Equations F(x, p) = 0 as a table of C functions, for the kernel's loops.
 
     Attributes
     ----------
@@ -185,31 +190,38 @@ class Equations(ABC):
     function_table: Any
     follows_many_points = True
     _last_linearisation_reference: ReferenceType[Any] | None = None
-    """Point at which the kernel evaluated the equations last, a weak reference; None if unknown."""
+    """Weak reference to the linearisation at the kernel's last point; None if unknown."""
 
     @property
     def compiled_equations(self) -> Equations | None:
-        """Return self if the kernel's compiled loops can run the equations, else None."""
+        """Return the equations for the kernel: this object, or None if Python must be called."""
         return self
 
     @abstractmethod
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> Linearisation:
-        """Return F and J at the last point of the kernel."""
+        """Return F and J at the point that the kernel evaluated last.
+
+        ``unknown`` and ``parameter`` must be this point; nothing is evaluated again.
+        """
 
     def run_unchecked(self, loop: Any, *arguments: Any) -> int:
-        """Call a C loop on the equations and return its outcome code."""
+        """Call a C function on the equations and return its outcome code, unchecked.
+
+        ``loop`` is a function from the kernel; its first argument is the table. Pass the code to
+        :meth:`has_found_solution`.
+        """
         self._last_linearisation_reference = None
         return int(loop(self.function_table, *arguments))
 
     def has_found_solution(self, outcome: int) -> bool:
-        """Return True if a C loop's outcome code means a solution.
+        """Return True if the outcome code from :meth:`run_unchecked` is ``kernel.FOUND``.
 
         Raises
         ------
         MemoryError
             The kernel has no memory.
         ConvergenceError
-            The structure is singular.
+            The structure's matrix is singular, as at an undamped resonance.
         """
         if outcome == kernel.NO_MEMORY:
             raise MemoryError("equations of a path")
@@ -221,7 +233,7 @@ class Equations(ABC):
 
 
 def equations_of(system: System, shape: tuple[int, ...]) -> Equations:
-    """Return a system's compiled equations, or equations to call Python methods.
+    """Return a system's compiled equations, else equations that call the Python system.
 
     ``shape`` is the shape of the unknowns.
     """
@@ -230,7 +242,10 @@ def equations_of(system: System, shape: tuple[int, ...]) -> Equations:
 
 
 class _PythonEquations(Equations):
-    """Equations for the kernel, with calls to a system in Python."""
+    """Equations for the kernel whose C functions call back a system in Python.
+
+    A Python exception is kept during the C loop and raised by :meth:`has_found_solution`.
+    """
 
     follows_many_points = False
 
@@ -262,7 +277,7 @@ class _PythonEquations(Equations):
 
 
 class _PythonCallbackState:
-    """Linearisation and error of a Python system during a kernel loop."""
+    """Data for callbacks to a Python system: current linearisation, and exception if any."""
 
     linearisation: Linearisation
     failure: BaseException | None = None
@@ -271,15 +286,15 @@ class _PythonCallbackState:
         self.system, self._shape, self._n_bytes = system, shape, 8 * int(np.prod(shape))
 
     def as_array(self, buffer: Any) -> np.ndarray:
-        """Return a kernel buffer as an array in the unknowns' shape."""
+        """Return the memory of a C pointer as an array in the unknowns' shape, without a copy."""
         return np.frombuffer(ffi.buffer(buffer, self._n_bytes)).reshape(self._shape)
 
 
 def _python_callback(failure_value: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return a decorator to make a Python function a callback of the kernel.
+    """Return a decorator to make ``_name`` the kernel's C callback ``python_name``.
 
-    An exception must not pass through C: the callback keeps it until the C loop has ended, and
-    returns ``failure_value``.
+    An exception must not pass through C: the callback stores the exception in the state, and
+    returns ``failure_value``, as do all later callbacks.
     """
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:

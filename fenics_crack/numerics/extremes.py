@@ -16,36 +16,37 @@ from collections.abc import Callable
 import numpy as np
 
 PeriodicFunctions = Callable[[np.ndarray], np.ndarray]
-"""Callable from instants (n,) in the period to the values (n, m) of m functions."""
+"""Callable from instants (n,), fractions of the period, to values (n, m) of m functions."""
 RecordFunction = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
-"""Callable from instants in the period to a motion [m], gaps [m] and contact forces [N] of all
-rows."""
+"""Callable from instants, fractions of the period, to a motion [m], gaps [m] and contact forces [N]
+of all gap rows."""
 SAMPLE_OFFSETS = np.linspace(-1.0, 1.0, 9)
-"""Offsets from a sample, relative to the spacing of the samples."""
+"""Nine offsets from a sample, -1 to 1, in units of the samples' spacing."""
 MAX_GRID_REFINEMENTS = 10
-"""Maximum refinements. Each divides the spacing by four: 256 samples end at 4e-9 of the
-period. Its square is rounding error, for up to 100 harmonics."""
+"""Maximum grid refinements. Each divides the spacing by four: 256 samples end at 4e-9 of the
+period. The square of 4e-9 is rounding error, for up to 100 harmonics."""
 OFFSET_EXPONENTS = np.arange(len(SAMPLE_OFFSETS))
-"""Exponents of the polynomial through nine values."""
+"""Exponents 0 to 8 of the polynomial through nine values."""
 COEFFICIENTS_FROM_VALUES = np.linalg.inv(SAMPLE_OFFSETS[:, None] ** OFFSET_EXPONENTS)
 """Matrix from nine values at ``SAMPLE_OFFSETS`` to the coefficients of their polynomial."""
 MAX_POLYNOMIAL_ERROR = 1e-6
-"""Maximum error of a predicted maximum, relative to the nine values' range."""
+"""Maximum error of a polynomial's predicted maximum, relative to the nine values' range. If the
+error is larger, the grid is refined."""
 
 
 def find_maximum_values(
     samples: np.ndarray, evaluate_functions: PeriodicFunctions | None = None
 ) -> np.ndarray:
-    """Return each periodic function's maximum: (m,).
+    """Return the maximum over a period of each of m periodic functions: (m,).
 
-    Without ``evaluate_functions``, return each column's largest sample.
+    Without ``evaluate_functions``, return the largest sample of each function.
 
     Parameters
     ----------
     samples : (n, m)
-        Values at n equal parts of the period.
+        Values at n equally spaced instants of the period, the first at 0.
     evaluate_functions : callable, optional
-        Callable from positions (n,), 0 to 1, to values (n, m).
+        Callable from instants (n,), fractions of the period, to values (n, m).
     """
     function_maxima: np.ndarray = np.max(samples, axis=0)
     previous_samples, next_samples = np.roll(samples, 1, 0), np.roll(samples, -1, 0)
@@ -96,7 +97,7 @@ def find_maximum_values(
 def _maximise_polynomial(
     nine_values: np.ndarray, start_offset_in_half_windows: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Maximise the polynomials through nine values each, by three Newton steps.
+    """Maximise n polynomials of degree 8, through nine values each, by three Newton steps.
 
     Parameters
     ----------

@@ -17,13 +17,16 @@ if TYPE_CHECKING:  # importing it takes a tenth of NumPy's own time
     from numpy.typing import ArrayLike
 
 MAX_MATRIX_ENTRIES = 45_000
-"""Maximum entries of a Fourier basis (2H+1, n_instants) that is used as a matrix. Measured for 1 to
-100 columns and H = 20 to 100: up to this size a product takes about the time of an FFT, and SciPy's
-FFT need not be loaded."""
+"""Maximum entries (2H+1) n_instants of a Fourier basis to multiply with; beyond, an FFT is
+used. Measured for 1 to 100 columns and H = 20 to 100: up to this size a product takes about the
+time of an FFT, and SciPy's FFT need not be loaded."""
 
 
 def to_complex(coefficients: np.ndarray) -> np.ndarray:
-    """Return complex harmonics X_0, ..., X_H, (H+1, ...), from real coefficients (2H+1, ...)."""
+    """Convert real Fourier coefficients (2H+1, ...) to complex harmonics (H+1, ...).
+
+    X_k = a_k - i b_k from the rows a0, a1, b1, ..., aH, bH.
+    """
     complex_harmonics = np.zeros(
         (len(coefficients) // 2 + 1, *coefficients.shape[1:]), dtype=complex
     )
@@ -34,7 +37,11 @@ def to_complex(coefficients: np.ndarray) -> np.ndarray:
 
 
 def from_complex(complex_harmonics: np.ndarray) -> np.ndarray:
-    """Return real coefficients (2H+1, ...) from complex harmonics (H+1, ...)."""
+    """Convert complex harmonics (H+1, ...) to real Fourier coefficients (2H+1, ...).
+
+    From X_k = a_k - i b_k come the rows a0, a1, b1, ..., aH, bH. The imaginary part of X_0 is
+    ignored.
+    """
     coefficients = np.empty((2 * len(complex_harmonics) - 1, *complex_harmonics.shape[1:]))
     coefficients[0] = complex_harmonics[0].real
     coefficients[1::2] = complex_harmonics[1:].real
@@ -48,12 +55,14 @@ def fourier_basis(phase: np.ndarray, orders: ArrayLike = (1.0,)) -> np.ndarray:
     Parameters
     ----------
     phase : (...) [rad]
+        Phases theta.
     orders : (K,)
-        Orders k.
+        Harmonic orders k, not necessarily integers. Default: 1.
 
     Returns
     -------
     (..., 2K+1)
+        The constant 1, then cosine and sine for each order.
     """
     order_times_phase = np.multiply.outer(phase, orders)
     basis_values = np.ones((*order_times_phase.shape[:-1], 2 * order_times_phase.shape[-1] + 1))
@@ -65,10 +74,10 @@ def fourier_basis(phase: np.ndarray, orders: ArrayLike = (1.0,)) -> np.ndarray:
 
 
 def fourier_basis_for(coefficients: np.ndarray, phases: np.ndarray) -> np.ndarray:
-    """Return the Fourier basis 1, cos theta, sin theta, ... up to harmonic H.
+    """Return the Fourier basis 1, cos theta, sin theta, ... for given coefficients.
 
-    Only the coefficients' number of rows, 2H+1, is used. At phases theta (...) [rad] the
-    result is (..., 2H+1).
+    ``phase`` (...) [rad] holds the phases theta; the result is (..., 2H+1), up to harmonic H. Of
+    ``coefficients`` (2H+1, ...) only the number of rows is used.
     """
     phases, n_harmonics = np.asarray(phases, dtype=float), len(coefficients) // 2
     exponential_powers = np.ones((n_harmonics + 1, *phases.shape), dtype=complex)
@@ -91,13 +100,20 @@ def fourier_basis_for(coefficients: np.ndarray, phases: np.ndarray) -> np.ndarra
 
 
 def evaluate_series(coefficients: np.ndarray, omega: float, time: np.ndarray) -> np.ndarray:
-    """Return a wave x(t) at times (n,) [s] from coefficients (2H+1, ...): (n, ...)."""
+    """Evaluate a Fourier series x(t) at times (n,) [s]: (n, ...).
+
+    ``coefficients`` (2H+1, ...) have the rows a0, a1, b1, ..., aH, bH. ``omega`` [rad/s] is the
+    angular frequency of harmonic 1.
+    """
     phase = omega * np.atleast_1d(np.asarray(time, dtype=float))
     return np.tensordot(fourier_basis_for(coefficients, phase), coefficients, 1)
 
 
 def differentiate(coefficients: np.ndarray, omega: float) -> np.ndarray:
-    """Return the coefficients of x'(t) from those of x(t): (2H+1, n)."""
+    """Return the Fourier coefficients (2H+1, n) of x'(t) from those of x(t).
+
+    ``omega`` [rad/s] is the angular frequency of harmonic 1.
+    """
     harmonic_omegas = omega * np.arange(1, len(coefficients) // 2 + 1)[:, None]
     derivative_coefficients = np.zeros_like(coefficients)
     derivative_coefficients[1::2] = harmonic_omegas * coefficients[2::2]
@@ -106,9 +122,9 @@ def differentiate(coefficients: np.ndarray, omega: float) -> np.ndarray:
 
 
 def sample_period(coefficients: np.ndarray, n_instants: int) -> np.ndarray:
-    """Return a wave at equally spaced instants of its period: (n_instants, ...).
+    """Evaluate a Fourier series at equally spaced instants of a period: (n_instants, ...).
 
-    For coefficients (2H+1, ...) more than 2H instants are necessary.
+    ``coefficients`` are (2H+1, ...). The first instant has phase 0. ``n_instants`` must exceed 2H.
     """
     if len(coefficients) * n_instants <= MAX_MATRIX_ENTRIES:
         return _multiply_first_axis(
@@ -122,9 +138,9 @@ def sample_period(coefficients: np.ndarray, n_instants: int) -> np.ndarray:
 
 
 def fourier_coefficients(samples: np.ndarray, harmonics: int) -> np.ndarray:
-    """Return the Fourier coefficients (2H+1, ...) of samples over a period.
+    """Return Fourier coefficients (2H+1, ...) of samples over a period.
 
-    The n > 2H samples (n, ...) are equally spaced.
+    ``values`` (n, ...) are n > 2H equally spaced samples from phase 0 on; H = ``harmonics``.
     """
     if (2 * harmonics + 1) * len(samples) <= MAX_MATRIX_ENTRIES:
         return _multiply_first_axis(
@@ -138,10 +154,10 @@ def fourier_coefficients(samples: np.ndarray, harmonics: int) -> np.ndarray:
 
 
 def n_instants_for_products(harmonics: int) -> int:
-    """Return the number of instants for products of waves with H and 2H harmonics.
+    """Return the number of samples per period for products of Fourier series.
 
-    From 4H + 1 instants on, harmonics up to H of the product are exact. A slightly larger count may
-    suit the FFT.
+    The factors have H = ``harmonics`` and 2H harmonics. With 4H + 1 samples or more, the product's
+    harmonics up to H are exact. The result may be a little larger, to suit the FFT.
     """
     min_instants = 4 * harmonics + 1
     if (2 * harmonics + 1) * min_instants <= MAX_MATRIX_ENTRIES:
@@ -153,12 +169,12 @@ def n_instants_for_products(harmonics: int) -> int:
 
 @lru_cache(maxsize=16)
 def fourier_basis_over_period(harmonics: int, n_instants: int) -> np.ndarray:
-    """Return the Fourier basis up to ``harmonics`` at equally spaced instants.
+    """Return the Fourier basis at equally spaced instants of a period.
 
     Returns
     -------
     (n_instants, 2H+1)
-        Read-only, since all callers share one array.
+        Columns 1, cos, sin, ... up to H = ``harmonics``. Read-only: all callers share the array.
     """
     instants, orders = np.arange(n_instants), np.arange(1, harmonics + 1)
     roots_of_unity = np.exp(2j * np.pi / n_instants * instants)
@@ -171,7 +187,7 @@ def fourier_basis_over_period(harmonics: int, n_instants: int) -> np.ndarray:
 
 @lru_cache(maxsize=16)
 def _samples_to_coefficients_matrix(harmonics: int, n_instants: int) -> np.ndarray:
-    """Return the matrix from samples of a period to coefficients: (2H+1, n_instants)."""
+    """Return the matrix from samples of a period to Fourier coefficients: (2H+1, n_instants)."""
     coefficients_from_samples = (
         2.0 / n_instants * fourier_basis_over_period(harmonics, n_instants).T
     )
@@ -180,13 +196,16 @@ def _samples_to_coefficients_matrix(harmonics: int, n_instants: int) -> np.ndarr
 
 
 def _multiply_first_axis(matrix: np.ndarray, array: np.ndarray) -> np.ndarray:
-    """Return the product of a matrix with the first axis of an array (n, ...)."""
+    """Multiply a matrix (m, n) by an array (n, ...) along the first axis: (m, ...)."""
     product: np.ndarray = matrix @ array.reshape(len(array), -1)
     return product.reshape(len(matrix), *array.shape[1:])
 
 
 def resize_harmonics(coefficients: np.ndarray, harmonics: int) -> np.ndarray:
-    """Cut off coefficients (2K+1, ...) after H = ``harmonics``, or pad with zeros."""
+    """Truncate or zero-pad Fourier coefficients (2K+1, ...) to H harmonics: (2H+1, ...).
+
+    H = ``harmonics``.
+    """
     resized_coefficients = np.zeros((2 * harmonics + 1, *coefficients.shape[1:]))
     n_kept_rows = min(len(resized_coefficients), len(coefficients))
     resized_coefficients[:n_kept_rows] = coefficients[:n_kept_rows]
@@ -194,9 +213,10 @@ def resize_harmonics(coefficients: np.ndarray, harmonics: int) -> np.ndarray:
 
 
 def stretch_period(coefficients: np.ndarray, period_factor: int) -> np.ndarray:
-    """Return the coefficients of a wave in a longer period.
+    """Return the Fourier coefficients of the same motion for a longer base period.
 
-    In ``period_factor`` times the period, harmonic k becomes harmonic k * period_factor.
+    The new period is ``period_factor`` times the old one: harmonic k becomes harmonic k *
+    period_factor, and the harmonics between are zero.
     """
     complex_harmonics = to_complex(coefficients)
     stretched_harmonics = np.zeros(

@@ -52,11 +52,13 @@ from fenics_crack.numerics.equations import MACHINE_EPSILON, Linearisation, Syst
 
 COMM_SELF = PETSc.COMM_SELF
 GMRES_RESTART: int = kernel.MAX_KRYLOV_VECTORS
-"""Number of vectors that GMRES keeps before a restart."""
+"""Maximum number of Krylov vectors in GMRES before a restart."""
 OPTIONS_PREFIX = "crack_hb_"
+"""Prefix of PETSc options for SNES."""
 FORCING_TERM = 1e-2
-"""Relative residual of GMRES in shooting, and in the first Newton steps by SNES. SNES chooses later
-residuals (Eisenstat and Walker, SIAM Journal on Scientific Computing 17, 1996, 16)."""
+"""Relative residual |A x - r| / |r| of GMRES in shooting and in the first Newton step by SNES. For
+later steps SNES chooses the residual, at most this value (Eisenstat and Walker, SIAM Journal on
+Scientific Computing 17, 1996, 16)."""
 
 
 def gmres(
@@ -67,14 +69,14 @@ def gmres(
 ) -> np.ndarray:
     """Solve A x = r by GMRES, up to |A x - r| <= tolerance |r|.
 
-    If ``max_iterations`` do not suffice, return the best x so far.
+    If ``max_iterations`` do not suffice, the last x is returned without an error.
 
     Parameters
     ----------
     apply : callable
-        Returns A x in the shape of x.
+        Function from an array x to the product A x, both in the shape of r.
     right_side : (...)
-        r. Shape and values are equal on all ranks, as for x.
+        Right-hand side r, equal on all ranks. The solution has the same shape.
     """
 
     def multiply(_: Any, factor_vector: Any, product_vector: Any) -> None:
@@ -102,16 +104,19 @@ def gmres(
 
 
 class SnesSystem(System, Protocol):
-    """Equations F = 0 for SNES, at a given p, with F in the units of x."""
+    """Equations F(x, p) = 0 to be solved by SNES at a given parameter p.
+
+    F has the units of x: SNES stops by |F| <= tolerance |x|.
+    """
 
     shape: tuple[int, ...]
-    """Shape of the unknowns."""
+    """Shape of the unknowns x."""
     is_matrix_free: bool
-    """True if J is only multiplied by vectors: GMRES then solves with it."""
+    """True if the Jacobian J is not formed: GMRES then solves by products with J."""
 
 
 def can_solve_in_kernel(system: SnesSystem) -> bool:
-    """Return True if the kernel can replace SNES.
+    """Return True if the compiled kernel can solve a system instead of PETSc's SNES.
 
     The kernel must have the equations, and no PETSc option may be given for SNES.
     """
@@ -120,18 +125,18 @@ def can_solve_in_kernel(system: SnesSystem) -> bool:
 
 
 class Snes(ABC):
-    """PETSc's SNES for all solutions of one system.
+    """Newton solver by PETSc's SNES, used again for all solutions of a system F(x) = 0.
 
-    A context manager frees the PETSc objects. Steps are full unless PETSc options differ: line
-    searches stall at kinks of the merit function when contact is sampled. Convergence means |F| <=
-    tolerance |x|.
+    Converged: |F| <= tolerance |x|. As a context manager the object frees the PETSc objects. Newton
+    steps are full, unless a PETSc option sets a line search: sampled contact makes line searches
+    stall.
     """
 
     def __init__(self, matrix: Any, residual_norms: list[float] | None = None) -> None:
-        """Create the solver.
+        """Create the PETSc solver for a Jacobian matrix.
 
-        The PETSc matrix ``matrix`` holds the Jacobian; ``residual_norms`` collects |F| of every
-        iteration.
+        ``matrix`` is the PETSc matrix for the Jacobian, freed by this object. |F| of every
+        iteration is appended to ``residual_norms``, if given.
         """
         self.matrix, self._residual_norms = matrix, [] if residual_norms is None else residual_norms
         self._tolerance = 0.0
@@ -155,27 +160,29 @@ class Snes(ABC):
 
     @abstractmethod
     def _set_linear_solver_type(self, linear_solver: Any) -> None:
-        """Set the default linear solver, a KSP."""
+        """Set defaults of the linear solver, a PETSc KSP. PETSc options come later and win."""
 
     @abstractmethod
     def write_residual(self, unknown_vector: Any, residual_vector: Any) -> None:
-        """Write F at a vector of unknowns into a vector."""
+        """Evaluate F at the unknowns in a PETSc vector, into ``residual_vector``."""
 
     @abstractmethod
     def update_jacobian(self, unknown_vector: Any) -> None:
-        """Update the matrix to the Jacobian at a vector."""
+        """Update ``matrix`` to the Jacobian at the unknowns in a PETSc vector."""
 
     def solve_into_unknown_vector(
         self, start: np.ndarray, tolerance: float, max_iterations: int
     ) -> tuple[bool, int]:
-        """Solve F = 0 from a guess, given by the rows on this rank.
+        """Solve F(x) = 0 from a guess and leave the solution in ``_unknown_vector``.
 
-        The solution replaces this object's vector of unknowns.
+        ``start`` holds this rank's entries of the guess.
 
         Returns
         -------
         converged : bool
+            True if |F| <= ``tolerance`` |x|.
         n_iterations : int
+            Newton iterations.
         """
         self._tolerance, self._convergence_error = tolerance, None
         self._unknown_vector.array_w[:] = start.ravel()
@@ -192,9 +199,10 @@ class Snes(ABC):
     def _test_convergence(
         self, snes: Any, n_iterations: int, norms: tuple[float, float, float]
     ) -> int:
-        """Return PETSc's reason to stop, by |F| <= tolerance |x|, or to go on.
+        """Return PETSc's code to stop or to go on, for SNES.
 
-        ``norms`` are |x|, the step's norm and |F|.
+        Stop if |F| <= tolerance |x|, if |F| is not finite, or after the maximum number of
+        iterations. ``norms`` are |x|, the norm of the Newton step, and |F|.
         """
         self._residual_norms.append(norms[2])
         if not np.isfinite(norms[2]):
@@ -221,9 +229,9 @@ class Snes(ABC):
 
 
 class SystemSnes(Snes):
-    """SNES for a system that solves with its Jacobian, or multiplies by it.
+    """SNES for a :class:`SnesSystem`; all ranks hold the same unknowns.
 
-    The unknowns are equal on every rank.
+    Newton steps come from the linearisation's ``solve``, or for matrix-free systems from GMRES.
     """
 
     def __init__(self, system: SnesSystem, residual_norms: list[float] | None = None) -> None:
@@ -251,14 +259,16 @@ class SystemSnes(Snes):
     def solve_and_linearise(
         self, start: np.ndarray, parameter: float, tolerance: float, max_iterations: int
     ) -> tuple[Linearisation, bool, int]:
-        """Solve at a parameter from a guess.
+        """Solve F(x, p) = 0 at a parameter p from a guess ``start`` of x.
 
         Returns
         -------
         linearisation : Linearisation
-            System at the last iterate.
+            F and Jacobian at the last iterate; the unknowns are its ``unknown``.
         has_converged : bool
+            True if |F| <= ``tolerance`` |x|.
         n_iterations : int
+            Newton iterations.
         """
         self._parameter, self._last_unknown_and_linearisation = parameter, None
         has_converged, n_iterations = self.solve_into_unknown_vector(
@@ -267,7 +277,7 @@ class SystemSnes(Snes):
         return self._linearisation_at(self._unknown_vector), has_converged, n_iterations
 
     def _linearisation_at(self, unknown_vector: Any) -> Linearisation:
-        """Return F and J at a PETSc vector, computed once for equal successive vectors."""
+        """Return F and J at the unknowns in a PETSc vector, cached for the last unknowns."""
         if self._last_unknown_and_linearisation is None or not np.array_equal(
             unknown_vector.array_r, self._last_unknown_and_linearisation[0]
         ):
@@ -285,42 +295,42 @@ class SystemSnes(Snes):
         self._linearisation = self._linearisation_at(unknown_vector)
 
     def mult(self, matrix: Any, factor_vector: Any, product_vector: Any) -> None:
-        """Multiply a vector by the Jacobian, for PETSc."""
+        """Multiply a vector by the Jacobian; PETSc calls this method of a Python matrix."""
         product_vector.array_w[:] = self._linearisation.apply(
             factor_vector.array_r.reshape(self.system.shape)
         ).ravel()
 
     def apply(self, preconditioner: Any, right_side_vector: Any, solution_vector: Any) -> None:
-        """Multiply a vector by the inverse Jacobian, for PETSc."""
+        """Solve with the Jacobian; PETSc calls this method of a Python preconditioner."""
         solution_vector.array_w[:] = self._linearisation.solve(
             right_side_vector.array_r.reshape(self.system.shape)
         ).ravel()
 
 
 MAX_ITERATIONS = 8
-"""Maximum iterations of one correction."""
+"""Maximum Newton iterations to correct a predicted point of a path."""
 MIN_DAMPING = 0.05
-"""Minimum damping factor of a Newton step."""
+"""Minimum factor by which a Newton step is shortened before the method fails."""
 MAX_FULL_STEPS = 20
-"""Maximum full steps from a guess at a given parameter."""
+"""Maximum Newton iterations from a guess at a given parameter."""
 MAX_STALLED_STEPS = 8
-"""Maximum consecutive steps that together fail to halve the residual."""
+"""Maximum successive Newton steps without halving the residual; then the method fails."""
 MAX_PARAMETER_CHANGE_IN_STEPS = 3.0
-"""Maximum distance of the parameter from its prediction, in steps."""
+"""Maximum distance between corrected and predicted parameter, in step lengths."""
 
 
 @dataclass(frozen=True)
 class Tangent:
-    """Unit tangent (t_x, t_p) in the norm w |x|^2 + p^2.
+    """Unit tangent (t_x, t_p) of a path of solutions (x, p), in the norm w |x|^2 + p^2.
 
     Attributes
     ----------
     x, p :
-        t_x and t_p.
-    weight : float
-        w.
+        Parts t_x, in the shape of the unknowns, and t_p.
+    unknowns_weight : float
+        Weight w of the unknowns, 1 / |x|^2 at the point (:func:`norm_weights_at`).
     time_mean_weight : float
-        Factor of the squares of means over time within |x|^2.
+        Factor in |x|^2 for the squares of unknowns that are means over time.
     """
 
     x: np.ndarray
@@ -329,11 +339,11 @@ class Tangent:
     time_mean_weight: float = 1.0
 
     def reverse(self) -> Tangent:
-        """Return the opposite tangent."""
+        """Return the tangent in the opposite direction, (-t_x, -t_p)."""
         return replace(self, x=-self.x, p=-self.p)
 
     def inner_product(self, system: System, vector: np.ndarray, other_vector: np.ndarray) -> float:
-        """Return w <x, y>, the norm's inner product of two vectors of unknowns."""
+        """Return w <x, y>, the inner product of two vectors of unknowns in the tangent's norm."""
         if self.time_mean_weight == 1.0:
             return self.unknowns_weight * float(np.vdot(vector, other_vector))
         flat_vector = vector.ravel()
@@ -346,9 +356,9 @@ class Tangent:
         )
 
     def cosine_to(self, reference_tangent: Tangent, system: System) -> float:
-        """Return the cosine of the angle to a reference tangent.
+        """Return the cosine of the angle to a unit reference tangent, in the reference's norm.
 
-        The norm is that of the reference.
+        This tangent may have any length; for length 0 or an overflow the result is 0.
         """
         product = (
             reference_tangent.inner_product(system, self.x, reference_tangent.x)
@@ -361,33 +371,38 @@ class Tangent:
 
 @dataclass(frozen=True)
 class PathPoint:
-    """Solution (x, p) on a path, with tangent and number of Newton iterations."""
+    """Solution (x, p) of F(x, p) = 0 on a path, with the path's tangent."""
 
     unknown: np.ndarray
+    """Unknowns x."""
     parameter: float
+    """Parameter p."""
     iterations: int
+    """Newton iterations that found the point."""
     tangent: Tangent
     """``tangent.p`` > 0 if the parameter grows along the path; the sign changes at folds."""
     crosses_branch: bool = False
     """True if another branch crosses between the previous point and this point."""
     linearisation: Linearisation | None = field(default=None, repr=False, compare=False)
+    """F and Jacobian at the point, if at hand."""
     chord_length_from_previous: float = float("nan")
-    """Chord length from the previous point, in the previous point's norm; nan if unknown."""
+    """Distance from the previous point, in the previous point's norm; nan if unknown."""
     record: np.ndarray | None = field(default=None, repr=False, compare=False)
+    """Numbers from the linearisation for a step control; None without a step control."""
     step_control_values: np.ndarray | None = field(default=None, repr=False, compare=False)
-    """Values for a step control, computed from ``record``."""
+    """Values computed from ``record`` for a step control; None without a step control."""
 
 
 def count_time_means(system: System) -> int:
-    """Return the number of leading unknowns that are means over time."""
+    """Return the number of leading unknowns that are means over time; default 0."""
     return int(getattr(system, "n_time_means", 0))
 
 
 def motion_size_squared(oscillation_norm_squared: float, mean_norm_squared: float) -> float:
-    """Return the squared size of a motion.
+    """Return the squared size of a motion from its oscillation and its means over time.
 
-    The means contribute at most as much as the oscillation. If the oscillation is rounding error,
-    as without any vibration, the means count in full.
+    The result is o + min(m, o), with o and m the two sums of squares. If o < 1.8e-12 m, the
+    oscillation is rounding error, and the result is o + m. It is at least 1e-300.
 
     Parameters
     ----------
@@ -406,10 +421,10 @@ def motion_size_squared(oscillation_norm_squared: float, mean_norm_squared: floa
 
 
 def motion_size(motion_samples: np.ndarray) -> float:
-    """Return the size of a motion (n_instants, k).
+    """Return the size of k sampled motions (n_instants, k): a root sum of squares.
 
-    The size is the root sum of squares. The mean over time contributes at most as much as
-    the oscillation (:func:`motion_size_squared`).
+    The mean over time contributes at most as much as the oscillation
+    (:func:`motion_size_squared`).
     """
     time_mean = motion_samples.sum(axis=0) / len(motion_samples)
     oscillation_samples = motion_samples - time_mean
@@ -422,10 +437,10 @@ def motion_size(motion_samples: np.ndarray) -> float:
 
 
 def change_relative_to_motion(change_samples: np.ndarray, motion_samples: np.ndarray) -> float:
-    """Return the size of a change relative to a motion.
+    """Return the norm of a change over the size of a motion.
 
-    Both are (n_instants, k). The mean over time contributes at most as much as the oscillation: a
-    steady load does not make relative errors small. Relative to a zero motion the result is 0.
+    Both are samples (n_instants, k). In the motion's size the mean over time counts at most as much
+    as the oscillation: a steady load does not make relative errors small. A zero motion gives 0.
     """
     return (
         float(np.linalg.norm(change_samples)) / motion_size(motion_samples)
@@ -437,17 +452,17 @@ def change_relative_to_motion(change_samples: np.ndarray, motion_samples: np.nda
 def norm_weights_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
     """Return the weights of the norm w |x|^2 + p^2 at a solution x.
 
-    Means over time contribute at most as much as all else to the size |x|. A clearance or a steady
-    load may make the means large, but a resonance must be resolved by steps relative to the
-    oscillation. Changes of large means are measured relative to the means: a crack's mean opening
-    grows with a rotor's speed by far more than the oscillation.
+    In |x| the means over time contribute at most as much as the oscillation. A clearance or a
+    steady load may make means large, but steps must be relative to the oscillation to resolve a
+    resonance. Changes of large means are measured relative to the means, through a factor below 1:
+    a crack's mean opening grows with a rotor's speed by far more than the oscillation.
 
     Returns
     -------
     weight : float
         w = 1 / |x|^2.
     time_mean_weight : float
-        Factor of the means' squares within |x|^2.
+        Factor in |x|^2 for the squares of the means; 1 if the means are not large.
     """
     mean_unknowns = unknown.ravel()[: count_time_means(system)]
     mean_norm_squared = float(mean_unknowns @ mean_unknowns)
@@ -469,9 +484,9 @@ def tangent_of(
     linearisation: Linearisation,
     direction: Tangent | None = None,
 ) -> Tangent:
-    """Return the unit tangent at a solution.
+    """Return the unit tangent of a path at a solution ``unknown`` with its linearisation.
 
-    It points towards growing p, or along ``direction`` if given.
+    The tangent points towards growing p or, if given, has a positive cosine to ``direction``.
     """
     slope = -linearisation.solve(linearisation.by_parameter)
     slope_tangent = Tangent(slope, 1.0, *norm_weights_at(system, unknown))
@@ -484,9 +499,9 @@ def tangent_of(
 def point_on_path(
     system: System, unknown: np.ndarray, parameter: float, direction: Tangent | None = None
 ) -> PathPoint:
-    """Return a solution (x, p) with its tangent as a point of a path.
+    """Make a point of a path from a solution (x, p), with the path's tangent.
 
-    The direction follows :func:`tangent_of`.
+    The tangent points towards growing p or, if given, has a positive cosine to ``direction``.
     """
     linearisation = system.linearise(unknown, parameter)
     return PathPoint(unknown, parameter, 0, tangent_of(system, unknown, linearisation, direction))
@@ -504,18 +519,20 @@ def solve_in_plane(
     min_damping: float | None = MIN_DAMPING,
     max_stalled_steps: int = 0,
 ) -> PathPoint | None:
-    """Solve by Newton's method in a plane or at a given parameter.
+    """Solve F(x, p) = 0 by Newton's method in a plane, or at a given p.
 
     Parameters
     ----------
     unknown, parameter :
-        Guess.
-    plane : Tangent, optional
-        Tangent orthogonal to the plane. Default: p stays as given.
+        Guess of x and p. The plane passes through the guess.
+    plane : Tangent or None
+        Normal of the plane, the tangent of a path. None: p stays as given.
     tolerance : float
-        |F| / |x| of the solution, with |x| at the point of the tangent.
+        Maximum |F| / |x| of the solution, with |x| at the tangent's point.
+    max_iterations : int
+        Maximum number of Newton steps.
     max_parameter_change : float
-        Maximum distance of the parameter from the guess.
+        Maximum distance of p from the guess.
     min_damping : float or None
         Minimum factor of a shortened step. Steps are shortened if the residual would grow; None:
         never.
@@ -525,7 +542,7 @@ def solve_in_plane(
     Returns
     -------
     PathPoint or None
-        None if the method fails.
+        Solution; ``tangent`` is the normal of the plane. None if the method fails.
     """
     equations = equations_of(system, unknown.shape)
     tangent = plane or Tangent(np.zeros_like(unknown), 1.0, 0.0)
@@ -563,10 +580,10 @@ def correction_struct(
     min_damping: float = MIN_DAMPING,
     max_stalled_steps: int = 0,
 ) -> Struct:
-    """Return options of :func:`solve_in_plane` as the C struct ``correction``.
+    """Return options of :func:`solve_in_plane` as the kernel's struct ``correction``.
 
-    Along a path ``max_parameter_change`` is a multiple of the step length. Newton's method ends
-    when ``max_stalled_steps`` steps together do not halve the residual; 0: it goes on.
+    For ``kernel.follow_path``, ``max_parameter_change`` is a multiple of the step length. A
+    negative ``min_damping`` means full steps.
     """
     return Struct(
         "correction", tolerance=tolerance, max_parameter_change=max_parameter_change,
@@ -583,11 +600,11 @@ def predict_and_correct(
     *,
     max_parameter_change: float | None = None,
 ) -> PathPoint | None:
-    """Return the point at a distance ``step_length`` along a path; None without success.
+    """Return the point of a path after a step from a start; None if Newton's method fails.
 
-    The prediction follows the tangent at the start. The returned point keeps that tangent.
-    ``max_parameter_change`` limits the change of the parameter from its prediction; default: 3
-    steps.
+    The predictor moves by ``step_length`` along the start's tangent; the returned point keeps this
+    tangent. ``max_parameter_change`` limits the distance between corrected and predicted parameter;
+    default: 3 ``step_length``.
     """
     tangent = start_point.tangent
     unknown = start_point.unknown + step_length * tangent.x
@@ -606,9 +623,9 @@ def predict_and_correct(
 def try_step(
     system: System, start_point: PathPoint, step_length: float, tolerance: float = 1e-8
 ) -> PathPoint | None:
-    """Return a path's point at a distance ``step_length`` from a start, with tangent.
+    """Return the point of a path after a step from a start, with the tangent there.
 
-    The tangent keeps the direction of the tangent at the start. None if the point is not found.
+    The tangent has a positive cosine to the start's tangent. None if Newton's method fails.
     """
     point = predict_and_correct(system, start_point, step_length, tolerance)
     if point is None or point.linearisation is None:
@@ -627,9 +644,10 @@ def solve_at_parameter(
     max_iterations: int = MAX_FULL_STEPS,
     min_damping: float | None = None,
 ) -> PathPoint | None:
-    """Solve F(x, p) = 0 by Newton steps from a guess x at given p; None if they fail.
+    """Solve F(x, p) = 0 at given p from a guess of x; None if Newton's method fails.
 
-    Steps are full unless ``min_damping`` is given.
+    Steps are full. If ``min_damping`` is given, steps that increase the residual are shortened by
+    a factor down to this value.
     """
     return solve_in_plane(
         system, unknown, parameter, None,
@@ -646,9 +664,9 @@ def solve_by_full_or_damped_steps(
     tolerance: float,
     try_full_steps: bool = True,
 ) -> PathPoint | None:
-    """Solve at a parameter by full steps, else by damped steps; None if both fail.
+    """Solve F(x, p) = 0 at given p by full, else damped Newton steps; None if both fail.
 
-    Without ``try_full_steps``, only damped steps are tried.
+    If ``try_full_steps`` is False, only damped steps are tried, with factors down to 0.01.
     """
     point = (
         solve_at_parameter(system, unknown, parameter, tolerance=tolerance)
@@ -661,7 +679,7 @@ def solve_by_full_or_damped_steps(
 
 
 def chord_length(system: System, start: PathPoint, end: PathPoint) -> float:
-    """Return the distance between two points of a path. The norm is that of the first point."""
+    """Return the distance between two points of a path, in the first point's norm."""
     change = end.unknown - start.unknown
     length_squared = start.tangent.inner_product(system, change, change)
     return float(np.sqrt(length_squared + (end.parameter - start.parameter) ** 2))

@@ -64,41 +64,46 @@ from fenics_crack.numerics.newton import (
 )
 
 MIN_EQUAL_DIRECTION_COSINE = 0.9
-"""Minimum cosine of the angle between two directions that count as equal."""
+"""Minimum cosine of the angle between two equal directions, for the closed-loop test."""
 POINTS_PER_CALL_AFTER_HALVING = 3
-"""Points per kernel call after a halved step."""
+"""Maximum points per kernel call after a step control halved a step. The number doubles later."""
 MIN_RESOLVED_DISTANCE = math.sqrt(MACHINE_EPSILON)
-"""Distance to a point of a path below which the point counts as reached, and minimum step. At a
-fold the parameter is then accurate to the square of this distance."""
+"""Distance on a path below which two points count as equal, and default minimum step: 1.5e-8. At a
+fold the parameter is then accurate to the square, machine epsilon."""
 
 
 @dataclass(frozen=True)
 class PathOptions:
-    """Options for path following. Steps are measured in the norm of the tangent."""
+    """Options for path following. Step lengths are in the norm of the tangent.
+
+    The norm is w |x|^2 + p^2, with unknowns x, parameter p and w = 1 / |x|^2 at the point.
+    """
 
     initial_step: float
     max_step: float
     min_step: float = MIN_RESOLVED_DISTANCE
-    """Minimum step. If a step would be shorter, the path ends."""
+    """Minimum step length. If a step would be shorter, the path ends."""
     max_steps: int = 1000
+    """Maximum number of new points."""
     rtol: float = 1e-9
-    """Maximum |F| / |x| of the points; smaller for short steps."""
+    """Maximum relative residual |F| / |x| of a point. Short steps get a smaller limit."""
     min_cosine: float = 0.85
-    """Minimum cosine of the angle between neighbouring tangents."""
+    """Minimum cosine of the angle between neighbouring tangents. Below, the step is halved."""
     rounding: float = ROUNDING
-    """Rounding error of |F| / |x|, for a system without ``rounding``."""
+    """Rounding error of the relative residual |F| / |x|, for a system without ``rounding``."""
     points_per_call: int = 64
     """Maximum points per kernel call."""
     parameter_range: tuple[float, float] = (-np.inf, np.inf)
-    """Parameter range. Outside, the path ends."""
+    """Smallest and largest parameter. The path ends before a point outside."""
 
 
 HOMOTOPY_OPTIONS = PathOptions(0.3, 0.3, min_cosine=0.5, parameter_range=(0.0, 2.0))
-"""Options for paths with a parameter from 0 to 1. A path that leaves 0 to 2 ends."""
+"""Options for homotopy paths with a parameter from 0 to 1. A path ends if the parameter leaves 0 to
+2."""
 
 
 class EndReason(Enum):
-    """Reason for the end of a path."""
+    """Reason for the end of a path. The values are texts for messages."""
 
     REACHED = "reached the end"
     END_LOST = "no solution at the very end"
@@ -107,32 +112,39 @@ class EndReason(Enum):
     STEPS_TOO_SHORT = "the steps became too short"
 
     def describe(self, max_points: int) -> str:
-        """Return the reason in words. ``max_points`` is the limit on the number of points."""
+        """Return the reason in words. ``max_points`` was the allowed number of points."""
         return str(self.value).format(max_points=max_points)
 
 
 FIELD_NAMES_NOT_IN_KERNEL = "located_events", "step_control_values"
-"""Fields of a :class:`PathSegment` that the kernel's ``path`` lacks."""
+"""Fields of a :class:`PathSegment` without a counterpart in the kernel's struct ``path``."""
 
 
 class PathSegment(Sequence[PathPoint]):
-    """Consecutive points of a path, in the kernel's arrays.
+    """Consecutive points of a path, stored in arrays for the kernel.
 
-    A :class:`PathPoint` is created on access.
+    Access by index creates a :class:`PathPoint`, by slice another segment.
 
     Attributes
     ----------
     unknowns, unknown_tangents : (n, *shape)
-        x, and t_x of the tangent.
-    parameters, parameter_tangents, unknowns_weights, time_mean_weights, chord_lengths : (n,)
-        p, t_p of the tangent, weights of the norm, and length of the chord from the previous point.
+        Unknowns x, and part t_x of the unit tangent (t_x, t_p).
+    parameters, parameter_tangents : (n,)
+        Parameter p, and part t_p of the tangent.
+    unknowns_weights, time_mean_weights : (n,)
+        Weights of the norm w |x|^2 + p^2 (:func:`norm_weights_at`).
+    chord_lengths : (n,)
+        Distance from the previous point, in the previous point's norm.
     iterations : (n,) int
+        Newton iterations.
     crosses_branch : (n,) int
         1 if another branch crosses between the previous point and this point.
     located_events : list of (Event, PathPoint)
-        Events between the last two points, each with its point.
-    records, step_control_values : (n, n_record_entries) and (n, ...), optional
-        For a step control: numbers kept of each point, and the values computed from them.
+        Events located between the last two points, each with the located point.
+    records : (n, n_record_entries), optional
+        Numbers from each point's linearisation, for a step control.
+    step_control_values : (n, ...), optional
+        Values computed from ``records`` by the system.
     """
 
     step_control_values: np.ndarray
@@ -158,7 +170,7 @@ class PathSegment(Sequence[PathPoint]):
             self.set_point(point_index, point)
 
     def set_point(self, point_index: int, point: PathPoint) -> None:
-        """Overwrite the point at an index."""
+        """Overwrite the point at an index with another point's data."""
         self.unknowns[point_index], self.unknown_tangents[point_index] = (
             point.unknown,
             point.tangent.x,
@@ -182,7 +194,11 @@ class PathSegment(Sequence[PathPoint]):
         )
 
     def struct(self, n_known: int, **scalars: float) -> Struct:
-        """Return the C struct ``path`` with the arrays; ``n_known`` points are known."""
+        """Return the kernel's struct ``path`` with pointers to the arrays.
+
+        The first ``n_known`` points are given; the kernel adds points. ``scalars`` are further
+        fields, as ``step`` and ``orientation``.
+        """
         array_by_name = {
             name: array
             for name, array in vars(self).items()
@@ -194,7 +210,7 @@ class PathSegment(Sequence[PathPoint]):
         return len(self.parameters)
 
     def yield_one_point_segments(self) -> Iterator[PathSegment]:
-        """Yield a segment with one point for each point, in order."""
+        """Yield each point as a segment of length 1. The last segment keeps the events."""
         for point_index in range(len(self)):
             segment = self[point_index : point_index + 1]
             segment.located_events = self.located_events if point_index == len(self) - 1 else []
@@ -232,45 +248,47 @@ class PathSegment(Sequence[PathPoint]):
 # --- events ---------------------------------------------------------------------------------------
 
 SegmentEnds = tuple[PathPoint, PathPoint]
-"""Two neighbouring points of a path."""
+"""Start and end of a step: two neighbouring points of a path."""
 
 
 class Event(ABC):
-    """Special point between two neighbouring points of a path.
+    """Kind of special point, to be located between neighbouring points of a path.
 
     Attributes
     ----------
     is_terminal : bool
         True if the path ends at the event.
     must_be_located : bool
-        True if the path returns and takes a shorter step after a failure to locate the event. A
+        True if the path goes back and takes a shorter step after a failure to locate the event. A
         long step may have jumped to another part of the path.
     description : str
-        Reason for the end, in words.
+        For a terminal event, reason for the path's end in words.
     kind : str
-        Name of a special point, else "".
+        Name of the special point in results; "" if results do not name it.
     """
 
     is_terminal, must_be_located, description, kind = False, False, "", ""
 
     @abstractmethod
     def mark_steps_with_event(self, segment: PathSegment) -> np.ndarray:
-        """Return True for steps between points in which the event may lie: (n-1,) bool.
+        """Mark steps between neighbouring points with a possible event: (n-1,) bool.
 
-        The segment has n points.
+        ``segment`` has n points. :meth:`locate` is called for each marked step.
         """
 
     @abstractmethod
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
-        """Return the point of the event; None if there is none, or if the search fails."""
+        """Locate the event between two neighbouring points, with |F| / |x| <= ``rtol``.
+
+        None if the step has no event, or if the search fails.
+        """
 
 
 class BranchPoint(Event):
-    """Crossing of another branch, where t_p det J changes sign.
+    """Branch point: another branch of solutions crosses, and t_p det J changes sign.
 
-    t_p is the tangent's parameter part, J the Jacobian dF/dx.
-
-    The step is bisected for as long as the path can be followed.
+    t_p is the tangent's parameter part, J the Jacobian dF/dx. The step is bisected down to a length
+    of ``MIN_RESOLVED_DISTANCE``, or as far as Newton's method succeeds.
     """
 
     kind = "branch_point"
@@ -295,15 +313,18 @@ class BranchPoint(Event):
 
 
 def _sign_of_tangent_part_times_determinant(system: System, point: PathPoint) -> float:
-    """Return the sign of t_p det J, with the tangent's parameter part t_p."""
+    """Return the sign of t_p det J, +1 or -1.
+
+    t_p is the tangent's parameter part, J the Jacobian dF/dx at the point.
+    """
     linearisation = point.linearisation or system.linearise(point.unknown, point.parameter)
     return float(linearisation.sign * np.sign(point.tangent.p))
 
 
 class ZeroCrossing(Event):
-    """Sign change of a function of the path's points.
+    """Sign change of a function f(point) along a path.
 
-    Located by :func:`find_zero_point_and_function_value`.
+    :func:`find_zero_point_and_function_value` locates the zero.
     """
 
     def __init__(self, function: Callable[[PathPoint], float]) -> None:
@@ -322,20 +343,21 @@ def find_zero_point_and_function_value(
 ) -> tuple[PathPoint, float]:
     """Find the zero of a function f(point) between two points of a path.
 
-    The Illinois method chooses the fraction s of the chord. With the chord (dx, dp) and the
-    tangents t_0 and t_1 at both ends, the guess at s is Hermite's cubic
+    The Illinois method (a regula falsi) chooses the fraction s along the chord, 0 to 1. With the
+    chord (dx, dp) and the tangents t_0 and t_1 at both ends, the guess at s is Hermite's cubic
 
         x_0 + s^2 (3 - 2 s) dx + s (1 - s) l [(1 - s) t_0 - s t_1],    l = length of the chord,
 
-    likewise for p. Newton's method corrects the guess in the plane across the chord. (SciPy has
-    similar methods, but takes longer to load than many curves to follow.)
+    likewise for p. Newton's method corrects the guess in the plane orthogonal to the chord, to
+    |F| / |x| <= ``rtol``. (SciPy has similar methods, but its import takes longer than many
+    curves.)
 
     Returns
     -------
     point : PathPoint
-        The zero. If a correction fails, the point with the smallest absolute value.
+        Point with the smallest |f| so far: the zero, unless a correction failed.
     residual : float
-        Value of the function at the point.
+        Value f(point).
 
     References
     ----------
@@ -405,7 +427,7 @@ def find_zero_point_and_function_value(
 
 
 class Fold(ZeroCrossing):
-    """Turning point of the parameter: the tangent's part t_p changes sign."""
+    """Turning point in the parameter, where the tangent's parameter part t_p changes sign."""
 
     kind = "fold"
 
@@ -430,7 +452,7 @@ class Fold(ZeroCrossing):
 
 @dataclass(frozen=True)
 class Target(Event):
-    """Point with a given value of the parameter."""
+    """Point with a given value of the parameter, the terminal event of a path."""
 
     parameter: float
     is_terminal, must_be_located, description = True, True, EndReason.REACHED.value
@@ -449,7 +471,11 @@ class Target(Event):
 
 @dataclass(frozen=True)
 class ClosedLoop(Event):
-    """Return of a path to its origin."""
+    """Return of a path to the point ``origin``, the terminal event of a closed path.
+
+    The path must pass within 1e-5 of the origin in the tangent's norm, in the same direction
+    (cosine at least ``MIN_EQUAL_DIRECTION_COSINE``).
+    """
 
     origin: PathPoint
     system: System
@@ -496,10 +522,10 @@ class ClosedLoop(Event):
 def _find_fold_or_target(
     system: System, ends: SegmentEnds, target_parameter: float | None, rtol: float
 ) -> PathPoint | None:
-    """Find the fold or a target parameter between two points; None without success.
+    """Find a fold or a target parameter between two points; None if the search fails.
 
-    Guesses come from Hermite's cubic p(s) through the two enclosing points, with s along the
-    tangent of the first point.
+    If ``target_parameter`` is None, a fold is sought. Guesses come from Hermite's cubic p(s)
+    through the enclosing points, with s along the first point's tangent.
     """
     equations, segment = equations_of(system, ends[0].unknown.shape), PathSegment(ends, 3)
     stepping_struct = Struct(
@@ -521,18 +547,21 @@ def _find_fold_or_target(
 
 
 class StepControl(ABC):
-    """Rule to reject long steps of a path by the points' control values."""
+    """Rule to reject steps of a path as too long, by ``step_control_values`` of the points."""
 
     @abstractmethod
     def mark_rejected_steps(self, segment: PathSegment, first_index: int = 0) -> np.ndarray:
-        """Return True for steps that are too long: (n-1-first_index,) bool.
+        """Return True for each step that is too long: (n-1-first_index,) bool.
 
-        The segment has n points; steps before the point ``first_index`` are not judged.
+        ``segment`` has n points. The first judged step begins at the point ``first_index``.
         """
 
 
 def step_control_values_or_none(system: System, linearisation: Linearisation) -> np.ndarray | None:
-    """Return a point's values for a step control, or None without such values."""
+    """Return a point's values for a step control; None if the system has none.
+
+    ``linearisation`` belongs to the point; the values come from its ``record``.
+    """
     values_function_or_none = getattr(system, "step_control_values", None)
     return (
         None
@@ -542,19 +571,23 @@ def step_control_values_or_none(system: System, linearisation: Linearisation) ->
 
 
 class Path:
-    """Path of solutions of F(x, p) = 0 from a start, to be iterated over once.
+    """Path of solutions F(x, p) = 0 from a start point. Iteration yields segments, once.
 
-    Each :class:`PathSegment` ends at an event, or after as many points as one kernel call yields.
+    Each :class:`PathSegment` ends at an event, or with the last point of a kernel call.
 
     Parameters
     ----------
     system : System
+        Equations F(x, p) = 0.
     start : PathPoint
-        The tangent of this point sets the direction.
+        First point; the tangent sets the direction.
     options : PathOptions
+        Step lengths, tolerances and limits.
     events : sequence of Event
+        Special points to locate.
     step_control : StepControl, optional
-        Needs ``n_record_entries`` and ``step_control_values`` of the system.
+        Rule to reject long steps. The system must have ``n_record_entries`` and
+        ``step_control_values``.
 
     Attributes
     ----------
@@ -588,12 +621,15 @@ class Path:
         self._restart(start, options.initial_step)
 
     def points(self) -> Iterator[PathPoint]:
-        """Yield the points of all segments in order."""
+        """Follow the path and yield the new points in order, without the start."""
         for segment in self:
             yield from segment
 
     def find_terminal_point_or_none(self) -> PathPoint | None:
-        """Follow the whole path; return the point of the terminal event, or None."""
+        """Follow the whole path to the terminal event and return the last point.
+
+        None if the path ended without a terminal event; ``end_reason`` tells why.
+        """
         for _ in self:
             pass
         return self.last_point if self.end_reason is EndReason.REACHED else None
@@ -631,15 +667,15 @@ class Path:
     def _yield_parts_and_retry_indices(
         self, segment: PathSegment
     ) -> Iterator[tuple[PathSegment, int | None]]:
-        """Split a segment after each point with an event.
+        """Split a segment of new points after each point with a located event.
 
         Yields
         ------
         part : PathSegment
-            Points after the event before, up to the next event and with it.
+            New points up to the next event. The point of a terminal event replaces the last point.
         retry_index : int or None
-            Index in the segment of the point after which a required event was not located, else
-            None.
+            Index in ``segment`` of the point from which to retry with a shorter step, because an
+            event with ``must_be_located`` was not located; otherwise None.
         """
         min_parameter, max_parameter = self._options.parameter_range
         is_outside = (segment.parameters[1:] < min_parameter) | (
@@ -695,7 +731,10 @@ class Path:
     # --- its steps --------------------------------------------------------------------------------
 
     def _with_record_and_step_control_values(self, point: PathPoint) -> PathPoint:
-        """Return a point with the system's record and the values of the step control, if any."""
+        """Return a point with ``record`` and ``step_control_values`` from the system.
+
+        Without a step control the point comes back unchanged.
+        """
         if self._step_control is None or point.step_control_values is not None:
             return point
         linearisation = point.linearisation or self._system.linearise(
@@ -708,7 +747,10 @@ class Path:
         )
 
     def _relative_residual_rounding_at(self, point: PathPoint) -> float:
-        """Return the rounding error of |F| / |x| at a point."""
+        """Return the rounding error of the relative residual |F| / |x| at a point.
+
+        The value comes from the system's ``rounding``, else from the options.
+        """
         system_rounding = getattr(self._system, "rounding", None)
         return (
             self._options.rounding
@@ -717,26 +759,25 @@ class Path:
         )
 
     def _restart(self, point: PathPoint, step_length: float) -> None:
-        """Continue from a point with a given step."""
+        """Continue the path from a point with a given step length."""
         self._start_points, self._next_step_length, self._orientation = [point], step_length, 0.0
 
     def _cut_at_rejected_step(
         self, segment: PathSegment, n_known_points: int, first_step_length: float
     ) -> PathSegment | None:
-        """Cut a segment before the first rejected step, and halve the step for the next attempt.
+        """Cut a segment before the step control's first rejected step, and halve the step.
 
         Parameters
         ----------
         n_known_points : int
-            Number of points from earlier calls, at the beginning.
+            Number of points at the beginning of ``segment`` from earlier kernel calls.
         first_step_length : float
-            Length of the first new step.
+            Length requested for the first new step.
 
         Returns
         -------
         PathSegment or None
-            The last point known before the call and the accepted new points; None if no new point
-            is accepted.
+            The last earlier point and the accepted new points; None if no new point is accepted.
         """
         assert self._step_control is not None
         new_step_control_values = self._system.step_control_values(segment.records[n_known_points:])  # type: ignore[attr-defined]
@@ -785,7 +826,8 @@ class Path:
         Returns
         -------
         PathSegment or None
-            The last known point and the new points; None if the step control halves the first step.
+            The last earlier point and the new points; None if the step control rejects the first
+            step, to be repeated with half the length. Length 1: the steps became too short.
         """
         path_options, start_points = self._options, self._start_points
         start_parameter, residual_rounding = (

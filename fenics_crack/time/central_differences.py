@@ -71,7 +71,7 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     """Return the smallest stable number of steps per load period (collective).
 
     A step dt <= 2 / omega_max is stable. Under a penalty law omega_max is the largest natural
-    frequency with all pairs closed by springs. Under a constraint, it is the one with open pairs.
+    frequency with all pairs closed by springs; under UnilateralConstraint with all pairs open.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     Returns
     -------
     int
-        Least ``steps_per_period`` of :func:`integrate_central_difference`.
+        Smallest ``steps_per_period`` for :func:`integrate_central_difference`.
 
     Raises
     ------
@@ -113,10 +113,10 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
 
 
 def _contact_stiffnesses(structure: Structure, contact: ContactLaw) -> np.ndarray:
-    """Return the contact stiffness of each gap: (n_rows,) [N/m].
+    """Return the contact stiffness of each gap row: (n_rows,) [N/m].
 
-    A constraint has 0. The pairs' normal stiffnesses come first; with friction their tangential
-    ones follow. Raises InputError if there is friction without springs.
+    The normal stiffness of each pair comes first; with friction the tangential stiffnesses follow.
+    UnilateralConstraint has stiffness 0. InputError if friction lacks a penalty stiffness.
     """
     softness = spring_compliances(contact, structure.n_pairs)
     if friction_of(contact) is not None and not np.all(softness):
@@ -145,8 +145,8 @@ def integrate_central_difference(
     ----------
     structure, omega, contact, periods, **options
         As in :class:`fenics_crack.time.march.MarchRequest`; best with :meth:`Structure.lumped`
-        mass. With a constraint, pairs that penetrate in the initial state are moved apart by the
-        least change in the norm of M.
+        mass. Under UnilateralConstraint an initial displacement with penetration is replaced by the
+        nearest one without, in the norm of M.
     steps_per_period : int
         At least :func:`stable_steps_per_period`.
 
@@ -161,8 +161,8 @@ def integrate_central_difference(
         An argument cannot be used, the crack faces have no mass, or the step is longer than the
         stable one.
     ConvergenceError
-        The motion grows without bound, or contact creates more energy than the load puts in: the
-        steps are too long. Or no contact forces keep the crack faces from penetrating.
+        The steps are too long: the motion grows without bound, or contact creates more than twice
+        the energy from load and initial state. Or the contact forces of a step were not found.
 
     Notes
     -----
@@ -185,11 +185,11 @@ def integrate_central_difference(
 
 
 class _EnergyAccount:
-    """Sum the energy that contact creates between steps, and the energy put in.
+    """Sum the energy created by contact, and the energy from load and initial state.
 
-    Contact creates energy if a pair opens or closes between two steps. The work of a step is the
-    force times half the displacement from the previous step to the next one: with it the scheme
-    balances kinetic and elastic energy exactly.
+    Contact creates energy if a pair opens or closes between two steps. The work of a force at step
+    n is f_n (u_{n+1} - u_{n-1}) / 2: with this rule the scheme balances kinetic and elastic energy
+    exactly. ``initial_energy`` [J] is elastic plus kinetic energy at time 0.
     """
 
     def __init__(self, request: MarchRequest, initial_energy: float) -> None:
@@ -201,7 +201,15 @@ class _EnergyAccount:
         ]
 
     def add_period(self, window: PeriodWindow) -> tuple[float, float]:
-        """Add one period; return the energy created and the energy put in so far [J]."""
+        """Add a load period and return the energies summed since time 0.
+
+        Returns
+        -------
+        created_energy : float [J]
+            Energy created by contact; negative if lost.
+        energy_input : float [J]
+            Initial energy plus the absolute work of the load in each period.
+        """
         period_arrays = (
             self._request.load_samples,
             window.gap,
@@ -245,8 +253,8 @@ def _last_velocity(
 ) -> np.ndarray:
     """Return the velocity at the end of a time integration from its last increment.
 
-    The last increment (n,) over the step size is the velocity half a step earlier. The callable
-    takes a velocity (n,) to the acceleration at the end.
+    The last increment u_n - u_{n-1} (n,) over the step size is the velocity half a step before the
+    end. ``acceleration_function`` returns the acceleration at the end for a velocity (n,).
     """
     mean_velocity = velocity = last_increment / step_size
     for _ in range(3):  # the acceleration depends on the velocity a little
@@ -258,10 +266,10 @@ def _last_velocity(
 
 
 class _ModalDifferences(Scheme):
-    """Integrate a small structure in modal coordinates by the kernel.
+    """Integrate a small structure in the coordinates of all modes, by the compiled kernel.
 
-    Operators on the n modes are arrays (n,) if damping leaves the modes uncoupled, and matrices
-    (n, n) if it couples them.
+    Damping and inverse damped mass of the n modes are arrays (n,) if damping leaves modes
+    uncoupled, otherwise matrices (n, n).
     """
 
     name, remedy = SCHEME_NAME, MORE_STEPS_REMEDY
@@ -338,17 +346,18 @@ class _ModalDifferences(Scheme):
         )  # fmt: skip
 
     def _end_gaps(self) -> np.ndarray:
-        """Return the gaps at the end of the integration: (n_rows,) [m]."""
+        """Return the gaps of the current modal displacement: (n_rows,) [m]."""
         return np.asarray(
             self._modal_displacement @ self._modes.gaps_by_mode
             - self._structure_with_friction_rows.clearance
         )
 
     def _acceleration_at_phase_zero(self, velocity: np.ndarray) -> np.ndarray:
-        """Return the modal acceleration f - w^2 q - P lambda - c v at phase zero: (n,).
+        """Return the modal acceleration f - w^2 q - P lambda - c v at phase zero of the load: (n,).
 
-        q and v are modal displacements and velocities, w natural frequencies, and P lambda modal
-        contact forces. Forces of a constraint are left out: they belong to the next step.
+        f is the modal load, w the natural frequencies, c the modal damping, q and v are modal
+        displacement and velocity, P lambda modal contact forces. Under UnilateralConstraint lambda
+        is 0 here: the next step finds the forces.
         """
         modes, load_coefficients = self._modes, self._request.structure.force
         acceleration = (
@@ -359,7 +368,10 @@ class _ModalDifferences(Scheme):
         return np.asarray(acceleration - modes.damping_force(velocity))
 
     def _penalty_forces_of_rows(self, gap: np.ndarray) -> np.ndarray:
-        """Return the contact forces of gaps (n_rows,) under a penalty law [N]."""
+        """Return contact forces from gaps (n_rows,) [m] by the penalty law: (n_rows,) [N].
+
+        With friction pairs stick at ``_sticking_places``, unchanged by the call.
+        """
         if friction_of(self._request.contact) is None:
             return self._request.contact.force(gap)
         return self._friction_solver.solve(gap[None], self._sticking_places)[0][0]
@@ -404,10 +416,10 @@ class _ModalDifferences(Scheme):
 
 
 class _CentralDifferences(Scheme):
-    """Integrate a large structure step by step with A = M + dt/2 C factored (collective).
+    """Integrate a large structure by steps with the factored matrix A = M + dt/2 C (collective).
 
-    Modal damping C = M Phi diag(c) Phi^T M enters by its low rank. With rates c of the
-    mass-normalised modes Phi and d = 1 + dt/2 c:
+    M and C are the mass and damping matrices. For modal damping C = M Phi diag(c) Phi^T M only M is
+    factored. With the damping rates c of the mass-normalised modes Phi and d = 1 + dt/2 c:
 
         A^-1 = M^-1 + Phi diag(1/d - 1) Phi^T,     A^-1 C = Phi diag(c/d) Phi^T M.
     """
@@ -493,7 +505,10 @@ class _CentralDifferences(Scheme):
         )
 
     def advance(self, step_index: int) -> None:
-        """Integrate one step, from instant ``step_index`` of the period."""
+        """Integrate a step and update displacement, gap and contact force.
+
+        The step begins at instant ``step_index`` of the load period.
+        """
         dt = self.step_size
         scaled_net_force = dt**2 * self._load_minus_elastic_and_contact_force(step_index)
         self.increment = self.increment + self._solve_with_damped_mass(
@@ -510,8 +525,9 @@ class _CentralDifferences(Scheme):
     def _load_minus_elastic_and_contact_force(self, step_index: int) -> np.ndarray:
         """Return load less elastic and contact forces, f - K u - B lambda: (n_local,) [N].
 
-        ``step_index`` is the instant in the period. Forces of a constraint are left out: they
-        belong to the next step.
+        f is the load at instant ``step_index`` of the period, u the current displacement. Under
+        UnilateralConstraint B lambda is left out: :meth:`advance` finds lambda. Gap and, under a
+        penalty law, contact force are updated.
         """
         self.gap = self._gap_of(self.displacement)
         net_force = -self._apply_operator(self.structure.stiffness.mult, self.displacement)
@@ -522,7 +538,7 @@ class _CentralDifferences(Scheme):
         return net_force
 
     def _penalty_forces_of_rows(self, gap: np.ndarray) -> np.ndarray:
-        """Return the contact forces of gaps (n_rows,) under a penalty law [N].
+        """Return contact forces from gaps (n_rows,) [m] by the penalty law: (n_rows,) [N].
 
         With friction the tangential gaps at which pairs stick are updated.
         """
@@ -535,25 +551,31 @@ class _CentralDifferences(Scheme):
         return forces[0]
 
     def _gap_change(self, displacement: np.ndarray) -> np.ndarray:
-        """Return B^T u, the gaps' change by a displacement u (n_local,): (n_rows,) [m]."""
+        """Return B^T u, the change of the gaps by a displacement u: (n_rows,) [m].
+
+        u (n_local,) is this rank's part; ranks are summed up.
+        """
         return self.structure.sum_over_ranks(
             displacement[self._contact_dofs] @ self._contact_dof_gap_matrix
         )
 
     def _gap_of(self, displacement: np.ndarray) -> np.ndarray:
-        """Return the gaps of a displacement (n_local,): (n_rows,) [m]."""
+        """Return the gaps B^T u - g_0 at a displacement u (n_local,): (n_rows,) [m]."""
         return self._gap_change(displacement) - self._clearance
 
     def _apply_operator(
         self, operator: Callable[[Any, Any], None], vector: np.ndarray
     ) -> np.ndarray:
-        """Apply a PETSc operator to a vector (n_local,)."""
+        """Apply a PETSc operator (input vector, output vector) to an array: (n_local,)."""
         self._input_vector.array_w[:] = vector
         operator(self._input_vector, self._output_vector)
         return self._output_vector.array_r.copy()
 
     def _solve_with_damped_mass(self, force: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """Return A^-1 (r - C v) with A = M + dt/2 C, a force r and a velocity v (n_local,)."""
+        """Return A^-1 (r - C v) with the damped mass A = M + dt/2 C: (n_local,).
+
+        r is ``force``, v is ``velocity``, (n_local,) each; C is the damping matrix.
+        """
         modes = self._modes
         if modes is None:
             return self._apply_operator(
@@ -568,7 +590,7 @@ class _CentralDifferences(Scheme):
         )
 
     def _damping_force(self, velocity: np.ndarray) -> np.ndarray:
-        """Return the damping force C v: (n_local,) [N]."""
+        """Return the damping force C v for a velocity v (n_local,) [m/s]: (n_local,) [N]."""
         if self._damping_matrix is not None:
             return self._apply_operator(self._damping_matrix.mult, velocity)
         if self._modes is None:
@@ -577,13 +599,20 @@ class _CentralDifferences(Scheme):
         return self._modes.mass_shapes @ (self._modes.damping_rates * modal_velocity)
 
     def _acceleration_at_phase_zero(self, velocity: np.ndarray) -> np.ndarray:
-        """Return the acceleration M^-1 (f - K u - B lambda - C v) at phase zero of the load."""
+        """Return the acceleration at phase zero of the load: (n_local,) [m/s^2].
+
+        The equation is M^-1 (f - K u - B lambda - C v), with load f, current displacement u,
+        contact forces lambda and ``velocity`` v (n_local,).
+        """
         force = self._load_minus_elastic_and_contact_force(0) - self._damping_force(velocity)
         with Factor(self.structure.mass, definite=True) as factored_mass:
             return np.asarray(factored_mass.solve(force[None])[0])
 
     def _linear_energy(self, velocity: np.ndarray) -> float:
-        """Return elastic plus kinetic energy, (u^T K u + v^T M v) / 2 [J]."""
+        """Return elastic plus kinetic energy (u^T K u + v^T M v) / 2 over all ranks [J].
+
+        u is the current displacement, v is ``velocity`` (n_local,).
+        """
         structure = self.structure
         matrices_and_vectors = (structure.stiffness, self.displacement), (structure.mass, velocity)
         local_energy = 0.5 * sum(
@@ -593,7 +622,11 @@ class _CentralDifferences(Scheme):
         return float(structure.sum_over_ranks(np.array([local_energy]))[0])
 
     def _nearest_admissible_displacement(self, displacement: np.ndarray) -> np.ndarray:
-        """Return the nearest displacement (n_local,) without penetration, in the norm of M."""
+        """Return the nearest displacement without penetration: (n_local,) [m].
+
+        Distances are in the norm of the mass matrix. Under a penalty law, or without penetration,
+        the displacement comes back unchanged.
+        """
         gap = self._gap_of(displacement)
         if not self.is_rigid or not np.any(gap > 0.0):
             return displacement

@@ -17,8 +17,8 @@ R_inf is the residual flexibility. The gap at the end of the step is linear in t
 
     g_{n+1} = s_free - (R_inf + Q Gamma) lambda_{n+1},
 
-so that 0 <= lambda and (R_inf + I/kappa + Q Gamma) lambda - s_free >= 0, complementary, with the
-stiffness kappa of the pairs and the gap s_free without forces at the end of the step. As long as
+so that 0 <= lambda and (R_inf + I/kappa + Q Gamma) lambda - s_free >= 0, complementary. Here kappa
+is the stiffness of the pairs, and s_free the gap without forces at the end of the step. As long as
 the set of closed pairs does not change, this is one product with a stored matrix. Modes that
 damping leaves uncoupled advance one by one, so a step costs little more than 2 n_modes n_pairs
 products (``kernel/march.c``). The scheme is of second order in h, and exact without contact.
@@ -66,6 +66,8 @@ def integrate_events(
 ) -> TimeHistory:
     """Integrate exactly from one switching instant to the next.
 
+    A switching instant is the time at which a contact pair opens, closes, sticks or slips.
+
     Parameters
     ----------
     structure : Structure
@@ -88,7 +90,7 @@ def integrate_events(
         The structure is too large, its crack faces have mass under rigid contact, or an argument
         cannot be used.
     ConvergenceError
-        Pairs open and close without end.
+        The flow does not get past an instant: pairs open and close there without end.
 
     Examples
     --------
@@ -112,8 +114,9 @@ def integrate_exponential(
 
         z_{n+1} = E z_n - Gamma (lambda_n + lambda_{n+1}),        E = exp(A h),
 
-    z are modal displacements and velocities less the steady response to the load, with z' = A z
-    without contact. lambda are contact forces, 2 Gamma the response to unit forces over a step h.
+    The state z holds modal displacements and velocities less the steady response to the load; A is
+    the matrix in z' = A z without contact. lambda are the contact forces, and 2 Gamma is the change
+    of z by constant unit forces over a step of length h.
 
     Parameters
     ----------
@@ -130,17 +133,17 @@ def integrate_exponential(
     Returns
     -------
     TimeHistory
-        ``created_energy`` is missing in the balance of energy, by the trapezoidal rule. A step
-        between equal sets of closed pairs creates none. If a pair opens, the step creates half the
-        pair's last force times its opening: much with hardly any residual flexibility.
+        Its ``created_energy`` closes the energy balance, computed by the trapezoidal rule. A step
+        in which no pair opens or closes creates none. A step in which a pair opens creates half the
+        pair's last force times its opening; large if the residual flexibility is small.
 
     Raises
     ------
     InputError
         The structure is too large, its pairs with mass are rigid, or an argument cannot be used.
     ConvergenceError
-        The load is on an undamped resonance, no contact forces of a step were found, or contact
-        creates more than twice the energy put in.
+        The load is on an undamped resonance, or the contact forces of a step were not found. Or
+        contact creates more than twice the energy from the load and the initial state.
 
     Examples
     --------
@@ -155,10 +158,10 @@ def integrate_exponential(
 
 
 def _loaded_coordinate_scales(request: MarchRequest) -> np.ndarray:
-    """Return factors that make motions of loaded coordinates comparable: (n_loaded,).
+    """Return a factor for each loaded coordinate, to make motions comparable: (n_loaded,).
 
-    Coordinates of a structure with massless crack faces are no displacements. The factor is then
-    the load's size on the coordinate, otherwise 1.
+    With massless crack faces the coordinates are modal. The factor is then the norm of the load's
+    Fourier coefficients on the coordinate; for displacements the factor is 1.
     """
     if not request.structure.light_lips:
         return np.ones(len(request.loaded_dofs))
@@ -168,9 +171,11 @@ def _loaded_coordinate_scales(request: MarchRequest) -> np.ndarray:
 def _displacement_and_velocity(
     flow: Flow, displacement: np.ndarray, state: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """Return displacement and velocity (n_dofs,), the velocity from a flow's state (state_size,).
+    """Return copies of the displacement [m] and the velocity [m/s], (n_dofs,) each.
 
-    With friction the sticking places (n_pairs,) [m] follow.
+    The velocity comes from the flow's ``state`` (state_size,): modal displacements, modal
+    velocities, sticking places. With friction the sticking places (n_pairs,) [m] are the third
+    array: the tangential gaps at which pairs stick.
     """
     _, modal_velocity, sticking_places = np.split(state, [flow.n_modes, 2 * flow.n_modes])
     velocity = flow.modal_model.shapes @ modal_velocity
@@ -179,7 +184,7 @@ def _displacement_and_velocity(
 
 
 class _EventScheme(Scheme):
-    """Integrate by the exact flow, one load period at a time."""
+    """Integrate by the exact flow between switching instants, one load period at a time."""
 
     name = "events"
 
@@ -209,20 +214,21 @@ class _EventScheme(Scheme):
 
 
 class ExponentialFlow(Flow):
-    """Advance the flow by equal steps of the load period at one frequency.
+    """Advance a structure's motion by equal exponential steps at one load frequency.
 
     Attributes
     ----------
     omega : float [rad/s]
+        Angular frequency of the load.
     steps_per_period : int
         Number of steps in one load period.
     step_size : float [s]
-        h.
+        Length h of a step.
     state_to_gap_matrix : (n_rows, 2 n_modes)
-        Q, the matrix from modal displacements and velocities to gaps.
+        Matrix Q from modal displacements and velocities to gaps.
     steady_states : (N, 2 n_modes)
-        Steady response to the load without contact, at the N = ``steps_per_period`` instants of a
-        period.
+        Modal displacements and velocities of the steady response to the load without contact, at
+        the N = ``steps_per_period`` instants of a period.
     linear_gap : (N, n_rows) [m]
         Gaps under the steady response, less the clearance.
     """
@@ -288,13 +294,18 @@ class ExponentialFlow(Flow):
     ) -> np.ndarray:
         """Return the structure's displacement at n successive instants: (n, n_dofs) [m].
 
-        From phase 0 on: ``states`` (n, 2 n_modes) of the modes, contact ``force`` (n, n_rows) [N].
+        The first instant has phase 0, and a step lies between two instants. ``states`` (n, 2
+        n_modes) are modal displacements and velocities, ``force`` (n, n_rows) [N] contact forces;
+        ``dofs`` selects columns.
         """
         phases = 2.0 * np.pi * np.arange(len(states)) / self.steps_per_period
         return self.displacement(states, force, phases, dofs)
 
     def advance(self, state: np.ndarray, periods: int = 1) -> ExponentialSteps:
-        """Integrate whole load periods from a state (state_size,) at phase 0.
+        """Integrate whole load periods from a state at phase 0.
+
+        ``state`` (state_size,) holds modal displacements, modal velocities and, with friction, the
+        tangential gaps at which pairs stick.
 
         Raises
         ------
@@ -345,12 +356,16 @@ class ExponentialSteps:
 
     Attributes
     ----------
+    flow : ExponentialFlow
+        Flow with the steps that were made.
     states : (N + 1, 2 n_modes)
         Modal displacements and velocities, both ends included.
     forces : (N + 1, n_rows) [N]
+        Contact forces; with friction the tangential ones are the second half.
     is_closed : (N + 1, n_pairs) bool
+        True if a pair is in contact.
     end_state : (state_size,)
-        State of the flow at the end.
+        Modal displacements, modal velocities and sticking places at the end, to continue from.
     """
 
     flow: ExponentialFlow
@@ -361,7 +376,7 @@ class ExponentialSteps:
 
     @property
     def gaps(self) -> np.ndarray:
-        """Gaps at all instants: (N + 1, n_rows) [m]."""
+        """Gaps at all instants, g > 0 if crack faces penetrate: (N + 1, n_rows) [m]."""
         flow = self.flow
         instant_indices = np.arange(len(self.states)) % flow.steps_per_period
         transient_gap = (
@@ -375,7 +390,10 @@ class ExponentialSteps:
 
     @property
     def friction_loss(self) -> float:
-        """Energy that friction dissipates over all steps, by their mean forces [J]."""
+        """Energy dissipated by friction over all steps [J]; 0 without friction.
+
+        In each step the mean friction force works on the change of the sticking place.
+        """
         flow, n_pairs = self.flow, self.flow.structure.n_pairs
         if not flow.friction_law:
             return 0.0
@@ -389,7 +407,7 @@ class ExponentialSteps:
 
 
 class _ExponentialScheme(Scheme):
-    """Integrate by exponential steps, one load period at a time."""
+    """Integrate by equal exponential steps, one load period at a time, with energy balance."""
 
     name = "exponential"
     remedy = "take more steps per period, or keep fewer modes, which makes the contact softer"
@@ -440,7 +458,10 @@ class _ExponentialScheme(Scheme):
         self._end_displacement = flow.displacement_from_phase_zero(states[-1:], forces[-1:])[0]
 
     def _total_energy(self, flow_steps: ExponentialSteps, instant_index: int) -> float:
-        """Return the sum of kinetic, elastic and contact energy at an instant [J]."""
+        """Return kinetic plus elastic plus contact spring energy at an instant [J].
+
+        ``instant_index`` counts the instants in ``flow_steps``; -1 is the last.
+        """
         flow = self._flow
         displacement_at_instant = flow.displacement_from_phase_zero(
             flow_steps.states[[instant_index]], flow_steps.forces[[instant_index]]

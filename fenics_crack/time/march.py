@@ -47,10 +47,12 @@ from fenics_crack.numerics.fourier import (
 from fenics_crack.numerics.newton import motion_size
 
 ALLOWED_RECORD_BYTES = 2**31
-"""Bytes of history on one rank beyond which recording is refused."""
+"""Maximum size of a recorded history on one rank [bytes]: 2 GiB. Larger requests are refused."""
 
 Initial: TypeAlias = PeriodicSolution | tuple[np.ndarray, ...] | None
-"""Initial state: a solution, arrays (displacement, velocity[, sticking places]), or None: rest."""
+"""Initial state of a time integration: a periodic solution, arrays or None for rest. The arrays are
+displacement [m], velocity [m/s] and, with friction optional, tangential gaps [m] at which pairs
+stick."""
 
 
 @dataclass(frozen=True)
@@ -74,13 +76,13 @@ class MarchRequest:
         ``places`` (n_pairs,) [m] are the tangential gaps at which pairs stick. Default: the
         tangential gaps at time 0 without contact forces.
     settle : float
-        Stop early if the relative change over a period falls below this limit. It is the change of
-        the gaps, or of the displacement at the load, relative to the moving part.
-        ``TimeHistory.distance`` estimates the remaining distance.
+        Stop early if the motion's relative change from one period to the next falls below this
+        limit. 0: never. The change is the larger one of gaps and displacement at the load, relative
+        to their oscillation. ``TimeHistory.distance`` estimates the remaining distance.
     record_periods : int, optional
-        Keep only this number of last periods.
+        Number of last periods to keep. Default: all.
     dofs : sequence of int, optional
-        Record only these displacements. A reduced structure records all.
+        Dofs whose displacements are recorded. Default: all. A reduced structure records all.
     progress : bool
         Show a progress bar.
 
@@ -122,9 +124,10 @@ class MarchRequest:
     def from_call(
         cls, function: Callable[..., Any], options: Mapping[str, Any], *arguments: Any
     ) -> MarchRequest:
-        """Return the checked parameters of a call to a public integration function.
+        """Check the parameters of a call to a public integration function.
 
-        ``options`` are the keywords that ``function`` passes on, ``arguments`` the first fields.
+        ``options`` are the further keywords given to ``function``. ``arguments`` are the values of
+        this class's first fields. An unknown keyword is an InputError with the allowed names.
         """
         parameters = signature(function).parameters.values()
         option_names = [
@@ -136,7 +139,7 @@ class MarchRequest:
 
     @property
     def n_kept_periods(self) -> int:
-        """Number of load periods that are recorded."""
+        """Number of last load periods to record: ``record_periods``, at most ``periods``."""
         return min(self.record_periods or self.periods, self.periods)
 
     @property
@@ -146,13 +149,16 @@ class MarchRequest:
 
     @cached_property
     def start_state(self) -> tuple[np.ndarray, ...]:
-        """Displacement and velocity (n_local,) at time 0, with friction also the sticking places
-        (n_pairs,) [m] if they are given."""
+        """Displacement [m] and velocity [m/s] at time 0, (n_local,) each.
+
+        With friction a third array (n_pairs,) [m] may follow: the tangential gaps at which pairs
+        stick. Without the third array, pairs stick at the initial tangential gaps.
+        """
         return make_initial_state_parts(self.structure, self.contact, self.initial)
 
     @cached_property
     def recorded_dofs(self) -> np.ndarray:
-        """Dofs that this rank records; all dofs if the structure is reduced."""
+        """Global dofs recorded by this rank; all coordinates if the structure is reduced."""
         first_dof = self.structure.first_dof
         end_dof = first_dof + self.structure.n_local
         own_dofs, whole_structure = np.arange(first_dof, end_dof), self.structure.whole
@@ -165,7 +171,7 @@ class MarchRequest:
 
     @cached_property
     def loaded_dofs(self) -> np.ndarray:
-        """Local dofs of this rank under load: (n_loaded,)."""
+        """Local indices of this rank's dofs with a load: (n_loaded,)."""
         return np.flatnonzero(np.any(self.structure.force, axis=0))
 
     @cached_property
@@ -189,13 +195,13 @@ class MarchRequest:
 
     @property
     def is_rigid(self) -> bool:
-        """True if the law is rigid, without penetration."""
+        """True if the contact law is rigid (UnilateralConstraint), False for a penalty law."""
         return is_rigid(self.contact)
 
 
 @dataclass(frozen=True, repr=False)
 class TimeHistory(ObservedMotion, Tabular):
-    """Last periods of a motion from direct time integration.
+    """Result of a direct time integration: the last load periods of the motion.
 
     Attributes
     ----------
@@ -204,14 +210,15 @@ class TimeHistory(ObservedMotion, Tabular):
     gap : (n, n_pairs) [m]
         g = B^T u - g0; g > 0: penetration.
     settled : float
-        Larger relative change over the last period, of the gaps and of the displacement at the
-        load. A small number says that the motion repeats with the load. The reference is the moving
-        part: means over the period count no more than all else.
+        Relative change from the last period but one to the last, the larger one of gaps and
+        displacement at the load. A small number says: the motion repeats with the load. The
+        reference is the root sum of squares; a mean over the period counts at most as much as the
+        oscillation. Infinite after a single period.
     created_energy : float
-        Net energy created, relative to the energy put in by the load and the initial state. Central
-        differences: contact that opens and closes between steps creates it, and it vanishes like
-        dt^2. Exponential steps: the energy missing in the balance after the last period.
-        Negative: lost energy. With a constraint impacts lose energy at any step size.
+        Net energy created by the scheme, relative to the energy from the load and the initial
+        state. Central differences create energy at contact changes between steps; the error
+        vanishes like dt^2. For exponential steps it closes the energy balance. Negative: lost
+        energy. Under UnilateralConstraint impacts lose energy at any step size.
     periods : int
         Load periods integrated. They are fewer than requested if the motion settled, or if Ctrl-C
         stopped it.
@@ -230,28 +237,29 @@ class TimeHistory(ObservedMotion, Tabular):
     steps_per_period: int
     structure: Structure
     recorded: np.ndarray
-    """(n, n_recorded) [m], displacements of this rank's ``recorded_dofs``."""
+    """Displacements of this rank's ``recorded_dofs``: (n, n_recorded) [m]."""
     recorded_dofs: np.ndarray
     final_state: tuple[np.ndarray, ...]
-    """Displacement [m] and velocity [m/s] (n_local,) at the end of the last period; with friction
-    also the tangential gaps (n_pairs,) [m] at which pairs stick. As ``initial`` it continues the
-    motion, at this frequency or another."""
+    """Displacement [m] and velocity [m/s] (n_local,) at the end of the last period. With friction
+    the tangential gaps (n_pairs,) [m] at which pairs stick follow. Given as ``initial``, the tuple
+    continues the motion, at this frequency or another."""
     contact_force: np.ndarray
-    """(n, n_pairs) [N]; with a constraint the mean force from this instant to the next."""
+    """Contact force of each pair: (n, n_pairs) [N]. Central differences under UnilateralConstraint
+    give the mean force from an instant to the next."""
     tangential_gap: np.ndarray | None = None
-    """Tangential gap with friction: (n, n_pairs) [m]."""
+    """Tangential gap of each pair: (n, n_pairs) [m]; None without friction."""
     tangential_force: np.ndarray | None = None
-    """Friction force: (n, n_pairs) [N]."""
+    """Friction force of each pair: (n, n_pairs) [N]; None without friction."""
     friction: float | np.ndarray | None = None
-    """Friction coefficient, one for all pairs or (n_pairs,)."""
+    """Friction coefficient, a number for all pairs or (n_pairs,); None without friction."""
 
     KIND: ClassVar[str] = "time history"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns with a row for each instant.
+        """Return the history as table columns with a row for each instant.
 
-        They are the displacement of the watched dof, the largest opening of the crack faces and
-        their largest contact force.
+        Columns: time [s], displacement of the watched dof [m], largest opening of the crack faces
+        [m] and largest contact force of a pair [N]. Without pairs the last two are missing.
         """
         columns_by_name = {"time": self.time, "displacement": self.displacement()[:, 0]}
         if self.gap.size:
@@ -269,23 +277,24 @@ class TimeHistory(ObservedMotion, Tabular):
         )
 
     def by_period(self, values: np.ndarray) -> np.ndarray:
-        """Fold a record (n, ...) at the load's period: (periods kept, steps_per_period, ...).
+        """Split samples (n, ...) into load periods: (n_periods, steps_per_period, ...).
 
-        The mean over the first axis is the phase average, the standard deviation its spread.
+        n must be a multiple of ``steps_per_period``. The mean over the first axis is the average at
+        each phase of the load.
         """
         n_periods = len(values) // self.steps_per_period
         return values.reshape(n_periods, self.steps_per_period, *values.shape[1:])
 
     @property
     def distance(self) -> float:
-        """Estimate the relative distance between the motion and its limit for long times.
+        """Estimate the relative distance from the last period to the steady motion.
 
-        The gaps and, if recorded, the watched displacement have a distance each, relative to the
-        moving part. The larger one is returned; nan with fewer than three periods kept
-        (collective).
+        The larger distance is returned, of the gaps or, if recorded, of the watched displacement,
+        relative to the oscillation. nan if fewer than three periods are kept (collective).
 
-        The last four periods determine the limit if two Floquet multipliers still decay (minimal
-        polynomial extrapolation; Sidi, Vector Extrapolation Methods, chapter 2).
+        The steady motion is extrapolated from the last four periods. This is exact if two Floquet
+        multipliers still decay (minimal polynomial extrapolation; Sidi, Vector Extrapolation
+        Methods, chapter 2).
         """
         watched_arrays = [
             watched_array[-N_RECORDED_PERIODS:] for watched_array in self._watched_periods
@@ -318,15 +327,15 @@ class TimeHistory(ObservedMotion, Tabular):
         return largest_difference_norm / weight_sum if weight_sum > 0.0 else math.inf
 
     def change(self, periods: int = 1) -> float:
-        """Return the relative change of the motion over the last ``periods`` (collective).
+        """Return the motion's relative change from ``periods`` before to the last (collective).
 
-        The larger change is returned: of the gaps, or of the watched displacement if recorded.
-        ``settled`` is the change over one period.
+        The larger change is returned, of the gaps or, if recorded, of the watched displacement,
+        relative to the oscillation.
 
         Raises
         ------
         InputError
-            At most ``periods`` periods are recorded.
+            ``periods`` is not smaller than the number of recorded periods.
         """
         check_count("periods", periods, 1)
         watched_period_arrays = self._watched_periods
@@ -343,9 +352,9 @@ class TimeHistory(ObservedMotion, Tabular):
 
     @property
     def _watched_periods(self) -> list[np.ndarray]:
-        """Gaps plus clearance, and the watched displacement if recorded (collective).
+        """Gaps without clearance (g + g_0), and the watched displacement if recorded.
 
-        Each array is (n_periods, steps_per_period, n_columns) [m].
+        Each array is (n_periods, steps_per_period, n_columns) [m] (collective).
         """
         watched_arrays = [self.gap + self.structure.clearance]
         with suppress(InputError):
@@ -353,7 +362,9 @@ class TimeHistory(ObservedMotion, Tabular):
         return [self.by_period(watched_array) for watched_array in watched_arrays]
 
     def displacement(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
-        """Return displacements: (n, len(dofs)) [m]; None is the watched dof (collective).
+        """Return recorded displacements at all instants: (n, len(dofs)) [m] (collective).
+
+        ``dofs`` are global dof numbers; None stands for the watched dof.
 
         Raises
         ------
@@ -378,9 +389,11 @@ class TimeHistory(ObservedMotion, Tabular):
         )
 
     def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[Record]:
-        """Yield one record: rows (m, n_local) times the displacement, gaps, forces (collective).
+        """Yield a single record for evaluation: m observed motions, gaps and contact forces.
 
-        Fourier coefficients belong to the last period; at most 10 harmonics, fewer with few steps.
+        A motion is a row of ``rows`` (m, n_local) times the displacement (n_local,). Fourier
+        coefficients are of the last period, up to harmonic 10 or (steps_per_period - 1) // 2
+        (collective).
 
         Raises
         ------
@@ -414,46 +427,52 @@ class TimeHistory(ObservedMotion, Tabular):
 
 
 class PeriodWindow(NamedTuple):
-    """Arrays of one load period, filled by a scheme.
+    """Output arrays of a single load period, written by a scheme's ``fill_period``.
 
-    Rows are instants. ``gap`` [m] and contact ``force`` [N] have a column for each normal gap, with
-    friction also for each tangential one.
+    Rows are the instants. ``gap`` [m] and contact ``force`` [N] are (N, n_rows): a column for each
+    pair's normal gap, then with friction for each tangential gap.
     """
 
     gap: np.ndarray
     force: np.ndarray
     recorded_displacement: np.ndarray
-    """Displacement of the recorded dofs."""
+    """Displacement of the recorded dofs: (N, n_recorded) [m]."""
     displacement_at_load: np.ndarray
-    """Displacement where the load acts."""
+    """Displacement of the loaded dofs: (N, n_loaded) [m]."""
 
 
 class Scheme(ABC):
-    """Integrate one load period after another from time 0, for :func:`march`."""
+    """Interface of a time integration method, called by :func:`march` period by period."""
 
     name: ClassVar[str]
+    """Name in the progress bar and in messages."""
     remedy: ClassVar[str]
-    """Advice to the user if contact creates energy."""
+    """Advice to the user if contact creates energy, for the error message."""
     created_energy_ratio = 0.0
-    """Energy created relative to the energy put in."""
+    """Energy created by the scheme, relative to the energy from load and initial state."""
     petsc_objects: tuple[Any, ...] = ()
     """PETSc objects that are freed after the integration."""
 
     @abstractmethod
     def integrate_and_fill_period(self, window: PeriodWindow, period_number: int) -> None:
-        """Integrate period ``period_number``, from 0 on, fill the window, and sum up the energy."""
+        """Integrate the next load period, fill the window, and update the energy balance.
+
+        ``period_number`` counts from 0. Each call continues from the state at the last call's end.
+        """
 
     @abstractmethod
     def final_state_parts(self) -> tuple[np.ndarray, ...]:
-        """Return the final displacement and velocity (n_local,).
+        """Return the displacement [m] and velocity [m/s] at the end, (n_local,) each.
 
-        With friction the tangential gaps (n_pairs,) [m] at which pairs stick follow.
+        With friction a third array follows: the tangential gaps (n_pairs,) [m] at which pairs
+        stick.
         """
 
     def set_created_energy_ratio(self, created_energy: float, energy_input: float) -> None:
-        """Set ``created_energy_ratio`` from the energies created and put in so far [J].
+        """Set ``created_energy_ratio`` from two energies summed since time 0 [J].
 
-        Raises ConvergenceError if contact has created more than twice the energy put in.
+        ``energy_input`` comes from load and initial state. ConvergenceError if ``created_energy``
+        is not finite or exceeds twice a positive ``energy_input``.
         """
         if energy_input > 0.0:
             self.created_energy_ratio = created_energy / energy_input
@@ -464,9 +483,10 @@ class Scheme(ABC):
 
 
 def march(request: MarchRequest, scheme: Scheme) -> TimeHistory:
-    """Integrate load periods by a scheme until the motion settles (collective).
+    """Integrate load periods by a scheme and return the history (collective).
 
-    The scheme's PETSc objects are freed.
+    The loop ends after the requested periods, if the relative change is below ``settle``, or at
+    Ctrl-C. The scheme's PETSc objects are freed.
     """
     structure, n_kept_periods = request.structure, request.n_kept_periods
     n_steps = request.steps_per_period
@@ -540,7 +560,11 @@ def march(request: MarchRequest, scheme: Scheme) -> TimeHistory:
 
 
 def _largest_relative_change(newest: Sequence[np.ndarray], previous: Sequence[np.ndarray]) -> float:
-    """Return the largest relative change between two periods of the arrays (N, m)."""
+    """Return the largest relative change of several arrays between two periods.
+
+    ``newest`` and ``previous`` hold samples (N, m) of the same quantities. Each difference is
+    divided by the size from :func:`_moving_part_sizes`.
+    """
     compared_parts_and_sizes = zip(newest, previous, _moving_part_sizes(newest), strict=True)
     return max(
         float(np.linalg.norm(newest_part - previous_part)) / size
@@ -549,11 +573,12 @@ def _largest_relative_change(newest: Sequence[np.ndarray], previous: Sequence[np
 
 
 def _moving_part_sizes(period_arrays: Sequence[np.ndarray]) -> list[float]:
-    """Return the size of the moving part of each array (N, m) over a period.
+    """Return a reference size for the changes of each array (N, m) over a period.
 
-    Means count no more than all else, because a clearance or a steady load may make them large. The
-    size is infinite if the array is rounding error beside the largest one, so that its changes do
-    not count. An example are the gaps of rigid crack faces that stay closed.
+    The size is the root sum of squares, in which the mean over time counts at most as much as the
+    oscillation: a steady load must not hide changes. The size is infinite, and changes do not
+    count, if the array is below ``NEGLIGIBLE`` times the largest size. An example are the gaps of
+    rigid crack faces in permanent contact.
     """
     motion_sizes = [motion_size(period_array) for period_array in period_arrays]
     return [size if size > NEGLIGIBLE * max(motion_sizes) else math.inf for size in motion_sizes]
@@ -562,10 +587,10 @@ def _moving_part_sizes(period_arrays: Sequence[np.ndarray]) -> list[float]:
 def make_initial_state_parts(
     structure: Structure, contact: ContactLaw, initial: Initial
 ) -> tuple[np.ndarray, ...]:
-    """Return displacement and velocity (n_local,) at time 0 (collective).
+    """Return displacement [m] and velocity [m/s] at time 0, (n_local,) each (collective).
 
-    ``initial`` is a solution, a tuple of arrays, or None for rest. With friction the sticking
-    places (n_pairs,) [m] follow if they are known.
+    ``initial`` is a solution or a run, a tuple of arrays, or None for rest. With friction a third
+    array (n_pairs,) [m] follows if ``initial`` has one: the tangential gaps at which pairs stick.
 
     Raises
     ------
