@@ -306,7 +306,7 @@ def _graded_columns_and_rows(
 ) -> tuple[list[ElementInterval], list[ElementInterval]]:
     """Divide a plate into block columns and rows with short elements at tips and cracks.
 
-    ``crack_spans`` are the left and right ends of each crack, ``crack_heights`` the heights of the cracks [m].
+    ``crack_spans`` are the left and right ends of each crack, ``crack_heights`` their heights [m].
     """
     (width, height), element_size = scene.geometry.sides, scene.mesh.given("size")
     if not crack_spans:

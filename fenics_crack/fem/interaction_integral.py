@@ -302,8 +302,8 @@ def _weighted_singular_field(
     """Return the field w = q s at nodes ``points`` (n, 2) [m]: (n, 2).
 
     q is the weight, and s the derivative ahead of the crack of the displacement with K = 1 in
-    ``mode`` 0 (K_I) or 1 (K_II). At the tip w is 0. Outward ``outward_normals`` (n, 2), 0 off the crack
-    faces, tell the upper from the lower face.
+    ``mode`` 0 (K_I) or 1 (K_II). At the tip w is 0. ``outward_normals`` (n, 2), 0 off the
+    crack faces, tell the upper from the lower face.
     """
     offsets_from_tip = points - tip.point
     r = np.linalg.norm(offsets_from_tip, axis=1)

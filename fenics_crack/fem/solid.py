@@ -282,9 +282,9 @@ def _run_mesher(
 ) -> dict[str, np.ndarray]:
     """Run ``solid_mesher.py`` on a CAD file in a separate process.
 
-    ``mesher_request`` and result are as in :func:`fenics_crack.fem.solid_mesher.read`. InputError if the
-    file is unusable, or the mesher takes more than 600 s or 8 GiB; ``scene`` gives the value of a
-    refused key in the message.
+    ``mesher_request`` and result are as in :func:`fenics_crack.fem.solid_mesher.read`. InputError
+    if the file is unusable, or the mesher takes more than 600 s or 8 GiB; ``scene`` gives the value
+    of a refused key in the message.
     """
     with report_read_errors(
         "geometry.file", path, "a CAD file with a part that gmsh can read and mesh"

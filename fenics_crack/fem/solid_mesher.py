@@ -383,7 +383,8 @@ def insert_cracks(
             (crack for crack, front in zip(cracks, fronts, strict=True) if not front["curves"]),
             cracks[-1],
         )
-        raise Refusal(f"{crack['key']}.{crack['shape']}", "such that the crack does not cut the" " part in two, and crosses no other crack")  # fmt: skip
+        requirement_text = "such that the crack does not cut the part in two, and crosses no other"
+        raise Refusal(f"{crack['key']}.{crack['shape']}", requirement_text)
     cracks_rims_and_fronts = [*zip(cracks, children[1:], rims, fronts, strict=True)]
     for crack_index, (crack, surface_dim_tags, rim, front) in reversed(
         [*enumerate(cracks_rims_and_fronts)]
@@ -524,8 +525,9 @@ def _check_front_and_ligament_exist(
         initial=np.inf
     )
     if shortest_ligament < MIN_LIGAMENT_IN_ELEMENTS * shortest_length:
-        n_elements = shortest_ligament / shortest_length
-        raise Refusal(point_key, "farther from the surface: a part of the crack front is only" f" {n_elements:.2g} element lengths away")  # fmt: skip
+        distance_text = f"{shortest_ligament / shortest_length:.2g} element lengths away"
+        requirement_text = f"farther from the surface: a part of the front is only {distance_text}"
+        raise Refusal(point_key, requirement_text)
 
 
 def estimate_bulk_and_front_cells(size: float, fronts: list[FrontData]) -> tuple[float, float]:
