@@ -443,7 +443,7 @@ def _graded_count_and_ratio(
 ) -> tuple[int, float]:
     """Return number and length ratio of geometrically growing elements on a ``length``.
 
-    The elements grow from about ``min_length`` to about ``max_length``, at most half of interval.
+    The elements grow from about ``min_length`` to about ``max_length``, at most half of the interval.
     """
     if min_length >= max_length:
         return math.ceil(interval_length / max_length), 1.0
