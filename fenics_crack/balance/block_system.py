@@ -141,10 +141,7 @@ class BlockSystem(Snes):
             :, slice(*jacobian.getOwnershipRange())
         ]
         self.rounding = residual_rounding(10.0 * jacobian.norm() / math.sqrt(linear_coo.shape[1]))
-        """Minimum tolerance for the relative residual |F| / |x|.
-
-        Rounding alone leaves about a tenth.
-        """
+        """Minimum tolerance for the residual |F| / |x|; rounding alone leaves about a tenth."""
         super().__init__(jacobian, history)
         preconditioner = self._snes.getKSP().getPC()
         if preconditioner.getType() == "lu" and preconditioner.getFactorSolverType() == "mumps":

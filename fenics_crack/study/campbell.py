@@ -540,9 +540,7 @@ def campbell(
     >>> diagram = fc.campbell(blade, [0.0, 150.0, 300.0], count=2)
     """
     if scene.disk is not None:
-        requirement_text = (
-            "left out for a Campbell diagram; fc.nodal_diameters gives frequencies of bladed disks"
-        )
+        requirement_text = "left out here; fc.nodal_diameters gives frequencies of bladed disks"
         raise InputError("disk", "a table", requirement_text)
     scene.given("rotation")
     _, rotation_axis = scene.axis_point_and_direction
