@@ -222,7 +222,7 @@ TABLE = [
     ("solve scene.toml crack.length=none crack.first_omega=2000", "crack.length is missing: give a finite number > 0 [m]; a grid cannot have crack.first_omega"),
     ("solve scene.toml geometry.thickness=none", "geometry.thickness is missing: give a finite number > 0 (1e-30 to 1e+30) [m]"),
     ("solve scene.toml mesh.columns=none mesh.rows=none mesh.layout=file mesh.file=missing.msh geometry.width=none geometry.height=none", "crack.edge = 'left': not allowed with mesh.layout = 'file'"),
-    ("curve scene.toml curve=none", "curve is missing: give a table [curve] with start, stop, which this command, as a table [curve]"),
+    ("curve scene.toml curve=none", "curve is missing: give a table [curve] with start, stop, which this command needs"),
     ("curve scene.toml crack=none", "crack is missing: give a table [crack], which this command needs"),
     ("curve scene.toml contact.law=unilateral contact.stiffness=none", "contact.law = 'unilateral': must be 'penalty' or 'smoothed' for a curve; or set reduction.method = 'massless'"),
     ("curve scene.toml curve.parameter=load curve.start=-1 curve.stop=1", "curve.start, curve.stop = (-1.0, 1.0): must be both > 0 or both < 0, as without clearance the motion vanishes at 0"),

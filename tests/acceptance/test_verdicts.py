@@ -45,7 +45,7 @@ def test_orbit_by_shooting(name: str) -> None:
     solution = solved(name)
     shot_orbit, orbit = fc.shoot(solution.structure, solution), judged.orbit_of(solution)
     assert np.linalg.norm(shot_orbit.gap - orbit.gap) < 1e-8 * np.linalg.norm(orbit.gap)
-    assert shot_orbit.n_events == orbit.n_events and shot_orbit.residual < 1e-9
+    assert shot_orbit.n_events == orbit.events and shot_orbit.residual < 1e-9
     assert np.abs(shot_orbit.multipliers[0]) == pytest.approx(
         np.abs(orbit.multipliers[0]), rel=1e-8
     )

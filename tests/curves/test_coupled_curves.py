@@ -195,7 +195,7 @@ def test_what_is_refused(plate: fc.Structure) -> None:
     """One error names the argument, and what helps."""
     nothing = fc.reduce_structure(chain(n=6, pairs=1), modes=6, method="massless")
     for structure, parameter, key, value, names in (
-        (oscillator(), "omega", "contact", RIGID, 'method="massless"'),
+        (oscillator(), "omega", "contact", RIGID, "method='massless'"),
         (plate, "stiffness", "parameter", "stiffness", None),
         (nothing, "omega", "contact law", "unilateral", None),
     ):

@@ -75,7 +75,7 @@ def test_verdicts_are_those_of_the_orbits(curve: fc.ResponseCurve) -> None:
     assert [*(np.array(sizes) < 1.0)] == [*curve.stable] and not curve.undecided.any()
     assert curve.reason(0) == ""
     on_circle = replace(curve, multipliers=np.exp(1j * np.linspace(0.0, 1.0, len(curve))))
-    assert set(on_circle.verdicts) == {"undecided"} and "multiplier is 1" in on_circle.reason(3)
+    assert set(on_circle.verdicts) == {"undecided"} and "modulus 1" in on_circle.reason(3)
 
 
 def test_bifurcations_are_exact(curve: fc.ResponseCurve) -> None:

@@ -256,7 +256,7 @@ def test_failure_names_the_closest_residual() -> None:
     solution = fc.solve_harmonic_balance(oscillator(), 1.0, fc.UnilateralPenalty(1.0), harmonics=5)
     catch_error(
         lambda: fc.shoot(oscillator(), solution, tolerance=-1.0),
-        names=r"closest (0\.0e\+00|\d\.\de-1[2-9])",
+        names=r"residual is (0\.0e\+00|\d\.\de-1[2-9])",
         kind=fc.ConvergenceError,
     )
 

@@ -456,7 +456,7 @@ def test_resonance_needs_damping() -> None:
         scene = plate(drive="resonance").replace({"damping.ratio": ratio} | SMOOTH)
         catch_error(
             partial(fc.grow, scene, comm=MPI.COMM_SELF),
-            names=rf"damping = {ratio}: .*at_resonance",
+            names=rf"damping = {ratio}: .*resonance",
             kind=fc.ConvergenceError,
         )
 

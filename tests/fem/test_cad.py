@@ -269,7 +269,7 @@ def test_a_load_near_the_surface(parts: Path) -> None:
     structure = fc.build_structure(scene, MPI.COMM_SELF)
     remarks = [str(remark) for remark in remarks_on_scene(scene, structure)]
     assert any(
-        "the force acts on the nearest one, at (0, 0.09, 0.003)" in remark for remark in remarks
+        "the force acts on the nearest node, at (0, 0.09, 0.003)" in remark for remark in remarks
     )
     assert np.count_nonzero(structure.force[2]) == 1
     catch_error(

@@ -392,7 +392,7 @@ def test_a_damaged_case_is_computed_again(swept: SweepResult, home: Path, name: 
     if name == "state":
         assert same(SweepResult.load(path).columns, swept.columns)
         return
-    catch_error(lambda: SweepResult.load(path).gap(1), "path", names="the command sweep")
+    catch_error(lambda: SweepResult.load(path).gap(1), "path", names="run the same command again")
     resumed_sweep = run_sweep(swept.scene, path, MPI.COMM_SELF)
     assert resumed_sweep.complete and np.array_equal(resumed_sweep["response"], swept["response"])
     assert np.array_equal(resumed_sweep.gap(1), swept.gap(1))

@@ -89,7 +89,7 @@ def test_page_names_what_is_missing(tmp_path: Path, run_command: RunCommand) -> 
     page = "".join(
         run_command("solve", str(tmp_path / "twisted.toml"), *changes, "--output", str(tmp_path))
     )
-    assert "K_II_max, K_III_max: error due to the friction not included: that at the" in page
+    assert "K_II_max, K_III_max: error due to the friction not included: the effect of" in page
     rows = {row["name"]: row for row in json.loads((tmp_path / "solution.json").read_text())}
     for name in ("K_II_max", "K_III_max"):
         assert rows[name]["error [%]"] > 0.0
