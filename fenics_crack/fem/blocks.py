@@ -441,9 +441,9 @@ def _graded_interval(
 def _graded_count_and_ratio(
     interval_length: float, min_length: float, max_length: float
 ) -> tuple[int, float]:
-    """Return number and length ratio of geometrically growing elements on a ``length``.
+    """Return number and length ratio of geometrically growing elements on an interval.
 
-    The elements grow from about ``min_length`` to about ``max_length``, at most half of the interval.
+    The elements grow from about ``min_length`` to about ``max_length``, at most half the interval.
     """
     if min_length >= max_length:
         return math.ceil(interval_length / max_length), 1.0
