@@ -412,9 +412,9 @@ class _Sample:
     def compute_folding_chance(self, fit: _OrderFit) -> float:
         """Return the probability that an amplitude is off by over three standard errors.
 
-        The error comes from omitted harmonics. The probability is a mean over their trial sizes,
-        weighted with the likelihood, for the worst amplitude. nan if errors are unknown, without
-        degrees of freedom.
+        The error comes from three omitted harmonics. Each has several trial amplitudes (standard
+        deviations). The probability is the mean over all trials, weighted with their likelihood,
+        for the worst amplitude. nan if ``freedom_within_groups`` is 0: errors are then unknown.
         """
         if self.freedom_within_groups < 1:
             return np.nan
@@ -635,11 +635,11 @@ class ProbeMeans(_Sample):
     def compute_displacement_changes_by_lines(
         self, arrivals: ArrivalTimes, fit: TipFit
     ) -> np.ndarray:
-        """Return how the lines change an order's displacements: (revolutions, probes) [m].
+        """Return displacement changes by other vibrations: (revolutions, probes) [m].
 
-        Lines, in :attr:`lines`, have a constant frequency; ``fit`` is the order's fit. Lines move
-        the blade tip along the order's wave. The wave becomes smaller, and further lines appear at
-        the sums and differences of the frequencies.
+        The vibrations, :attr:`lines` of the spectrum, have constant frequencies. They displace the
+        blade tip, so a probe sees the tip at another angle, with another displacement by the engine
+        order. ``fit`` is the engine order's fit.
         """
         group_angles = np.full(arrivals.time.shape, np.nan)
         group_angles[np.isfinite(arrivals.time)] = self.angles[self._group_indices]

@@ -585,7 +585,8 @@ class Fit:
     def compute_motion(self, record: Record, n_revolutions: int, mode_index: int = 0) -> np.ndarray:
         """Return the displacements by a mode in the whole record: (revolutions, probes) [m].
 
-        The motion of each run extends halfway to the next run. ``record`` has ``n_revolutions``;
+        The fit has a motion for each run, the consecutive revolutions near a resonance. Each motion
+        is continued beyond its run, halfway to the next one. ``record`` has ``n_revolutions``;
         ``mode_index`` counts the fitted modes from 0.
         """
         run_motions = []

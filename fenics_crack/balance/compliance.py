@@ -479,8 +479,9 @@ class ModalCompliance:
 
         It is the derivative of R lambda - g_lin, with the compliance R, contact forces lambda and
         the gap without contact g_lin. ``parameter_name`` is a parameter of :meth:`with_parameters`;
-        "omega" is the response's frequency w. At harmonic k, with the modal impedance Z_k =
-        omega_j^2 - (k w)^2 + i k w d c, the damping factor d and H = Z^-1,
+        "omega" is the response's frequency w. Mode j has the natural frequency omega_j and the
+        modal damping c. At harmonic k, with the damping factor d, the modal impedance Z_k =
+        omega_j^2 - (k w)^2 + i k w d c, and H = Z^-1,
 
             dH = -H dZ H,        dZ_k = (-2 k^2 w + i k d c) dw + i k w c dd.
         """

@@ -507,7 +507,11 @@ class CoupledIntegrals(ContactIntegrals):
 
     @property
     def is_piecewise(self) -> bool:
-        """True if the forces are piecewise linear in the slow gap: penalty law or constraint."""
+        """True if the contact forces are piecewise linear in the slow gap.
+
+        The law is then a penalty law or a constraint. The slow gap is the gap plus residual
+        flexibility times contact force.
+        """
         return is_unilateral(self.law)
 
     @property

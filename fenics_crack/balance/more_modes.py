@@ -99,8 +99,9 @@ def modal_truncation_errors(
 ) -> GapAndDisplacementErrors:
     """Return modal truncation errors from changes between a structure and its reference.
 
-    The reference is a reduction with more modes. The changes of gap and displacement are divided by
-    the share of truncated modes that it has, and limited to 1.
+    The reference is a reduction with more modes. It removes the fraction
+    :attr:`ReducedStructure.share` of the truncation error; the fraction is 1 for other structures.
+    Each change, of gap and displacement, is divided by the fraction and limited to 1.
     """
     reference_share = structure.share if isinstance(structure, ReducedStructure) else 1.0
     return min(gap_and_displacement_changes[0] / reference_share, ERROR_IF_UNKNOWN), min(

@@ -170,9 +170,9 @@ class Problem:
     subharmonic : int
         The response has this many times the load's period.
     static_above : float, optional
-        Modes of higher frequencies [rad/s] respond quasi-statically to the harmonics of the contact
-        force above H. Default: 2 H times the base frequency if with it all pairs have a residual
-        flexibility; else no mode does.
+        Frequency [rad/s]. Modes of higher frequencies respond quasi-statically to the harmonics of
+        the contact force above H, if the problem has a :attr:`residual_compliance`; else no mode
+        does. Default: 2 H times the response's frequency.
 
     Raises
     ------

@@ -134,7 +134,7 @@ def report_read_errors(key: str, path: object, requirement_text: str) -> Iterato
     ----------
     key, path
         Name of the option or argument with the file, and the file.
-    requirement : str
+    requirement_text : str
         Description of an allowed file, for the error.
     """
     try:

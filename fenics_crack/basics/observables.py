@@ -229,10 +229,11 @@ def observable_names(
 def read_observables(
     place: Place, place_object: Any, excluded_flags: ObservableFlag = IN_FILES_ONLY
 ) -> dict[str, float]:
-    """Return the numbers at a place by observable name.
+    """Return the numbers of all observables at a place, by observable name.
 
-    ``place_object`` is the argument of :attr:`Observable.read_number` at this place. Observables
-    with any of the ``excluded_flags`` are left out.
+    ``place`` is for example ``Place.TIPS`` (crack tips) or ``Place.CLAMP``. ``place_object`` holds
+    the results there; each :attr:`Observable.read_number` takes a number from it. Observables with
+    any of the ``excluded_flags`` are left out.
     """
     names = observable_names(place, excluded_flags=excluded_flags)
     return {name: float(OBSERVABLES_BY_NAME[name].read_number(place_object)) for name in names}

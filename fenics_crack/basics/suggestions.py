@@ -433,8 +433,13 @@ def convert_to_unit_or_none(text: str, unit: str) -> float | None:
 def yield_candidate_values(value: object, unit: str) -> Iterator[object]:
     """Yield values that may be meant by a wrong value of a scene's key.
 
-    A text yields a number in ``unit`` or None, the whole number if it is one, and a list of
-    numbers. A list yields a list of numbers; texts in it that are no numbers become None.
+    A text yields, in turn:
+
+    - its number, a float in ``unit``; None if the text is no number,
+    - the same number as int, if it is whole,
+    - a list of the numbers between its commas; None for entries that are no numbers.
+
+    A list yields a list in which texts are converted in the same way.
     """
     if isinstance(value, str):
         number = convert_to_unit_or_none(value, unit)

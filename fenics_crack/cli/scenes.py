@@ -269,9 +269,9 @@ def _resonance_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[st
 
 
 def _rotation_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
-    """Return the rotor speed, and the crack opening by rotation, by label.
+    """Return the values for a rotating structure as {label: value}; empty without rotation.
 
-    Without rotation, the dict is empty.
+    The values are the rotor speed, and the crack opening due to centrifugal forces and mean load.
     """
     if scene.speed == 0.0:
         return {}

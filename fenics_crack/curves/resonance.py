@@ -231,8 +231,9 @@ def _refined_point_and_error(
 
     - The change from half as many harmonics: relative change of the amplitude, plus the amplitude
       loss due to the frequency shift, 2 (shift / half-power width)^2.
-    - The exact flow's prediction for the displacement. Many harmonics may change nothing until a
-      harmonic meets a mode.
+    - The displacement's relative error by omitted harmonics, predicted with the exact motion.
+      This error matters because many further harmonics may change nothing until a harmonic meets a
+      mode.
 
     Returns
     -------

@@ -200,7 +200,7 @@ def _velocity_change_by_contact(
     ----------
     step_times_stiffness : (..., n_pairs, 1), or (..., n_pairs, n_pairs) if pairs are coupled
         Step length h times contact stiffness kappa.
-    displacement : (..., n_modes, k)
+    modal_displacement : (..., n_modes, k)
         Modal displacements q; P^T takes them to the gaps.
 
     Returns

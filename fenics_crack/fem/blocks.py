@@ -230,7 +230,7 @@ def _intervals_with_equal_elements(
 ) -> list[ElementInterval]:
     """Divide a side into equal elements, and cut it into intervals at given positions.
 
-    ``extent`` [m] is the side's length; ``cuts`` [m] lie on grid lines.
+    ``side_length`` and ``cut_positions`` are in metres; the positions lie on grid lines.
     """
     position_by_grid_line = {
         round(cut_position / side_length * n_elements): cut_position
@@ -443,7 +443,8 @@ def _graded_count_and_ratio(
 ) -> tuple[int, float]:
     """Return number and length ratio of geometrically growing elements on an interval.
 
-    The elements grow from about ``min_length`` to about ``max_length``, at most half the interval.
+    The elements grow from about ``min_length`` to about ``max_length``, at most half the
+    interval.
     """
     if min_length >= max_length:
         return math.ceil(interval_length / max_length), 1.0

@@ -270,7 +270,7 @@ def points_on_both_sides(
         Point on the crack.
     distance_to_crack, front_distance : float [m]
         Distance from the point to the crack, and to the tip or front.
-    normal : (d,)
+    crack_normal : (d,)
         Normal of the crack at the point, in either direction and of any length.
     crack_size : float [m]
         Extent of the crack. The results are 1e-3 of this size from the point.
@@ -634,7 +634,7 @@ def split_cracks(
     Returns
     -------
     nodes : (n_cells, k) int
-        Nodes of the cells. Cells above a crack have new nodes, numbered from ``n_nodes``.
+        Nodes of the cells. Cells above a crack have new nodes, numbered after the old ones.
     copied_nodes : (n_new,) int
         Original of each new node.
     lips : (m', 2, k) int

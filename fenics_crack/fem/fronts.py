@@ -868,8 +868,8 @@ class _IntegrationDomain:
         """Differentiate the cells' quadratic basis functions N_a: (n, 10, 4, 3) [1/m].
 
         The result D has grad N_a = sum_b D_ab lambda_b, with the barycentric coordinates lambda_b.
-        a follows the cell's nodes, b the order of ``corner_positions``. ``cell_index`` (n,) selects
-        cells.
+        a follows the cell's nodes, b the order of ``corner_positions``. ``cell_indices`` (n,)
+        selects cells.
         """
         inverse_corner_order = self.corner_order[cell_indices].argsort(axis=1)
         barycentric_gradients = np.take_along_axis(
@@ -1123,7 +1123,7 @@ class _IntegrationDomain:
 
         Parameters
         ----------
-        cell_index : (n,) int
+        cell_indices : (n,) int
             Cells.
         rule_points : (m, 4)
             Barycentric coordinates lambda_b of the integration points.

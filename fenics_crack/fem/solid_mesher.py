@@ -685,8 +685,8 @@ def straighten_edges(
 ) -> tuple[np.ndarray, int]:
     """Straighten the edges of cells at crack fronts, and of nearly folded cells.
 
-    ``contents`` are arrays of :func:`collect_groups` for quadratic tetrahedra. Middle nodes move to
-    the middle of the edge.
+    ``array_by_name`` has the arrays of :func:`collect_groups` for quadratic tetrahedra. Middle
+    nodes move to the middle of the edge.
 
     Returns
     -------

@@ -96,9 +96,9 @@ def to_json_text(value: Any, dataset_name: str, array_by_name: Datasets) -> str:
 
 
 def _is_array_without_words(value: Any) -> bool:
-    """Return True for a NumPy array unless it holds words.
+    """Return True for a NumPy array without text, to be saved as an HDF5 dataset.
 
-    An array with words may have more dimensions than an HDF5 dataset can.
+    Arrays with text are saved as JSON.
     """
     return isinstance(value, np.ndarray) and value.dtype.kind != "U"
 

@@ -411,7 +411,7 @@ def _store_dof_rows(
         Numbers of the dofs.
     flexibility : ResidualFlexibility
         Static flexibility without the modes of the receptance.
-    factor : Factor, optional
+    stiffness_factor_or_none : Factor, optional
         Factor of the stiffness. Default: it is computed.
     """
     dofs_from_first_owned = dofs - structure.first_dof
@@ -508,9 +508,9 @@ class ResidualFlexibility:
 
         Parameters
         ----------
-        factor : Factor
+        stiffness_factor : Factor
             Factor of the stiffness.
-        columns : (n_local, m)
+        force_columns : (n_local, m)
             Y, sparse forces.
 
         Returns

@@ -181,8 +181,11 @@ def _reduce_massless(
     The reference, which estimates the error, has twice the modes, or ten more if that is larger. At
     most it has n_dofs - n_pairs modes, so that each pair keeps a static part. If this limit leaves
     a pair more than half of its residual flexibility, the reference has all modes. A number in
-    ``reference_choice`` is the number of modes instead; False omits the reference. The ``share`` of
-    the truncation error that the reference removes is measured by the inertia of truncated modes.
+    ``reference_choice`` is the number of modes instead; False omits the reference.
+
+    The reference removes a fraction of the truncation error, the attribute ``share``. The fraction
+    is 1 - J_r / J, with the inertia J (J_r) of the modes beyond ``n_kept`` (beyond the reference).
+    It is at most 0.5 unless the reference has all modes.
 
     InputError: ``n_kept`` modes leave out a rigid-body motion.
     """
@@ -302,7 +305,7 @@ def _regular_stiffness_factor(
 ) -> Iterator[Factor]:
     """Yield a factor of the stiffness, shifted if it is singular.
 
-    ``factor`` is the factor of the stiffness K, and is yielded if K is regular (``is_held``).
+    If the stiffness K is regular (``is_held``), ``stiffness_factor``, the factor of K, is yielded.
     Otherwise K + s M is factored, with the mass M and the shift s = omega^2 of the tenth mode.
     """
     if is_held:

@@ -507,14 +507,17 @@ class Structure(Coordinates):
         yield displacement
 
     def watched_sector_load_rows(self, structure: Structure, rows: slice) -> np.ndarray:
-        """Return rows of the load on the sector with the watched dof.
+        """Return the load's Fourier coefficients on the sector with the watched dof.
+
+        A structure without sectors returns the whole load.
 
         Parameters
         ----------
         structure : Structure
             This structure, or a reduction of it, whose coordinates are loaded.
         rows : slice
-            Rows of the load.
+            Selects m rows of :attr:`force`: 0 for the mean load, 2k-1 and 2k for the cosine and
+            sine of harmonic k.
 
         Returns
         -------

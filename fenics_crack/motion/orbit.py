@@ -656,10 +656,10 @@ def is_orbit_search_affordable(
 
     - The flow has up to 120 modes, and the load is not too slow (:func:`is_load_too_slow`).
     - The flow has more modes, crack faces have no mass, and ``n_periods`` periods without events
-      need at most 20,000 Taylor pieces.
+      need at most 20,000 Taylor pieces, the intervals with a Taylor series for each motion.
 
-    Large models are not tried if crack faces have mass, and bounce: Newton's method fails from
-    harmonic-balance solutions.
+    With more modes and mass at the crack faces, the result is False: crack faces bounce, and
+    Newton's method fails to converge from harmonic-balance solutions.
     """
     if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
         return not is_load_too_slow(flow, omega, subharmonic)

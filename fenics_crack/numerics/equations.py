@@ -106,9 +106,10 @@ class System(Protocol):
     - ``compiled_equations``: the same equations for the kernel, an :class:`Equations`.
     - ``angle_weights``: weight of each unknown in angles between tangents.
     - ``n_time_means``: number of leading unknowns that are means over time.
-    - ``n_record_entries``: number of entries in a linearisation's ``record``.
-    - ``step_control_values(records)``: values (n, ...) for a step control, from the records (n,
-      n_record_entries) of n points.
+    - ``n_record_entries``: number of entries in :attr:`Linearisation.record`, an array of numbers
+      stored at each point of a path.
+    - ``step_control_values(records)``: values (n, ...) for a step control, computed from the
+      records (n, n_record_entries) of n points.
     - ``rounding(p)``: rounding error of |F| / |x| at the parameter p.
     """
 
@@ -291,10 +292,11 @@ class _PythonCallbackState:
 
 
 def _python_callback(failure_value: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return a decorator to make ``_name`` the kernel's C callback ``python_name``.
+    """Return a decorator to make a Python function a C callback of the kernel.
 
-    An exception must not pass through C: the callback stores the exception in the state, and
-    returns ``failure_value``, as do all later callbacks.
+    The function ``_solve``, for example, becomes the callback ``python_solve``. An exception must
+    not pass through C: the callback stores the exception in the state, and returns
+    ``failure_value``. All later callbacks return their failure values, too.
     """
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:

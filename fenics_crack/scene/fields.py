@@ -742,7 +742,7 @@ class Table:
     def require(self, condition: bool, key: str, requirement_text: str) -> None:
         """Raise InputError for a key unless ``condition`` is true.
 
-        ``requirement`` completes "must be" in the error.
+        ``requirement_text`` completes "must be" in the error.
         """
         if not condition:
             raise InputError(self.full_key(key), getattr(self, key), requirement_text)
@@ -750,7 +750,7 @@ class Table:
     def given(self, key: str, requirement_text: str = "") -> Any:
         """Return the value of a key; raise InputError if it is None.
 
-        ``requirement`` replaces the error's text about allowed values.
+        ``requirement_text`` replaces the error's text about allowed values.
         """
         requirement_text = (
             requirement_text or f"given: {self.field_by_key()[key].metadata['allowed']}"

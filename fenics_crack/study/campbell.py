@@ -772,15 +772,17 @@ def _find_frequencies_and_margins(
     """Find natural frequencies and margins for three states of the crack.
 
     The states are open, shut, and partly open. The frequencies with open crack are the lowest.
-    Those of the other states belong to the same mode shapes, sought among the lowest
-    ``n_bonded_modes``. Pairs pressed at rest are bonded in the state partly open.
+    The frequencies of the other states belong to the same mode shapes, sought among the lowest
+    ``n_bonded_modes``. In the state partly open, only pairs pressed at rest are bonded.
 
     Returns
     -------
     omega : (3, n_modes) [rad/s]
-        Frequencies in the order of HELD_FREQUENCY_KINDS.
-    hold_margins : (3, n_modes) [m], [N]
-        Margins at resonance under the load; positive if the crack stays in this state.
+        Frequencies of the states open, shut, partly open.
+    hold_margins : (3, n_modes)
+        Margin against a change of the state: the smallest over all pairs, at resonance. An open
+        pair has its opening at rest less the amplitude [m]; a bonded pair has its force at rest
+        less the amplitude [N].
     """
     open_modes = solve_modes(structure, n_modes)
     no_pairs_mask = np.zeros(structure.n_pairs, dtype=bool)

@@ -1002,8 +1002,8 @@ class MeasurementPredictor:
 
         Parameters
         ----------
-        damping_ratios : (m, 1)
-            Damping ratios.
+        damping_ratio_of_points : (m, 1)
+            Damping ratio at each of m points, the values of the unknowns.
         feature_values, smoothing_factors : (m, f)
             As in :class:`FeaturePrediction`.
         face_state : CrackFaceState
@@ -1014,7 +1014,8 @@ class MeasurementPredictor:
         predictions : (m, q)
             Predicted values; 0 for displacements and without a prediction.
         complex_slopes : (m, q, f)
-            Slopes t by the smooth forms S: the change of a value is Re sum t dS.
+            Slopes t by the smooth forms S, feature times smoothing factor: the change of a value is
+            Re sum t dS.
         common_errors : (m, q, 1 + modes)
             Errors common to all resonances (column 0), and to the resonances of each mode.
         independent_variances : (m, q)
@@ -1176,9 +1177,11 @@ def _find_harmonic_masks_and_motionless_nodes(
 
 
 def _build_error_group_matrix(features: Sequence[Feature]) -> np.ndarray:
-    """Return which smooth forms share a mesh error: (2f, groups).
+    """Return the group membership of features with a common mesh error: (2f, groups).
 
-    1 for a member of a group (:attr:`Feature.error_group_key`), otherwise 0.
+    Each of the f features, a natural frequency or a harmonic, has two equal rows: for its real and
+    its imaginary part. An entry is 1 if the feature is in the group
+    (:attr:`Feature.error_group_key`), otherwise 0.
     """
     group_keys = list(dict.fromkeys(feature.error_group_key for feature in features))
     group_memberships = [

@@ -495,9 +495,10 @@ class Identification(Tabular):
 
     @property
     def intervals(self) -> dict[str, tuple[float, float]]:
-        """Return the credible interval of each unknown with numbers, by key.
+        """Return lower and upper end of each unknown's credible interval, by key.
 
-        The probability is ``identify.confidence``.
+        Unknowns with text values, as "left" for crack.edge, have no interval. The interval contains
+        the unknown with the probability ``identify.confidence``.
         """
         compute_interval = self.posterior.compute_interval
         probability = self._identify_table.confidence
