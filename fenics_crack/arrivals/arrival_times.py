@@ -248,7 +248,7 @@ class ArrivalTimes(Tabular):
                 f"fit the angle of the probe at {passed_degrees:g} degrees"
             )
             requirement_text = (
-                "the angles of the arrivals; correct swapped probes, or measure finer times"
+                "the angles of the arrivals; correct swapped probes, or take a finer clock"
             )
             raise InputError("probes", problem_text, requirement_text)
 

@@ -626,7 +626,7 @@ class _ExactForces(CoupledForces):
                 raise MemoryError("contact forces")
             if outcome_code != kernel.FOUND:
                 raise ConvergenceError(
-                    "contact: no forces were found at an instant of the period; soften the contact"
+                    "contact: no forces solve the law at an instant; use a smaller stiffness"
                 )
             kernel_evaluator.evaluated_forces = self
         return kernel_evaluator.handle

@@ -828,7 +828,7 @@ class CompiledEquations(Equations):
                 )
             ):
                 raise ConvergenceError(
-                    "contact: no forces were found at an instant of the period; soften the contact"
+                    "contact: no forces solve the law at an instant; use a smaller stiffness"
                 )
             self._last_linearisation_reference = ref(point)
         return self.function_table

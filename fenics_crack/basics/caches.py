@@ -57,7 +57,9 @@ def _set_private_folder(variable_name: str, unusable_path: Path, reason: str) ->
         check_private_folder(private_path, makes_folder=False)
     os.environ[variable_name] = str(private_path)
     # Python prints a warning without a handler.
-    LOGGER.warning("%s is %s; %s is used instead", unusable_path, reason, private_path)
+    LOGGER.warning(
+        "the cache %s is %s; the program uses %s instead", unusable_path, reason, private_path
+    )
 
 
 def check_private_folder(

@@ -67,6 +67,7 @@ DESCRIPTION_BY_CLASS_NAME = {
     "ResponseCurve": "a ResponseCurve, as fc.curve(scene).result",
     "PeriodicSolution": "a PeriodicSolution, as fc.solve(scene).result",
     "Structure": "a Structure, as fc.build_structure(scene) returns",
+    "Amplification": "an Amplification, as fc.amplification(scene) returns",
     "bool": "True or False", "Iterable": "a list of values", "int": "a whole number",
     "float": "a number",
 }  # fmt: skip

@@ -279,7 +279,7 @@ def import_optional(library: str, method: str) -> Any:
 
 MIN_REPORTED_ERROR = 1e-5
 """Relative error below which the text is "less than 0.001 %": tables have six digits."""
-UNITS_WITHOUT_PREFIX = ("", "1", "-", "%", "Hz", "rad/s", "rpm", "rad", "deg", "degrees")
+UNITS_WITHOUT_PREFIX = ("", "1", "-", "%", "Hz", "rad/s", "rpm", "rad", "deg", "degrees", "1/K")
 """Units that are shown without a prefix such as k or m."""
 _PREFIX_BY_EXPONENT = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 

@@ -171,7 +171,7 @@ def grid_convergence(
     if len(np.unique(h)) < len(h):
         raise InputError("sizes", sizes, "different from each other")
     if f.shape != h.shape or not np.all(np.isfinite(f)):
-        raise InputError("values", values, f"{len(h)} finite numbers, one for each size")
+        raise InputError("values", values, f"{len(h)} finite numbers, one for each of sizes")
     ascending_indices = np.argsort(h)
     h, f = h[ascending_indices], f[ascending_indices]
     behaviour, observed_order, exponent = _find_behaviour_and_orders(h, f, formal, highest)

@@ -37,9 +37,9 @@ from fenics_crack.files.store import StoredFile
 from fenics_crack.scene.scene import Scene
 
 DOUBT_TEXT_BY_BEHAVIOUR = {
-    "outside": "the observed order differs from theory, so the factor of safety is 3",
-    "two sizes": "two runs show no order, so theory's order and a factor of safety of 3 are used",
-    "irregular": "the values show no order, so the uncertainty is 3 times their spread",
+    "outside": "runs do not converge with the order of theory: a factor of 3 is stated",
+    "two sizes": "two runs show no order: that of theory and a factor of 3 are stated",
+    "irregular": "runs do not converge: 3 times their spread are stated; refine further",
 }
 """Clause for each doubtful behaviour in :class:`GridConvergence`, printed in warnings."""
 ORDER_TEXT_BY_BEHAVIOUR = {

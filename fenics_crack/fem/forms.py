@@ -120,7 +120,7 @@ def _assemble_parts_and_places(
     _check_space(space)
     check_number("thickness", thickness, 0.0, excludes_bound=True)
     with report_read_errors(
-        "loads", type(loads).__name__, "a tuple (mean, sin, cos), each a linear form or None"
+        "loads", str(loads)[:60], "three entries (mean, sin, cos), each a linear form or None"
     ):
         load_key_form_pairs = zip(LOAD_KEYS, (None,) * 3 if loads is None else loads, strict=True)
         forms_by_key = bilinear_forms | {

@@ -1381,7 +1381,7 @@ def _merge_list_changes(
     if list_position > len(tables) + 1:
         first_changed_key = f"{table_name}.{list_position}.{next(iter(value_by_key))}"
         requirement_text = (
-            f"in {table_name}.{len(tables) + 1}, the next new table, as the scene has "
+            f"in {table_name}.{len(tables) + 1}, the next number, as the scene has "
             f"{len(tables)} tables [[{table_name}]]"
         )
         raise InputError(first_changed_key, next(iter(value_by_key.values())), requirement_text)

@@ -560,7 +560,7 @@ class Identification(Tabular):
         if self.plain is None:
             return (
                 undecided_verdict,
-                "there is no plate without a crack to compare with; for a mesh file, give "
+                "there is no plate without a crack to compare with; name its mesh file in "
                 "identify.uncracked",
             )
         required_p_value = 1.0 - prior_by_key["confidence"]
