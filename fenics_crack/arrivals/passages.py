@@ -467,7 +467,7 @@ def _find_lines_and_motion(
     Parameters
     ----------
     arrivals, displacements : ArrivalTimes, (revolutions, probes) [m]
-        Record, and the displacements to search; nan without an arrival.
+        Arrival times, and the displacements to search; nan without an arrival.
     orders : (n,)
         Candidate orders, the largest of which bounds the frequencies.
     max_lines : int
@@ -1015,7 +1015,7 @@ class _Resonance:
         resonances: Sequence[_Resonance] = (),
         line_fits: tuple[TipFit, ...] = (),
     ) -> PassageFit:
-        """Return the result, with fits of single runs.
+        """Return the result, with a fit for each run through the resonance.
 
         Resonances within 3.5 % in speed are fitted jointly, so that errors include their
         uncertainty.

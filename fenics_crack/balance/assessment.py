@@ -149,8 +149,8 @@ class Assessment:
     def is_load_too_slow(self) -> bool:
         """True if the load is too slow to integrate exact motions.
 
-        Two periods then exceed the budget of Taylor pieces into which a motion is split. Always
-        False for models with more than 120 modes, or without an exact flow.
+        Two periods then need more than 100,000 Taylor pieces, intervals with a single Taylor
+        series. Always False for models with more than 120 modes, or without an exact flow.
         """
         flow, wave = self.flow, self.wave
         return flow is not None and is_load_too_slow(flow, wave.omega, wave.subharmonic)

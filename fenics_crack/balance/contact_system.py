@@ -304,8 +304,9 @@ class ContactSystem:
     def max_contact_stiffness(self, law: ContactLaw) -> float:
         """Return the largest slope of contact forces over slow gaps, for a law [N/m].
 
-        It is the inverse of the smallest eigenvalue of R_inf + I/k, with the residual flexibility
-        R_inf and the contact stiffness k.
+        The slope is the inverse of the smallest eigenvalue of R_inf + I/k, with the residual
+        flexibility R_inf and the contact stiffness k. The slow gap is gap + R_inf lambda, with the
+        contact forces lambda.
         """
         spring_compliance = self._gap_spring_compliances(law)
         min_series_compliance = float(spring_compliance.min())
@@ -547,7 +548,10 @@ class Wave:
 
     @cached_property
     def _integrals(self) -> ContactIntegrals:
-        """Integrals from slow gaps to contact forces, with residual flexibility or friction."""
+        """Integrals from slow gaps to contact forces, with residual flexibility or friction.
+
+        A slow gap is the gap plus residual flexibility times contact force.
+        """
         assert self.contact is not None
         residual_compliance_or_none = self.residual_compliance
         n_gaps = self.structure_with_row_pairs.n_pairs
@@ -655,9 +659,10 @@ class Wave:
     def contact_force(self, time: np.ndarray) -> np.ndarray:
         """Return the normal contact force at times [s]: (len(time), n_pairs) [N].
 
-        The force follows from the law and the gap at each time, with a residual flexibility from
-        the slow gap. A rigid law of uncoupled pairs has eps max(0, g + lambda / eps), with
-        truncated series of gap g and force lambda, and the law's ``weight`` eps.
+        The force follows from the law and the gap at each time. With a residual flexibility R, the
+        force follows from the slow gap g + R lambda. A rigid law of uncoupled pairs has eps max(0,
+        g + lambda / eps), with truncated series of gap g and force lambda, and the law's ``weight``
+        eps.
         """
         return self.gaps_and_forces(time)[1][:, : self.structure.n_pairs]
 

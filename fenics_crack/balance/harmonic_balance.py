@@ -836,9 +836,9 @@ def _solve_with_growing_harmonics(
 def _has_enough_harmonics(solution: PeriodicSolution, tolerance: float) -> bool:
     """Return True if no more harmonics are needed, or allowed.
 
-    The truncation and sampling error meets its share of the tolerance, or there are 500 harmonics.
-    It also stops if the error is unknown with 40 harmonics of the load frequency. With sampled
-    contact forces, more harmonics also mean more samples.
+    True in three cases: the truncation and sampling error meets its part of the tolerance, the rest
+    being for the reduction error; the error is unknown with 40 harmonics of the load frequency; or
+    there are 500 harmonics. With sampled contact forces, more harmonics also mean more samples.
     """
     truncation_and_sampling = solution.report.truncation + solution.report.sampling
     is_error_unknown = (

@@ -107,7 +107,8 @@ class BalanceEquations(CurveSystem):
     def max_force_slope(self) -> float:
         """Largest slope of contact forces over gaps, under the stiffer law of both ends [N/m].
 
-        With a residual flexibility it is the slope over slow gaps, and smaller.
+        With a residual flexibility, the smaller slope over slow gaps: gap plus residual flexibility
+        times contact force.
         """
         laws = (self.problem_at(value).contact for value in (self.start, self.end))
         return max(self.system(self.start).max_contact_stiffness(law) for law in laws)

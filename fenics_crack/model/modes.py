@@ -364,7 +364,7 @@ def _make_eigenvalue_solver(
 ) -> Any:
     """Make SLEPc's solver for ``n_modes`` modes K phi = omega^2 M phi (collective).
 
-    ``prefix`` begins the names of PETSc options that reach the solver.
+    ``option_prefix`` begins the names of PETSc options that reach the solver.
     """
     eigenvalue_solver = import_slepc().EPS().create(structure.comm)
     eigenvalue_solver.setOptionsPrefix(option_prefix)

@@ -385,7 +385,7 @@ class PosteriorBranch:
         return float(RegularGridInterpolator(self.axes, self.grid_log_likelihood)(bounded_x)[0])
 
     def compute_explaining_points_and_shares(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return cracks that explain the measurements, and variance shares by interpolation.
+        """Return cracks that explain the measurements, and variances due to interpolation.
 
         Returns
         -------
@@ -393,7 +393,7 @@ class PosteriorBranch:
             Values of the unknowns, among the first grid and the optima, that explain the
             measurements (:meth:`Likelihood.explains_measurements`).
         (m, d, q)
-            Part of the variance of each measurement, prediction included, by interpolation along
+            Fraction of each measurement's variance, prediction included, due to interpolation along
             each unknown.
         """
         likelihood, explaining_point_arrays = self.likelihood, [np.zeros((0, len(self.axes)))]
