@@ -128,7 +128,7 @@ def _linear_periodic_solution(
 ) -> PeriodicSolution:
     """Return the linear solution, without contact forces, with H = ``harmonics`` (collective).
 
-    Its errors are not estimated.
+    The solution has no estimated errors.
     """
     load_by_harmonic = to_complex(load_coefficients(structure, harmonics, 1))
     displacement_by_harmonic = np.zeros_like(load_by_harmonic)
@@ -360,7 +360,8 @@ def mode_counts_to_try(
 ) -> list[int]:
     """Return the numbers of modes to try one after the other.
 
-    They begin with ``first_modes`` and double up to ``max_modes``, or to the structure's dofs.
+    The numbers begin with ``first_modes`` and double up to ``max_modes``, or to the structure's
+    dofs.
     """
     max_modes = min(max(first_modes, max_modes), structure.n_dofs)
     n_doublings = max(0, math.ceil(math.log2(max_modes / first_modes)))
@@ -481,8 +482,8 @@ def solve_from_neighbour(
 def _allowed_harmonics_error(tolerance: float, reduction_error: float) -> float:
     """Return the error allowed for truncated harmonics and samples.
 
-    It is the tolerance less the modal truncation error ``reduction_error``, at most half the
-    tolerance. If nothing is left, it is half the tolerance.
+    The allowed error is the tolerance less the modal truncation error ``reduction_error``, at most
+    half the tolerance. If nothing is left, it is half the tolerance.
     """
     remaining_error = tolerance - reduction_error
     return min(remaining_error, tolerance / 2.0) if remaining_error > 0.0 else tolerance / 2.0

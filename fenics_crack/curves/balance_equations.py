@@ -94,7 +94,7 @@ class BalanceEquations(CurveSystem):
     def _common_cutoff(self, problem: Problem, start: float, end: float) -> float:
         """Return the frequency above which modes are quasi-static on the whole curve [rad/s].
 
-        It is the larger of the cutoffs at ``start`` and ``end``.
+        The result is the larger of the cutoffs at ``start`` and ``end``.
         """
         return max(self.vary_problem(problem, value).quasi_static_above for value in (start, end))
 
@@ -193,16 +193,16 @@ class BalanceEquations(CurveSystem):
     def n_time_means(self) -> int:
         """Number of unknowns that are means over time.
 
-        They come first: a mean for each pair's normal gap, with friction also for each tangential
-        gap.
+        These unknowns come first: a mean for each pair's normal gap, with friction also for each
+        tangential gap.
         """
         return int(self.shape[1])
 
     def rounding(self, parameter: float) -> float:
         """Return the rounding error |F| / |x| of the residual F, for unknowns x.
 
-        It follows from the largest compliance times the largest contact stiffness, or less with a
-        residual flexibility. ``parameter`` is the path parameter, 0 to 1.
+        The error follows from the largest compliance times the largest contact stiffness, or less
+        with a residual flexibility. ``parameter`` is the path parameter, 0 to 1.
         """
         if self.compiled_equations is not None:
             max_compliance_row_sum = self.compiled_equations.max_dynamic_row_sum(parameter)

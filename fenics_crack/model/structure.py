@@ -240,7 +240,7 @@ Result = TypeVar("Result")
 def shared_property(compute: Callable[[Any], Any]) -> Any:
     """Make a property that is computed once for a structure and its varied copies.
 
-    ``compute`` is a function of the structure. It is called with :attr:`Structure.original`.
+    ``compute`` is a function, called with :attr:`Structure.original`.
     """
     return property(lambda structure: structure.compute_once(compute), doc=compute.__doc__)
 

@@ -388,8 +388,7 @@ class ContactFlow(Flow):
     def estimate_taylor_pieces(self, duration: float) -> float:
         """Return the number of Taylor pieces in a motion of ``duration`` [s] without events.
 
-        A piece has a single Taylor series. The fastest possible mode turns by 10 rad in
-        a piece.
+        A piece has a single Taylor series. The fastest possible mode turns by 10 rad in a piece.
         """
         return float(self.rate_bound * duration / kernel.MAX_PIECE_ANGLE)
 

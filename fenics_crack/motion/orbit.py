@@ -670,8 +670,8 @@ def is_orbit_search_affordable(
 def is_load_too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
     """Return True if two periods need more than 100,000 Taylor pieces.
 
-    A piece is an interval with a single Taylor series. Events are not counted. With
-    more than 120 modes the result is False.
+    A piece is an interval with a single Taylor series. Events are not counted. With more than 120
+    modes the result is False.
     """
     pieces_per_period = flow.estimate_taylor_pieces(2.0 * np.pi * subharmonic / omega)
     return (

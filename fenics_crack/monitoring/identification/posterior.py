@@ -101,7 +101,8 @@ class Likelihood:
     def predict_most_probable(self, x: np.ndarray) -> MeasurementPrediction:
         """Return predictions at values x (d,) of the unknowns.
 
-        They are for the most probable motion of the crack faces: breathing, open or closed.
+        The predictions are for the most probable motion of the crack faces: breathing, open or
+        closed.
         """
         states_with_residuals = self._iterate_state_residuals(x[None])
         return min(
@@ -472,7 +473,7 @@ def _convolve_with_crack_deviations(
 def _build_first_axes(unknown_grid: UnknownGrid) -> list[np.ndarray]:
     """Return equally spaced values of each unknown for the first grid.
 
-    Their number is in :data:`FIRST_GRID_COUNT_BY_DIMENSION`.
+    The number of values is in :data:`FIRST_GRID_COUNT_BY_DIMENSION`.
     """
     n_values = FIRST_GRID_COUNT_BY_DIMENSION.get(len(unknown_grid.axes), 9)
     return [
@@ -799,8 +800,8 @@ class Posterior:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return probability and density over two unknowns: (n_first, n_second) each.
 
-        They are for one choice of text values, ``words_text``. The density is the probability over
-        the prior's.
+        Both results are for one choice of text values, ``words_text``. The density is the
+        probability over the prior's.
         """
         mass_and_prior = (
             self.grid_masses_by_words[words_text],
