@@ -631,8 +631,8 @@ class _ResonanceSearch:
     def _refit_or_drop(self, resonance: _Resonance) -> None:
         """Refit a resonance beside all others, or drop it.
 
-        It is dropped if it is no longer clear (:attr:`_Resonance.is_clear`), or may be the residual
-        of a larger resonance.
+        The resonance is dropped if it is no longer clear (:attr:`_Resonance.is_clear`), or may be
+        the residual of a larger resonance.
         """
         self.add_scaled_motion_to_residuals(resonance, 1.0)
         is_clear = resonance.refit_and_test_clarity(self.record, self.residuals)
@@ -698,8 +698,8 @@ class _ResonanceSearch:
     def _refit_neighbours_until_settled(self) -> None:
         """Refit resonances with overlapping speeds in turn until their frequencies settle.
 
-        They have settled with changes below 0.1 standard errors, at the latest after 5 rounds.
-        :meth:`_refit_or_drop` may drop a resonance.
+        Frequencies have settled with changes below 0.1 standard errors, at the latest after 5
+        rounds. :meth:`_refit_or_drop` may drop a resonance.
         """
         crowded_resonances = [
             resonance for resonance in self.resonances if resonance.list_neighbours(self.resonances)
@@ -886,7 +886,7 @@ class _Resonance:
     def list_neighbours(self, resonances: Sequence[_Resonance]) -> list[_Resonance]:
         """Return the resonances whose fitted speeds overlap with those here.
 
-        These are others within 7 % in speed.
+        Neighbours are other resonances within 7 % in speed.
         """
         return [resonance for resonance in resonances if self.is_near(resonance)]
 

@@ -152,7 +152,7 @@ class ContactIntegrals(ABC):
     def compliance_diagonal(self) -> np.ndarray:
         """Compliance in series with each pair: (n_pairs,), or one number [m/N].
 
-        It is the diagonal of residual flexibility plus contact springs' compliance.
+        The sum of residual flexibility and contact springs' compliance has this diagonal.
         """
         return (
             self.spring_compliance
@@ -231,7 +231,7 @@ def integrals_with_uncoupled_pairs(
 def default_instants_per_period(harmonics: int) -> int:
     """Return the default number of instants for sampled contact forces.
 
-    It is 1024, or the next power of two from 32 H on if that is larger; H is ``harmonics``.
+    The number is 1024, or the next power of two from 32 H on if that is larger; H is ``harmonics``.
     """
     return max(1024, 1 << (32 * harmonics - 1).bit_length())
 

@@ -96,8 +96,9 @@ ResidualDerivativeFunction = Callable[["ContactPoint"], np.ndarray]
 def default_projection_weight(compliance_model: ComplianceModel) -> float:
     """Return the default stiffness of a rigid contact between crack faces with mass [N/m].
 
-    It is the weight eps in the dynamic Lagrangian lambda = eps max(0, g + lambda / eps): the
-    inverse of the largest row sum of static compliance. Raises InputError if the pairs cannot move.
+    The stiffness is the weight eps in the dynamic Lagrangian lambda = eps max(0, g + lambda / eps):
+    the inverse of the largest row sum of static compliance. Raises InputError if the pairs cannot
+    move.
     """
     max_row_sum = float(np.abs(compliance_model.matrices[0]).sum(axis=1).max())
     if not max_row_sum > 0.0:
@@ -211,8 +212,8 @@ class ContactSystem:
     def _gap_spring_compliances(self, law: ContactLaw) -> np.ndarray:
         """Return the compliance of each gap's contact spring: (n_rows,) [m/N].
 
-        It is 1 over the contact stiffness, and 0 for a rigid law. With friction, normal gaps come
-        first, then tangential ones.
+        The compliance is 1 over the contact stiffness, and 0 for a rigid law. With friction, normal
+        gaps come first, then tangential ones.
         """
         return spring_compliances(law, self.shape[1] // (1 if friction_of(law) is None else 2))
 
@@ -524,8 +525,8 @@ class Wave:
     def residual_compliance(self) -> np.ndarray | None:
         """Residual flexibility: (n_rows, n_rows) [m/N], or None without quasi-static modes.
 
-        It is the gaps' quasi-static response to contact forces. Rows are the pairs' normal gaps;
-        with friction their tangential gaps follow.
+        The flexibility is the gaps' quasi-static response to contact forces. Rows are the pairs'
+        normal gaps; with friction their tangential gaps follow.
         """
         if self.static_above is None:
             return None
@@ -685,8 +686,8 @@ class Wave:
     def sticking_places(self, time: np.ndarray) -> np.ndarray:
         """Return the friction sliders' positions at times [s]: (len(time), n_pairs) [m].
 
-        It is the tangential gap less the deformation of the tangential contact spring. A pair that
-        sticks keeps its position. InputError without friction.
+        A position is the tangential gap less the deformation of the tangential contact spring. A
+        pair that sticks keeps its position. InputError without friction.
         """
         self._check_friction()
         assert isinstance(self._integrals, FrictionIntegrals)

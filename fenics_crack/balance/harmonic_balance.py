@@ -544,8 +544,8 @@ def _solve_with_present_modes(
 ) -> PeriodicSolution:
     """Return a solution to a tolerance with the structure's present modes.
 
-    It is an exact orbit if there is an exact flow and an orbit is found. Otherwise harmonics are
-    added.
+    The solution is an exact orbit if there is an exact flow and an orbit is found. Otherwise
+    harmonics are added.
     """
     problem = solver.problem
     flow = exact_flow_or_none(problem.structure, problem.contact)
@@ -646,8 +646,8 @@ def _states_with_more_modes(
 ) -> np.ndarray:
     """Return an orbit's states on a flow with more modes: (32, flow.state_size).
 
-    They belong to 32 equal parts of the period. If the assessment already has an orbit with as many
-    modes as ``flow``, its states are returned; otherwise new modes are added to ``orbit``.
+    The states belong to 32 equal parts of the period. If the assessment already has an orbit with
+    as many modes as ``flow``, its states are returned; otherwise new modes are added to ``orbit``.
     """
     more_modes = assessment.more_modes
     if more_modes and more_modes.orbit and more_modes.flow.n_modes == flow.n_modes:
@@ -785,9 +785,9 @@ def _modal_truncation_errors(
 ) -> tuple[float, float]:
     """Return the modal truncation errors of an orbit.
 
-    They follow from the orbit with more modes, if it is found. Otherwise harmonic balance with 40
-    harmonics of the load frequency computes them. ``solution_with_harmonics`` returns the orbit's
-    series with a given number of harmonics.
+    The errors follow from the orbit with more modes, if that orbit is found. Otherwise harmonic
+    balance with 40 harmonics of the load frequency computes them. ``solution_with_harmonics``
+    returns the orbit's series with a given number of harmonics.
 
     Returns
     -------
@@ -920,7 +920,7 @@ def motion_without_friction(
 ) -> PeriodicOrbit | PeriodicSolution:
     """Return the motion under a law without friction (collective).
 
-    It is the exact orbit, or the harmonic-balance solution if no orbit is accepted.
+    The motion is the exact orbit, or the harmonic-balance solution if no orbit is accepted.
     """
     problem = Problem(structure, omega, law, subharmonic=subharmonic)
     start_problem = problem.with_harmonics(problem.response_harmonics(problem.harmonics))
