@@ -863,9 +863,9 @@ def slide_along_lines(structure: Structure, omega: float, contact: ContactLaw) -
 
         A_i = sum lambda_n,i dg_i dg_i^T,
 
-    with the normal force lambda_n,i of pair i, and the change dg_i of its two tangential gaps. If
-    sliding turns, ``turning`` is the share that friction across the lines would have. It is the
-    root of a ratio: the pairs' second eigenvalues, summed, over the first ones.
+    with the normal force lambda_n,i of pair i, and the change dg_i of its two tangential gaps. The
+    direction of sliding may turn. ``turning`` measures sliding across the lines relative to sliding
+    along them: the root of the pairs' second eigenvalues, summed, over the first ones.
 
     Parameters
     ----------

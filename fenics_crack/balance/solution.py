@@ -202,7 +202,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
     def yield_records_of_row_products(
         self, rows: np.ndarray, instants: int | None = None
     ) -> Iterator[Record]:
-        """Yield the record of the motion at equally spaced instants of the period.
+        """Yield the motion's :class:`Record`, at equally spaced instants of the period.
 
         Parameters
         ----------

@@ -731,8 +731,8 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         """Compute the quantities with each crack's clearance shifted (collective).
 
         The shift [m] of a crack is 0.5 D P. D is the mean step between neighbouring pairs of each
-        pair's extreme gap; P is the range over pairs of the closed share of the period. Without
-        cracks, the dict is empty.
+        pair's extreme gap. P is the range over pairs of the closed time, as a fraction of the
+        period. Without cracks, the dict is empty.
         """
         study = self.study
         balance_solution = self.balance_solution

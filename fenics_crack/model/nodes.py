@@ -255,7 +255,7 @@ class Coordinates:
 
     @property
     def watched_pairs(self) -> dict[str, int]:
-        """Index of one pair of each crack, by the name of its place: {"the mouth": 0}.
+        """Index of one pair for each crack, by the pair's position in words: {"the mouth": 0}.
 
         Without a mesh, the first pair: {"pair 1": 0}. Without pairs, empty.
         """

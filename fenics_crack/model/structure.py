@@ -300,7 +300,7 @@ class Structure(Coordinates):
 
     @cached_property
     def force(self) -> np.ndarray:  # type: ignore[override]
-        """Rows of the load: mean, then cosine and sine part to harmonic K: (2K+1, n_local) [N].
+        """Load's Fourier coefficients, mean, cosine, sine to harmonic K: (2K+1, n_local) [N].
 
         Factors by which the load was varied are included.
         """

@@ -278,7 +278,7 @@ class PeriodicOrbit(ObservedMotion, Described):
     def yield_records_of_row_products(
         self, rows: np.ndarray, instants: int | None = None
     ) -> Iterator[Record]:
-        """Yield the record of the motion over a period.
+        """Yield the motion's :class:`Record` over a period: displacements, gaps and forces.
 
         Between instants the motion is, on each piece of the period, the polynomial through Gauss
         nodes.
