@@ -136,7 +136,8 @@ def find_lines_and_residuals(
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
     """Find significant vibrations with constant frequency, beside constants.
 
-    A constant for each probe, or each place in a period, absorbs vibrations at engine orders.
+    A constant for each probe, or for each probe and revolution in a period of some revolutions,
+    absorbs vibrations at engine orders.
 
     Parameters
     ----------

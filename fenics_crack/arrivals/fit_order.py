@@ -222,8 +222,8 @@ def _fit_best_order(
 def _find_period_in_revolutions(orders: np.ndarray, multiples: np.ndarray) -> int:
     """Return the revolutions after which every probe sees the same motion.
 
-    This is the common period of all products of ``orders`` (n,) and ``multiples`` (K,). InputError
-    if it is above 24 revolutions.
+    The result is the common period of all products of ``orders`` (n,) and ``multiples`` (K,).
+    InputError if it is above 24 revolutions.
     """
     max_allowed_period = 24
     response_orders = np.multiply.outer(orders, multiples).ravel()
@@ -441,7 +441,7 @@ class _Sample:
     def _list_omitted_harmonic_sizes(self, fit: _OrderFit) -> np.ndarray:
         """Return trial standard deviations (n,) [m] of an omitted harmonic.
 
-        They are :data:`FOLDED_SIZE_RATIOS` times the last amplitude of the fit, below
+        The deviations are :data:`FOLDED_SIZE_RATIOS` times the last amplitude of the fit, below
         :attr:`max_allowed_omitted_size`.
         """
         omitted_sizes = np.hypot(*fit.coefficients[-2:]) * FOLDED_SIZE_RATIOS
@@ -1000,9 +1000,9 @@ def _refit_groups_with_omitted_harmonics(
 ) -> dict[int, tuple[_Sample, _OrderFit]]:
     """Repeat the fits of all groups with omitted harmonics.
 
-    Their size, relative to the vibration, is the likeliest in a group and 16 neighbours on either
-    side: few probes in one group do not determine the size. Neighbours with wrong arrivals do not
-    count.
+    The size of omitted harmonics, relative to the vibration, is the likeliest in a group and 16
+    neighbours on either side: few probes in one group do not determine the size. Neighbours with
+    wrong arrivals do not count.
     """
     group_costs, group_fits = [], []
     for sample, fit in sample_fit_by_group.values():

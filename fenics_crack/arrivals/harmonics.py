@@ -256,8 +256,8 @@ class TipFit(HarmonicFit):
     def phases(self, arrivals: ArrivalTimes) -> np.ndarray:
         """Return the angles for :meth:`displacement` at the arrivals: (revolutions, probes) [rad].
 
-        They are rotor angles; for :func:`fit_frequency`, the mean speed times the time since the
-        first mark.
+        The angles are rotor angles; for :func:`fit_frequency`, the mean speed times the time since
+        the first mark.
         """
         if self.order_error:
             return self.speed * (arrivals.time - arrivals.marks[0])

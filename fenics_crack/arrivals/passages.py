@@ -467,7 +467,7 @@ def _find_lines_and_motion(
     Parameters
     ----------
     arrivals, displacements : ArrivalTimes, (revolutions, probes) [m]
-        Record, and the displacements to search; nan without an arrival.
+        Arrival times, and the displacements to search; nan without an arrival.
     orders : (n,)
         Candidate orders, the largest of which bounds the frequencies.
     max_lines : int
@@ -631,8 +631,8 @@ class _ResonanceSearch:
     def _refit_or_drop(self, resonance: _Resonance) -> None:
         """Refit a resonance beside all others, or drop it.
 
-        It is dropped if it is no longer clear (:attr:`_Resonance.is_clear`), or may be the residual
-        of a larger resonance.
+        The resonance is dropped if it is no longer clear (:attr:`_Resonance.is_clear`), or may be
+        the residual of a larger resonance.
         """
         self.add_scaled_motion_to_residuals(resonance, 1.0)
         is_clear = resonance.refit_and_test_clarity(self.record, self.residuals)
@@ -698,8 +698,8 @@ class _ResonanceSearch:
     def _refit_neighbours_until_settled(self) -> None:
         """Refit resonances with overlapping speeds in turn until their frequencies settle.
 
-        They have settled with changes below 0.1 standard errors, at the latest after 5 rounds.
-        :meth:`_refit_or_drop` may drop a resonance.
+        Frequencies have settled with changes below 0.1 standard errors, at the latest after 5
+        rounds. :meth:`_refit_or_drop` may drop a resonance.
         """
         crowded_resonances = [
             resonance for resonance in self.resonances if resonance.list_neighbours(self.resonances)
@@ -886,7 +886,7 @@ class _Resonance:
     def list_neighbours(self, resonances: Sequence[_Resonance]) -> list[_Resonance]:
         """Return the resonances whose fitted speeds overlap with those here.
 
-        These are others within 7 % in speed.
+        Neighbours are other resonances within 7 % in speed.
         """
         return [resonance for resonance in resonances if self.is_near(resonance)]
 
@@ -1015,7 +1015,7 @@ class _Resonance:
         resonances: Sequence[_Resonance] = (),
         line_fits: tuple[TipFit, ...] = (),
     ) -> PassageFit:
-        """Return the result, with fits of single runs.
+        """Return the result, with a fit for each run through the resonance.
 
         Resonances within 3.5 % in speed are fitted jointly, so that errors include their
         uncertainty.

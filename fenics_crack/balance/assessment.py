@@ -149,8 +149,8 @@ class Assessment:
     def is_load_too_slow(self) -> bool:
         """True if the load is too slow to integrate exact motions.
 
-        Two periods then exceed the budget of Taylor pieces into which a motion is split. Always
-        False for models with more than 120 modes, or without an exact flow.
+        Two periods then need more than 100,000 Taylor pieces, intervals with a single Taylor
+        series. Always False for models with more than 120 modes, or without an exact flow.
         """
         flow, wave = self.flow, self.wave
         return flow is not None and is_load_too_slow(flow, wave.omega, wave.subharmonic)
@@ -197,7 +197,7 @@ class Assessment:
     def nearest_orbit(self) -> PeriodicOrbit | None:
         """Nearest exact orbit; None if none was found.
 
-        It is the orbit from which the solution was found, or the end of Newton's method. It may be
+        The solution was found from this orbit, or Newton's method ended there. The orbit may be
         too far away to be accepted (:attr:`is_accepted`).
         """
         return self._orbit_and_acceptance[0]
@@ -206,7 +206,7 @@ class Assessment:
     def is_accepted(self) -> bool:
         """True if the nearest orbit is accepted as the exact form of this solution.
 
-        Its relative distance is then at most 0.1, or 0.5 if crack faces have no mass. An orbit by
+        The relative distance is then at most 0.1, or 0.5 if crack faces have no mass. An orbit by
         Newton's method from the solution must also lie within three times the prediction.
         """
         return self._orbit_and_acceptance[1]
@@ -448,8 +448,8 @@ def _relative_change_at_load(wave: Wave, change: np.ndarray, motion: np.ndarray)
 def relative_gap_distance(wave: Wave, orbit: PeriodicOrbit) -> float:
     """Return the relative distance between a solution's gaps and an orbit's over the period.
 
-    The reference is the vibrating part of the orbit's gaps without clearance. It is 0 if the load
-    presses the crack faces together and only rounding moves them.
+    The reference is the vibrating part of the orbit's gaps without clearance. The result is 0 if
+    the load presses the crack faces together and only rounding moves them.
     """
     orbit_samples = orbit.period_samples
     if are_crack_faces_still(orbit_samples):

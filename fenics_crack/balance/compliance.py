@@ -171,8 +171,8 @@ class DynamicStiffness:
     def pair_compliance_matrix(self) -> np.ndarray:
         """Return the gaps' displacement by unit contact forces: (n_pairs, n_pairs) [m/N].
 
-        It is B^T Z^-1 B, with the dynamic stiffness Z. B takes contact forces to the dofs, B^T
-        displacements to the gaps.
+        The matrix is B^T Z^-1 B, with the dynamic stiffness Z. B takes contact forces to the dofs,
+        B^T displacements to the gaps.
         """
         return self.structure.apply_bt(self.solve(self.structure.gap.T.toarray())).T
 
@@ -407,7 +407,7 @@ class ModalCompliance:
         """Return the contribution of coordinates without mass to the displacement: (2H+1, n_local)
         [m].
 
-        It is quasi-static, under load and contact forces.
+        The contribution is quasi-static, under load and contact forces.
         """
         assert (
             self._all_modes.massless_pair_responses is not None
@@ -477,7 +477,7 @@ class ModalCompliance:
     def residual_derivative(self, parameter_name: str, contact_force: np.ndarray) -> np.ndarray:
         """Return the residual's derivative by a parameter at fixed contact forces: (2H+1, n_pairs).
 
-        It is the derivative of R lambda - g_lin, with the compliance R, contact forces lambda and
+        The residual is R lambda - g_lin, with the compliance R, contact forces lambda and
         the gap without contact g_lin. ``parameter_name`` is a parameter of :meth:`with_parameters`;
         "omega" is the response's frequency w. Mode j has the natural frequency omega_j and the
         modal damping c. At harmonic k, with the damping factor d, the modal impedance Z_k =
@@ -564,7 +564,8 @@ class ModalCompliance:
 class FactoredCompliance:
     """Dynamic compliance of the gaps by a sparse factorisation for each harmonic.
 
-    It is exact. The factors are kept. Further attributes are those of :class:`ModalCompliance`.
+    The compliance is exact. The factors are kept. Further attributes are those of
+    :class:`ModalCompliance`.
 
     Attributes
     ----------

@@ -66,9 +66,10 @@ class ContactForces(ABC):
 
     @abstractmethod
     def force_change(self, gap_change: np.ndarray) -> np.ndarray:
-        """Return the linearised force change by a slow gap's change.
+        """Return the linearised contact force change by a slow gap's change.
 
-        Both are Fourier coefficients (2H+1, n_pairs) [N], [m].
+        Both are Fourier coefficients (2H+1, n_pairs) [N], [m]. The slow gap is the gap plus
+        residual flexibility times contact force.
         """
 
     @abstractmethod
@@ -77,7 +78,8 @@ class ContactForces(ABC):
     ) -> np.ndarray:
         """Return the dense Jacobian I + R T of the harmonic-balance equations.
 
-        R is the compliance, and T the derivative of the contact forces by the slow gap.
+        R is the compliance. T is the derivative of the contact forces by the slow gap, the gap plus
+        residual flexibility times contact force.
 
         Parameters
         ----------
@@ -150,7 +152,7 @@ class ContactIntegrals(ABC):
     def compliance_diagonal(self) -> np.ndarray:
         """Compliance in series with each pair: (n_pairs,), or one number [m/N].
 
-        It is the diagonal of residual flexibility plus contact springs' compliance.
+        The sum of residual flexibility and contact springs' compliance has this diagonal.
         """
         return (
             self.spring_compliance
@@ -229,7 +231,7 @@ def integrals_with_uncoupled_pairs(
 def default_instants_per_period(harmonics: int) -> int:
     """Return the default number of instants for sampled contact forces.
 
-    It is 1024, or the next power of two from 32 H on if that is larger; H is ``harmonics``.
+    The number is 1024, or the next power of two from 32 H on if that is larger; H is ``harmonics``.
     """
     return max(1024, 1 << (32 * harmonics - 1).bit_length())
 
@@ -302,7 +304,8 @@ class ExactIntegrals(ContactIntegrals):
     def closed_stiffness(self) -> np.ndarray:
         """Slope of a closed pair's force by its slow gap: (n_pairs,), or one number [N/m].
 
-        It is 1 over the compliance in series with the pair, softness included.
+        The slow gap is the gap plus residual flexibility times contact force. The slope is 1 over
+        the compliance in series with the pair, softness included.
         """
         return np.asarray(
             1.0 / (self.compliance_diagonal + self.relative_softness * self.mean_pair_compliance)
@@ -378,7 +381,7 @@ def multiply_compliance_and_force(
     """Return the gap response to contact forces, harmonic by harmonic: (2H+1, n_pairs) [m].
 
     ``compliance_matrices`` (H+1, n_pairs, n_pairs) complex [m/N] are the compliance at each
-    harmonic, ``force`` (2H+1, n_pairs) [N] the forces' coefficients.
+    harmonic, ``force_coefficients`` (2H+1, n_pairs) [N] the contact forces' coefficients.
     """
     n_rows, n_pairs = force_coefficients.shape
     compliance_matrices = require_shape(
@@ -556,6 +559,7 @@ class CoupledForces(ContactForces):
     def tangent(self, gap_basis: np.ndarray | None = None) -> np.ndarray:
         """Return the derivative T of the force coefficients by the slow gap coefficients.
 
+        The slow gap is the gap plus residual flexibility times contact force.
         With a basis U (n_pairs, n) of gaps, return U^T T U; else n = n_pairs.
 
         Returns

@@ -96,8 +96,9 @@ ResidualDerivativeFunction = Callable[["ContactPoint"], np.ndarray]
 def default_projection_weight(compliance_model: ComplianceModel) -> float:
     """Return the default stiffness of a rigid contact between crack faces with mass [N/m].
 
-    It is the weight eps in the dynamic Lagrangian lambda = eps max(0, g + lambda / eps): the
-    inverse of the largest row sum of static compliance. Raises InputError if the pairs cannot move.
+    The stiffness is the weight eps in the dynamic Lagrangian lambda = eps max(0, g + lambda / eps):
+    the inverse of the largest row sum of static compliance. Raises InputError if the pairs cannot
+    move.
     """
     max_row_sum = float(np.abs(compliance_model.matrices[0]).sum(axis=1).max())
     if not max_row_sum > 0.0:
@@ -211,8 +212,8 @@ class ContactSystem:
     def _gap_spring_compliances(self, law: ContactLaw) -> np.ndarray:
         """Return the compliance of each gap's contact spring: (n_rows,) [m/N].
 
-        It is 1 over the contact stiffness, and 0 for a rigid law. With friction, normal gaps come
-        first, then tangential ones.
+        The compliance is 1 over the contact stiffness, and 0 for a rigid law. With friction, normal
+        gaps come first, then tangential ones.
         """
         return spring_compliances(law, self.shape[1] // (1 if friction_of(law) is None else 2))
 
@@ -304,8 +305,9 @@ class ContactSystem:
     def max_contact_stiffness(self, law: ContactLaw) -> float:
         """Return the largest slope of contact forces over slow gaps, for a law [N/m].
 
-        It is the inverse of the smallest eigenvalue of R_inf + I/k, with the residual flexibility
-        R_inf and the contact stiffness k.
+        The slope is the inverse of the smallest eigenvalue of R_inf + I/k, with the residual
+        flexibility R_inf and the contact stiffness k. The slow gap is gap + R_inf lambda, with the
+        contact forces lambda.
         """
         spring_compliance = self._gap_spring_compliances(law)
         min_series_compliance = float(spring_compliance.min())
@@ -523,8 +525,8 @@ class Wave:
     def residual_compliance(self) -> np.ndarray | None:
         """Residual flexibility: (n_rows, n_rows) [m/N], or None without quasi-static modes.
 
-        It is the gaps' quasi-static response to contact forces. Rows are the pairs' normal gaps;
-        with friction their tangential gaps follow.
+        The flexibility is the gaps' quasi-static response to contact forces. Rows are the pairs'
+        normal gaps; with friction their tangential gaps follow.
         """
         if self.static_above is None:
             return None
@@ -547,7 +549,10 @@ class Wave:
 
     @cached_property
     def _integrals(self) -> ContactIntegrals:
-        """Integrals from slow gaps to contact forces, with residual flexibility or friction."""
+        """Integrals from slow gaps to contact forces, with residual flexibility or friction.
+
+        A slow gap is the gap plus residual flexibility times contact force.
+        """
         assert self.contact is not None
         residual_compliance_or_none = self.residual_compliance
         n_gaps = self.structure_with_row_pairs.n_pairs
@@ -655,9 +660,10 @@ class Wave:
     def contact_force(self, time: np.ndarray) -> np.ndarray:
         """Return the normal contact force at times [s]: (len(time), n_pairs) [N].
 
-        The force follows from the law and the gap at each time, with a residual flexibility from
-        the slow gap. A rigid law of uncoupled pairs has eps max(0, g + lambda / eps), with
-        truncated series of gap g and force lambda, and the law's ``weight`` eps.
+        The force follows from the law and the gap at each time. With a residual flexibility R, the
+        force follows from the slow gap g + R lambda. A rigid law of uncoupled pairs has eps max(0,
+        g + lambda / eps), with truncated series of gap g and force lambda, and the law's ``weight``
+        eps.
         """
         return self.gaps_and_forces(time)[1][:, : self.structure.n_pairs]
 
@@ -680,8 +686,8 @@ class Wave:
     def sticking_places(self, time: np.ndarray) -> np.ndarray:
         """Return the friction sliders' positions at times [s]: (len(time), n_pairs) [m].
 
-        It is the tangential gap less the deformation of the tangential contact spring. A pair that
-        sticks keeps its position. InputError without friction.
+        A position is the tangential gap less the deformation of the tangential contact spring. A
+        pair that sticks keeps its position. InputError without friction.
         """
         self._check_friction()
         assert isinstance(self._integrals, FrictionIntegrals)

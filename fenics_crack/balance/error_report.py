@@ -406,9 +406,9 @@ def _reduction_errors(
 ) -> GapAndDisplacementErrors:
     """Return the modal truncation errors of gaps and of displacement at the load.
 
-    The equations are solved again with more modes (the reduced structure's reference). The changes
-    are divided by the share of truncated modes that the reference has. Without a reference they are
-    0.
+    The equations are solved again with more modes, in the reduced structure's reference. The
+    reference removes the fraction :attr:`ReducedStructure.share` of the truncation error, and the
+    changes are divided by this fraction. Without a reference both errors are 0.
     """
     more_modes_structure = more_modes_structure_of(wave)
     residual_compliance = point.system.residual_compliance

@@ -123,7 +123,8 @@ class FrictionIntegrals(ContactIntegrals):
     def follow_forces_until_they_repeat(self, gap_samples: np.ndarray) -> tuple[np.ndarray, ...]:
         """Follow contact and friction forces, period after period, until they repeat.
 
-        ``gap_samples`` (n, 2 n_pairs) [m] are the slow gaps at n instants of the period. Raises as
+        ``gap_samples`` (n, 2 n_pairs) [m] are the slow gaps at n instants of the period: gap plus
+        residual flexibility times contact force. Raises as
         :meth:`FrictionContactSolver.solve`.
 
         Returns

@@ -128,7 +128,7 @@ def _linear_periodic_solution(
 ) -> PeriodicSolution:
     """Return the linear solution, without contact forces, with H = ``harmonics`` (collective).
 
-    Its errors are not estimated.
+    The solution has no estimated errors.
     """
     load_by_harmonic = to_complex(load_coefficients(structure, harmonics, 1))
     displacement_by_harmonic = np.zeros_like(load_by_harmonic)
@@ -360,7 +360,8 @@ def mode_counts_to_try(
 ) -> list[int]:
     """Return the numbers of modes to try one after the other.
 
-    They begin with ``first_modes`` and double up to ``max_modes``, or to the structure's dofs.
+    The numbers begin with ``first_modes`` and double up to ``max_modes``, or to the structure's
+    dofs.
     """
     max_modes = min(max(first_modes, max_modes), structure.n_dofs)
     n_doublings = max(0, math.ceil(math.log2(max_modes / first_modes)))
@@ -481,8 +482,8 @@ def solve_from_neighbour(
 def _allowed_harmonics_error(tolerance: float, reduction_error: float) -> float:
     """Return the error allowed for truncated harmonics and samples.
 
-    It is the tolerance less the modal truncation error ``reduction_error``, at most half the
-    tolerance. If nothing is left, it is half the tolerance.
+    The allowed error is the tolerance less the modal truncation error ``reduction_error``, at most
+    half the tolerance. If nothing is left, it is half the tolerance.
     """
     remaining_error = tolerance - reduction_error
     return min(remaining_error, tolerance / 2.0) if remaining_error > 0.0 else tolerance / 2.0
@@ -543,8 +544,8 @@ def _solve_with_present_modes(
 ) -> PeriodicSolution:
     """Return a solution to a tolerance with the structure's present modes.
 
-    It is an exact orbit if there is an exact flow and an orbit is found. Otherwise harmonics are
-    added.
+    The solution is an exact orbit if there is an exact flow and an orbit is found. Otherwise
+    harmonics are added.
     """
     problem = solver.problem
     flow = exact_flow_or_none(problem.structure, problem.contact)
@@ -645,8 +646,8 @@ def _states_with_more_modes(
 ) -> np.ndarray:
     """Return an orbit's states on a flow with more modes: (32, flow.state_size).
 
-    They belong to 32 equal parts of the period. If the assessment already has an orbit with as many
-    modes as ``flow``, its states are returned; otherwise new modes are added to ``orbit``.
+    The states belong to 32 equal parts of the period. If the assessment already has an orbit with
+    as many modes as ``flow``, its states are returned; otherwise new modes are added to ``orbit``.
     """
     more_modes = assessment.more_modes
     if more_modes and more_modes.orbit and more_modes.flow.n_modes == flow.n_modes:
@@ -784,9 +785,9 @@ def _modal_truncation_errors(
 ) -> tuple[float, float]:
     """Return the modal truncation errors of an orbit.
 
-    They follow from the orbit with more modes, if it is found. Otherwise harmonic balance with 40
-    harmonics of the load frequency computes them. ``solution_with_harmonics`` returns the orbit's
-    series with a given number of harmonics.
+    The errors follow from the orbit with more modes, if that orbit is found. Otherwise harmonic
+    balance with 40 harmonics of the load frequency computes them. ``solution_with_harmonics``
+    returns the orbit's series with a given number of harmonics.
 
     Returns
     -------
@@ -836,9 +837,9 @@ def _solve_with_growing_harmonics(
 def _has_enough_harmonics(solution: PeriodicSolution, tolerance: float) -> bool:
     """Return True if no more harmonics are needed, or allowed.
 
-    The truncation and sampling error meets its share of the tolerance, or there are 500 harmonics.
-    It also stops if the error is unknown with 40 harmonics of the load frequency. With sampled
-    contact forces, more harmonics also mean more samples.
+    True in three cases: the truncation and sampling error meets its part of the tolerance, the rest
+    being for the reduction error; the error is unknown with 40 harmonics of the load frequency; or
+    there are 500 harmonics. With sampled contact forces, more harmonics also mean more samples.
     """
     truncation_and_sampling = solution.report.truncation + solution.report.sampling
     is_error_unknown = (
@@ -862,9 +863,9 @@ def slide_along_lines(structure: Structure, omega: float, contact: ContactLaw) -
 
         A_i = sum lambda_n,i dg_i dg_i^T,
 
-    with the normal force lambda_n,i of pair i, and the change dg_i of its two tangential gaps. If
-    sliding turns, ``turning`` is the share that friction across the lines would have. It is the
-    root of a ratio: the pairs' second eigenvalues, summed, over the first ones.
+    with the normal force lambda_n,i of pair i, and the change dg_i of its two tangential gaps. The
+    direction of sliding may turn. ``turning`` measures sliding across the lines relative to sliding
+    along them: the root of the pairs' second eigenvalues, summed, over the first ones.
 
     Parameters
     ----------
@@ -919,7 +920,7 @@ def motion_without_friction(
 ) -> PeriodicOrbit | PeriodicSolution:
     """Return the motion under a law without friction (collective).
 
-    It is the exact orbit, or the harmonic-balance solution if no orbit is accepted.
+    The motion is the exact orbit, or the harmonic-balance solution if no orbit is accepted.
     """
     problem = Problem(structure, omega, law, subharmonic=subharmonic)
     start_problem = problem.with_harmonics(problem.response_harmonics(problem.harmonics))

@@ -99,7 +99,7 @@ def modal_truncation_errors(
 ) -> GapAndDisplacementErrors:
     """Return modal truncation errors from changes between a structure and its reference.
 
-    The reference is a reduction with more modes. It removes the fraction
+    The reference is a reduction with more modes. The reference removes the fraction
     :attr:`ReducedStructure.share` of the truncation error; the fraction is 1 for other structures.
     Each change, of gap and displacement, is divided by the fraction and limited to 1.
     """
@@ -131,8 +131,9 @@ class MoreModes:
     def nearest_orbit_states_with_static_new_modes(self) -> np.ndarray:
         """Nearest orbit's states, with more modes added: (32, flow.state_size).
 
-        They belong to 32 equal parts of the period. New modes respond statically to the load and
-        the contact forces. With mass at the crack faces, the motion is projected on the new modes.
+        The states belong to 32 equal parts of the period. New modes respond statically to the load
+        and the contact forces. With mass at the crack faces, the motion is projected on the new
+        modes.
         """
         orbit_samples, flow = self.nearest_orbit.period_samples, self.flow
         n_orbit_modes = self.nearest_orbit.flow.n_modes

@@ -262,10 +262,11 @@ class Problem:
     def residual_compliance(self) -> np.ndarray | None:
         """Residual flexibility in series with contact: (n_rows, n_rows) [m/N], or None.
 
-        It is the quasi-static response of gaps to contact forces. Small structures have it with
-        friction, or without mass at the crack faces. With mass, they have it under a rigid law
-        without ``weight``, with ``static_above``, or if k R > 100, with contact stiffness k and
-        flexibility R. InputError: R is singular under a rigid law of crack faces without mass.
+        The flexibility is the quasi-static response of gaps to contact forces. Small structures
+        have it with friction, or without mass at the crack faces. With mass, they have it under a
+        rigid law without ``weight``, with ``static_above``, or if k R > 100, with contact stiffness
+        k and flexibility R. InputError: R is singular under a rigid law of crack faces without
+        mass.
         """
         structure, contact_law = self.structure, self.contact
         if self.has_friction:
@@ -426,8 +427,9 @@ def least_harmonics(structure: Structure, subharmonic: int) -> int:
 def check_memory(structure: Structure, harmonics: int) -> None:
     """Raise InputError if the equations with H = ``harmonics`` do not fit into memory.
 
-    They may take 80 % of the machine's memory. Uncoupled pairs need the dense Jacobian. Crack faces
-    without mass need the stiffnesses at all instants, and vectors of the iterative solver.
+    The equations may take 80 % of the machine's memory. Uncoupled pairs need the dense Jacobian.
+    Crack faces without mass need the stiffnesses at all instants, and vectors of the iterative
+    solver.
     """
     n_pairs = structure.n_pairs
     n_unknowns, memory_exponent = (2 * harmonics + 1) * n_pairs, 2
@@ -682,7 +684,7 @@ class Search:
     def _orbit_first_above_harmonics(self) -> int:
         """Number of harmonics above which an exact orbit is the first guess.
 
-        It is 40 harmonics of the load frequency.
+        The number is 40 harmonics of the load frequency.
         """
         return self.problem.response_harmonics(SearchOptions.guess_harmonic_counts[-1])
 
@@ -896,8 +898,8 @@ def halved_harmonic_counts(harmonics: int, min_harmonics: int) -> list[int]:
 def relative_residual_rounding(compliance_model: ComplianceModel, law: ContactLaw) -> float:
     """Return the rounding error |F| / |x| of the residual F for uncoupled pairs.
 
-    x are the unknowns. It is machine epsilon times the largest contact stiffness times compliance.
-    Raises InputError if rounding leaves nothing of the contact force.
+    x are the unknowns. The error is machine epsilon times the largest contact stiffness times
+    compliance. Raises InputError if rounding leaves nothing of the contact force.
     """
     max_contact_stiffness = float(np.max(law.stiffness))
     row_sums = np.abs(compliance_model.matrices).sum(axis=2)

@@ -77,7 +77,7 @@ class Stability(Described):
     def to_dict(self) -> dict[str, Any]:
         """Return the entries of a table row by name.
 
-        They are the verdict, the multiplier of largest modulus, and the attributes from
+        The entries are the verdict, the multiplier of largest modulus, and the attributes from
         ``uncertainty`` on.
         """
         leading_multiplier = complex(self.multipliers[0])
@@ -165,7 +165,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
     def report(self) -> ErrorReport:
         """Estimated errors, relative to the root mean square of the gap without clearance.
 
-        They are computed on first request; for a structure with many dofs, together with the
+        The errors are computed on first request; for a structure with many dofs, together with the
         solution.
         """
         return self.estimate()
@@ -202,7 +202,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
     def yield_records_of_row_products(
         self, rows: np.ndarray, instants: int | None = None
     ) -> Iterator[Record]:
-        """Yield the record of the motion at equally spaced instants of the period.
+        """Yield the motion's :class:`Record`, at equally spaced instants of the period.
 
         Parameters
         ----------
@@ -302,7 +302,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
     def instants(self) -> np.ndarray:
         """Return equally spaced times over the period, at which extremes are searched [s].
 
-        Their number is 1024, or 8 H if that is more.
+        There are 1024 times, or 8 H if that is more.
         """
         n_instants = max(1024, 8 * self.harmonics)
         return np.linspace(0.0, self.period, n_instants, endpoint=False)

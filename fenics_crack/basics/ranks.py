@@ -52,10 +52,10 @@ let them end by themselves.
 def _start_petsc() -> None:
     """Start PETSc with options from a file, the environment and the command line.
 
-    They are the file ``~/.petscrc``, the variable PETSC_OPTIONS, and this program's arguments from
-    the first ``-crack_`` on; later options take precedence. The working folder is left meanwhile:
-    PETSc would read .petscrc and petscrc there, which can load code. petsc4py would read a
-    petsc.cfg there, with the place of PETSc; slepc4py, too.
+    The options are the file ``~/.petscrc``, the variable PETSC_OPTIONS, and this program's
+    arguments from the first ``-crack_`` on; later options take precedence. The working folder is
+    left meanwhile: PETSc would read .petscrc and petscrc there, which can load code. petsc4py would
+    read a petsc.cfg there, with the place of PETSc; slepc4py, too.
     """
     user_option_text = os.environ.get("PETSC_OPTIONS", "")
     with leave_working_folder():

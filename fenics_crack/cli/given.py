@@ -607,7 +607,7 @@ def build_scene_text(
 ) -> str:
     """Build the text of a new scene from the template of a plate.
 
-    ``options`` are from :data:`COMBINABLE_NEW_SCENE_OPTIONS`. ``scene_name`` and
+    ``combinable_options`` are from :data:`COMBINABLE_NEW_SCENE_OPTIONS`. ``scene_name`` and
     ``measurements_name`` are names of files, mentioned in the text.
     """
     line_marks = [

@@ -94,7 +94,7 @@ class BalanceEquations(CurveSystem):
     def _common_cutoff(self, problem: Problem, start: float, end: float) -> float:
         """Return the frequency above which modes are quasi-static on the whole curve [rad/s].
 
-        It is the larger of the cutoffs at ``start`` and ``end``.
+        The result is the larger of the cutoffs at ``start`` and ``end``.
         """
         return max(self.vary_problem(problem, value).quasi_static_above for value in (start, end))
 
@@ -107,7 +107,8 @@ class BalanceEquations(CurveSystem):
     def max_force_slope(self) -> float:
         """Largest slope of contact forces over gaps, under the stiffer law of both ends [N/m].
 
-        With a residual flexibility it is the slope over slow gaps, and smaller.
+        With a residual flexibility, the smaller slope over slow gaps: gap plus residual flexibility
+        times contact force.
         """
         laws = (self.problem_at(value).contact for value in (self.start, self.end))
         return max(self.system(self.start).max_contact_stiffness(law) for law in laws)
@@ -192,16 +193,16 @@ class BalanceEquations(CurveSystem):
     def n_time_means(self) -> int:
         """Number of unknowns that are means over time.
 
-        They come first: a mean for each pair's normal gap, with friction also for each tangential
-        gap.
+        These unknowns come first: a mean for each pair's normal gap, with friction also for each
+        tangential gap.
         """
         return int(self.shape[1])
 
     def rounding(self, parameter: float) -> float:
         """Return the rounding error |F| / |x| of the residual F, for unknowns x.
 
-        It follows from the largest compliance times the largest contact stiffness, or less with a
-        residual flexibility. ``parameter`` is the path parameter, 0 to 1.
+        The error follows from the largest compliance times the largest contact stiffness, or less
+        with a residual flexibility. ``parameter`` is the path parameter, 0 to 1.
         """
         if self.compiled_equations is not None:
             max_compliance_row_sum = self.compiled_equations.max_dynamic_row_sum(parameter)

@@ -392,8 +392,8 @@ class ResponseCurve(ObservedMotion, Tabular):
     def assessments(self, places: Sequence[int]) -> Iterator[Assessment]:
         """Yield the assessments of harmonic-balance points by the exact flow.
 
-        ``places`` are the points' indices. Over the frequency, the motions of many points are
-        computed together.
+        ``places`` are indices of points on the curve. Over the frequency, the motions of many
+        points are computed together.
         """
         if self._common_flow is None or not isinstance(self.system, BalanceEquations):
             for point_problem, contact_point in map(self._problem_and_contact_point, places):

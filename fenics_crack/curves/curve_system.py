@@ -104,8 +104,8 @@ class CurveSystem(ABC):
     ) -> float:
         """Return a motion's change over half its period, relative to its size.
 
-        It is near 0 if the motion has half the period. ``unknown`` is a solution, ``parameter`` the
-        path parameter, 0 to 1.
+        The change is near 0 if the motion has half the period. ``unknown`` is a solution,
+        ``parameter`` the path parameter, 0 to 1.
         """
         raise NotImplementedError
 

@@ -286,8 +286,9 @@ def multipliers_of(point: PathPoint) -> np.ndarray:
 def period_doubling_test_value(multipliers: np.ndarray) -> float:
     """Return a number that changes its sign at a period doubling.
 
-    It is the product of 1 + mu over all Floquet multipliers mu (n,); for complex mu, of |1 + mu|.
-    Factors above 1 in modulus are scaled to 1. The result is 0 if a factor is at most 1.5e-8.
+    The number is the product of 1 + mu over all Floquet multipliers mu (n,); for complex mu, of |1
+    + mu|. Factors above 1 in modulus are scaled to 1. The result is 0 if a factor is at most
+    1.5e-8.
     """
     one_plus_multipliers = np.where(
         multipliers.imag == 0.0, 1.0 + multipliers.real, np.abs(1.0 + multipliers)

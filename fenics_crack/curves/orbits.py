@@ -110,7 +110,7 @@ class OrbitEquations(CurveSystem):
     def state_factors(self) -> np.ndarray:
         """Scale factors from states z to unknowns x: (n_unknowns,).
 
-        They are 1 for modal displacements and 1 / w for modal velocities. w is the mode's
+        The factors are 1 for modal displacements, and 1 / w for modal velocities. w is the mode's
         frequency, but at least the response's frequency.
         """
         return self._start_flow.amplitude_weights(self.omega(self.start) / self.subharmonic)
@@ -171,7 +171,7 @@ class OrbitEquations(CurveSystem):
     def _scaled_rest_state(self, value: float) -> np.ndarray:
         """Return the scaled rest state under the mean load at a parameter value: (n_unknowns,).
 
-        It is interpolated linearly in the path parameter between start and end of the curve.
+        The state is interpolated linearly in the path parameter between start and end of the curve.
         """
         rest_state_at_start, rest_state_change_along_curve = (
             self._scaled_rest_state_and_change_along_curve
@@ -218,7 +218,7 @@ class OrbitEquations(CurveSystem):
     ) -> float:
         """Return an orbit's change over half its period, relative to its size.
 
-        It is near 0 if the motion has half the period. ``unknown`` is the scaled state,
+        The change is near 0 if the motion has half the period. ``unknown`` is the scaled state,
         ``parameter`` the path parameter, 0 to 1.
         """
         unknown_change = self.advance_unknown(unknown, parameter, 0.5) - unknown

@@ -231,7 +231,7 @@ class PhasePoint(Linearisation):
     def distance_to_peak_in_widths(self) -> float:
         """Return the distance to the largest response, over the half-power width D.
 
-        It is D/4 Re(d ln P / dw), with the load's complex work P and the frequency w.
+        The distance is D/4 Re(d ln P / dw), with the load's complex work P and the frequency w.
         """
         return (
             0.25

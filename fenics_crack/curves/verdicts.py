@@ -189,7 +189,8 @@ def _locate_bifurcation(
     value, omega : float
         Parameter value, and load frequency [rad/s].
     unknown : (2H+1, n_pairs) [m]
-        Fourier coefficients of the gaps, or of the slow gaps with a residual flexibility.
+        Fourier coefficients of the gaps. With a residual flexibility: of the slow gaps, gap plus
+        residual flexibility times contact force.
     """
     system = curve.system
     assert isinstance(system, BalanceEquations)

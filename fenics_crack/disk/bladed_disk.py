@@ -505,9 +505,9 @@ frequency [rad/s] and the blade's number from 1.
 def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
     """Return the function for a mistuned wheel's largest response without contact.
 
-    The function searches next to 2 N natural frequencies: N modes in one family, and N
-    neighbouring modes. This family is nearest to ``load_omega`` [rad/s] at the excited nodal
-    diameter.
+    The function searches next to 2 N natural frequencies: N modes in one family, with the same mode
+    number at all nodal diameters, and N neighbouring modes. At the excited nodal diameter, the
+    family is nearest to ``load_omega`` [rad/s].
 
     Raises
     ------

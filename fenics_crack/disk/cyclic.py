@@ -52,7 +52,7 @@ from fenics_crack.numerics.fourier import to_complex
 def excited_diameter(engine_order: int, n_sectors: int) -> int:
     """Return the nodal diameter excited by an engine order.
 
-    It is min(E mod N, N - E mod N) for the order E and N sectors.
+    The diameter is min(E mod N, N - E mod N) for the order E and N sectors.
     """
     remainder = engine_order % n_sectors
     return min(remainder, n_sectors - remainder)

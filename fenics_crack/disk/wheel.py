@@ -183,7 +183,7 @@ class Wheel(Structure):
     def watched_sector_index(self) -> int:
         """Index, from 0, of the sector with the watched blade.
 
-        This is the first cracked sector, or sector 0 without a crack.
+        The watched sector is the first cracked one, or sector 0 without a crack.
         """
         return self.cracked[0] if self.cracked else 0
 

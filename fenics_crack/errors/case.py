@@ -153,8 +153,7 @@ class JudgedAnswer:
         -------
         PartOrReason
             Part, or the reason for no part. The reason is empty if no pair touches, or if the scene
-            sets
-            ``contact.friction`` without friction lines.
+            sets ``contact.friction`` without friction lines.
         """
         study, scene, answer = self.study, self.study.scene, self.answer
         contact_law, structure = study.contact, study.structure

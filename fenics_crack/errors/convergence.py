@@ -286,19 +286,20 @@ def find_error_part_or_reason(
     formal_order: float = TIP_CONVERGENCE_ORDER,
     scheme_order: float = math.inf,
 ) -> ErrorPart:
-    """Estimate a cause's part in the error of each quantity from several runs.
+    """Estimate a cause's part in the error of each quantity from several computations.
 
     Parameters
     ----------
     cause : str
         Varied cause: "mesh", "modes", "harmonics" or "samples".
     counts_and_values : sequence of CountAndValues
-        Two or three runs, the answer first. A quantity missing in a further run counts as 0.
+        Two or three computations, the answer first. A quantity missing in a further one counts as
+        0.
     scene : Scene
         Scene with the side lengths, for a mesh.
     size_ratio : float, optional
-        Ratio h_2 / h_1 of the step sizes of two runs, in place of the ratio from counts. The safety
-        factor is then 1: the error is expected, not a bound.
+        Ratio h_2 / h_1 of two computations' step sizes, in place of the ratio from counts. The
+        safety factor is then 1: the error is expected, not a bound.
     formal_order, scheme_order : float
         Order expected by theory, and largest order (:func:`grid_convergence`).
     """
@@ -319,7 +320,7 @@ def find_error_part_or_reason(
 
 
 def _find_mean_step_size(cause: str, count: int, scene: Scene) -> float:
-    """Return a run's step size h from the count of elements, modes, harmonics or samples.
+    """Return the step size h for a count of elements, modes, harmonics or samples.
 
     For the cause "mesh", h [m] is the side of the mean element, a square or cube (Celik et al.,
     equation 1). For any further cause, h is 1 / count.

@@ -250,7 +250,7 @@ class TruncatedOrbit(ObservedMotion):
         return self.orbit.omega
 
     def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[Record]:
-        """Yield the records of m signals, with ``harmonics`` Fourier coefficients.
+        """Yield the :class:`Record` of m signals, with ``harmonics`` Fourier coefficients.
 
         ``rows`` (m, n_dofs) times the displacement are the signals, such as watched dofs.
         """
@@ -339,7 +339,7 @@ def _complex_harmonic_ratios(record: Record) -> np.ndarray:
 
 
 def _measure_face_changes_by_name(record: Record, other_record: Record) -> dict[str, float]:
-    """Measure changes of quantities at crack faces from one record to another.
+    """Measure changes of quantities at crack faces from one motion's record to another.
 
     Opening and crack force have the standard deviation over the period, sums over pairs the sum of
     absolute changes. Without contact pairs, the dict is empty.

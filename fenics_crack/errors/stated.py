@@ -361,7 +361,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def estimate_error_by_modes(self) -> PartOrReason:
         """Estimate the error due to truncated modes from a motion with more modes (collective).
 
-        Let s be the share of the truncation error removed by these modes. The error is the
+        Let s be the fraction of the truncation error removed by these modes. The error is the
         quantity's change over s, and at least the size of the motion's change
         (:func:`measure_changes_by_name`) over s. If both motions are truncated to few harmonics,
         modes above all harmonics seem static: the error is then at least the part of harmonics. If
@@ -731,8 +731,8 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         """Compute the quantities with each crack's clearance shifted (collective).
 
         The shift [m] of a crack is 0.5 D P. D is the mean step between neighbouring pairs of each
-        pair's extreme gap; P is the range over pairs of the closed share of the period. Without
-        cracks, the dict is empty.
+        pair's extreme gap. P is the range over pairs of the closed time, as a fraction of the
+        period. Without cracks, the dict is empty.
         """
         study = self.study
         balance_solution = self.balance_solution

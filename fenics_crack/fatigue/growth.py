@@ -705,7 +705,7 @@ def estimate_ellipse_life_error(
     """Estimate the relative error of the cycles by interpolation between shapes.
 
     The error is a quarter of abs(ln(N_coarse / N)), with every second depth and length in N_coarse.
-    It is 0 if either number of cycles is 0.
+    The result is 0 if either number of cycles is 0.
     """
     coarse_life = integrate_ellipse_growth(
         ellipse_table.with_every_second_size(), law, n_surface_ends

@@ -951,9 +951,10 @@ def _mesh_current_model_with_gradings(
 
 
 def meshing_refusal(scene: Scene, reason_text: str) -> InputError:
-    """Return the InputError for a geometry that gmsh cannot mesh, for ``reason``.
+    """Return the InputError for a geometry that gmsh cannot mesh.
 
-    The error names the key of the smallest crack dimension or, without cracks, ``mesh.size``.
+    ``reason_text`` is the reason. The error names the key of the smallest crack dimension or,
+    without cracks, ``mesh.size``.
     """
     crack_size_by_key = {
         f"{crack_key}.{size_key}": crack_size

@@ -610,7 +610,8 @@ def _assemble_structure_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure
 def _make_stiffness_and_mass_forms(scene: Scene, space: Any) -> tuple[Any, Any]:
     """Return the UFL forms for stiffness and mass, without boundary conditions.
 
-    They are t int sigma(u) : eps(v) dx and t int rho u . v dx, with thickness t and density rho.
+    The forms are t int sigma(u) : eps(v) dx and t int rho u . v dx, with thickness t and density
+    rho.
     """
     (density,), thickness = (
         form_constants(space, scene.material.density),

@@ -348,8 +348,8 @@ def locate_on_cracks(cracks: Sequence[Any], points: np.ndarray) -> tuple[np.ndar
 def label_connected_rows(node_rows: np.ndarray) -> np.ndarray:
     """Label connected rows of node numbers, such as facets: (n,) int.
 
-    ``rows`` is (n, k). Two rows have the same label if a chain of rows with common nodes connects
-    them. Labels count from 0.
+    ``node_rows`` (n, k) has k nodes for each facet. Two rows have the same label if a chain of rows
+    with common nodes connects them. Labels count from 0.
     """
     from scipy.sparse.csgraph import connected_components  # slow to import, and few meshes need it
 
@@ -718,7 +718,7 @@ def split_cracks(
 def check_mesh(is_mesh_valid: object, problem_text: str, requirement: str) -> None:
     """Raise InputError for the key "mesh" unless a condition holds.
 
-    ``problem`` says what the mesh has, ``requirement`` what is allowed.
+    ``problem_text`` says what the mesh has, ``requirement`` what is allowed.
     """
     if not is_mesh_valid:
         raise InputError("mesh", problem_text, requirement)

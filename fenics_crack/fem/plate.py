@@ -271,7 +271,7 @@ class Dofs:
         )
 
     def restrict_matrix(self, full_matrix: Any) -> Any:
-        """Return a PETSc matrix with only the free rows and columns; ``matrix`` is destroyed.
+        """Return a PETSc matrix with only the free rows and columns; ``full_matrix`` is destroyed.
 
         Stored zeros are removed, as the mass between directions: products with M then take a half
         or a third of the time. The result has the communicator ``comm`` of this object, since PETSc

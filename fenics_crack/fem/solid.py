@@ -109,7 +109,7 @@ def read_part_triangles_and_owners(
 ) -> dict[str, np.ndarray]:
     """Read a CAD part and triangulate the faces, for pictures and measurements.
 
-    ``unit`` is the file's unit of length, "m", "mm" or "inch"; None: mm.
+    ``length_unit_name`` is the file's unit of length, "m", "mm" or "inch"; None: mm.
 
     Returns
     -------
@@ -321,7 +321,7 @@ def _value_for_message(scene: Scene, key: str) -> object:
 def _make_mesher_cracks(scene: Scene, metres_per_unit: float) -> list[dict[str, Any]]:
     """Convert a scene's cracks to dicts for :func:`fenics_crack.fem.solid_mesher.insert_cracks`.
 
-    The scene's lengths must be in the mesh's unit already; ``unit`` [m] is passed on.
+    The scene's lengths must be in the mesh's unit already; ``metres_per_unit`` is passed on.
     """
     mesher_cracks = []
     for crack_key, crack in scene.crack_by_name.items():
@@ -351,8 +351,8 @@ def _make_mesher_cracks(scene: Scene, metres_per_unit: float) -> list[dict[str, 
 def _make_box_crack_geometry(crack: Crack, box_sides: Sequence[float]) -> dict[str, Any]:
     """Return position and shape of a crack in a box, in a plane y = ``height``.
 
-    The crack is an ellipse or rectangle centred on the face z = thickness. ``sides`` are the box's
-    width, height and thickness.
+    The crack is an ellipse or rectangle centred on the face z = thickness. ``box_sides`` are the
+    box's width, height and thickness.
 
     Returns
     -------

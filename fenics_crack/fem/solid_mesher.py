@@ -501,7 +501,7 @@ def _check_front_and_ligament_exist(
     """Raise Refusal if a crack lies in a face, or the front is too close to the surface.
 
     The distance between front and surface must be 0.1 element lengths, except near ends of the
-    front. A crack without a front inside the part is refused, too. ``surface`` is gmsh's tag.
+    front. A crack without a front inside the part is refused, too. ``surface_tag`` is gmsh's tag.
     """
     point_key, shortest_length = f"{crack['key']}.point", front["shortest"]
     centre = np.array([gmsh.model.occ.getCenterOfMass(2, surface_tag)])

@@ -146,7 +146,7 @@ def library_versions_text() -> str:
 def program_fingerprint_text() -> str:
     """Return a text that changes with the program or its main libraries.
 
-    It lists path, size and time for the program's sources, and for each library's main file.
+    The text lists path, size and time for the program's sources, and for each library's main file.
     """
     module_specs = map(
         find_spec, ("dolfinx", "ufl", "ffcx", "basix", "petsc4py", "slepc4py", "gmsh")
@@ -487,7 +487,7 @@ def _read_without_numbers_cached(path: Path, file_identity: tuple[int, ...]) -> 
 def _list_scene_files(scene: Scene) -> list[tuple[str, str]]:
     """Return pairs (key, path) for all files that a scene reads.
 
-    They are the files named in the scene, and further files read with them, as for matrices.
+    The files are those named in the scene, and further files read with them, as for matrices.
     """
     named_key_path_pairs = file_keys_and_paths(scene)
     # A named file of dofs takes the place of the file beside the matrices.

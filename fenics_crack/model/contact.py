@@ -926,7 +926,8 @@ def _minimising_step_fraction_by_instant(
     Parameters
     ----------
     gap_and_law_force_function : callable
-        Gives gap and law's force, (n, n_pairs) each, for contact forces and slow gaps.
+        Gives gap and law's force, (n, n_pairs) each, for contact forces and slow gaps. A slow gap
+        is the gap plus residual flexibility times contact force.
     start_force, force_step : (n, n_pairs) [N]
         Contact forces at the start of each step, and their change by a full step.
     gap : (n, n_pairs) [m]

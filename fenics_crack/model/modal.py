@@ -47,7 +47,8 @@ MODAL_COORDINATES_IN_CACHE = 2**16
 def is_small(structure: Structure) -> bool:
     """Return True if a structure can be decomposed into all of its modes.
 
-    It has at most 600 dofs on one rank, or it is reduced to modes and massless crack faces.
+    Small structures have at most 600 dofs on one rank, or are reduced to modes and massless crack
+    faces.
     """
     has_few_dofs = structure.comm.size == 1 and structure.n_dofs <= MAX_DENSE_SIZE
     return has_few_dofs or structure.light_lips
@@ -168,7 +169,7 @@ class AllModes:
     def static_pair_compliance(self, min_frequency: float = np.inf) -> np.ndarray:
         """Return the quasi-static compliance of the contact pairs.
 
-        It consists of the residual flexibility R_inf and of modes above a frequency.
+        The compliance consists of the residual flexibility R_inf and of modes above a frequency.
 
         Parameters
         ----------
@@ -380,7 +381,7 @@ class AllModes:
 def all_modes(structure: Structure) -> AllModes:
     """Return all modes of a small structure (:func:`is_small`), with its damping.
 
-    They are computed once for a structure and its varied copies.
+    The modes are computed once for a structure and all varied copies.
     """
     modes, damping_factor = structure.compute_once(_compute_all_modes), structure.damping_factor
     return (

@@ -364,7 +364,7 @@ def _make_eigenvalue_solver(
 ) -> Any:
     """Make SLEPc's solver for ``n_modes`` modes K phi = omega^2 M phi (collective).
 
-    ``prefix`` begins the names of PETSc options that reach the solver.
+    ``option_prefix`` begins the names of PETSc options that reach the solver.
     """
     eigenvalue_solver = import_slepc().EPS().create(structure.comm)
     eigenvalue_solver.setOptionsPrefix(option_prefix)
@@ -493,8 +493,9 @@ def _find_modes_near_shift(
 def count_modes_below(structure: Structure, squared_omega: float, ties: Any = None) -> int:
     """Return the number of modes with omega^2 < ``squared_omega`` (collective).
 
-    These are the negative pivots of K - ``squared_omega`` M (Sylvester's law of inertia). ``ties``
-    (n_local, n_ties) bond the crack (:func:`find_independent_ties`); None: it is open.
+    The number equals that of negative pivots in K - ``squared_omega`` M (Sylvester's law of
+    inertia). ``ties`` (n_local, n_ties) bond the crack (:func:`find_independent_ties`); None: it is
+    open.
     """
     with factored_sum(
         structure.stiffness, -squared_omega, structure.mass, border=ties

@@ -255,7 +255,7 @@ class Coordinates:
 
     @property
     def watched_pairs(self) -> dict[str, int]:
-        """Index of one pair of each crack, by the name of its place: {"the mouth": 0}.
+        """Index of one pair for each crack, by the pair's position in words: {"the mouth": 0}.
 
         Without a mesh, the first pair: {"pair 1": 0}. Without pairs, empty.
         """
@@ -273,7 +273,7 @@ class Coordinates:
     def watched_dof(self) -> int:
         """Dof of the whole structure for results without a named dof (collective).
 
-        It is the dof of :meth:`Structure.watching`, else the one with the largest factor in
+        The dof is chosen by :meth:`Structure.watching`, else the one with the largest factor in
         ``watched``, else the one that carries most of the load.
         """
         whole_structure = self.whole
@@ -316,7 +316,7 @@ class Coordinates:
     def function(self, displacement: np.ndarray) -> Any:
         """Return a displacement (n_local,) as DOLFINx's Function (collective).
 
-        It is zero on the clamp.
+        The function is zero on the clamp.
 
         Raises
         ------
@@ -357,8 +357,9 @@ class Coordinates:
     def apply_b(self, pair_force: np.ndarray) -> np.ndarray:
         """Return the forces on dofs (m, n_local) from contact forces (m, n_pairs) [N].
 
-        They are B lambda, with the gap matrix B and the contact forces lambda. Contact acts on the
-        structure with the opposite sign, as B lambda stands on the left of the equation of motion.
+        The result is B lambda, with the gap matrix B and the contact forces lambda. Contact acts on
+        the structure with the opposite sign, as B lambda stands on the left of the equation of
+        motion.
         """
         return (self.gap @ pair_force.T).T
 

@@ -103,16 +103,17 @@ class Receptance:
     def compliance_beyond(self, n_kept_modes: int) -> np.ndarray:
         """Return the static compliance without the first ``n_kept_modes`` modes.
 
-        This is S = X^T G X, (n_sources, n_sources). X are the unit forces on pairs and load, and G
-        is the static flexibility of all further modes.
+        The compliance is S = X^T G X, (n_sources, n_sources). X are the unit forces on pairs and
+        load, and G is the static flexibility of all further modes.
         """
         return self.residual_response(n_kept_modes, self.compliance, self.modal)
 
     def inertia_beyond(self, n_kept_modes: int) -> np.ndarray:
         """Return the inertia at the pairs (n_pairs,) without the first ``n_kept_modes`` modes.
 
-        This is the diagonal of B^T G M G B, with the gap matrix B, the mass M, and the static
-        flexibility G of all further modes. Its sum measures the truncation error at low frequency.
+        The inertia is the diagonal of B^T G M G B, with the gap matrix B, the mass M, and the
+        static flexibility G of all further modes. Its sum measures the truncation error at low
+        frequency.
         """
         modal_flexibility = (
             self.modal[: len(self.inertia), n_kept_modes:] / self.squares[n_kept_modes:]
@@ -162,7 +163,7 @@ def make_empty_receptance_list(structure: Structure) -> list[Receptance]:
 def make_empty_shared_receptance_list(structure: Structure) -> list[Receptance]:
     """Return an empty cache, shared by structures with the same matrices and any load.
 
-    It keeps the receptance that was computed last.
+    The cache keeps the receptance that was computed last.
     """
     return []
 

@@ -167,7 +167,8 @@ class ReducedStructure(Structure):
     def expand(self, displacement: np.ndarray) -> np.ndarray:
         """Return displacements (m, whole.n_local) of the whole structure.
 
-        They are u = T q, with the basis T and the coordinates q, ``displacement`` (m, n_dofs).
+        The displacements are u = T q, with the basis T and the coordinates q, ``displacement`` (m,
+        n_dofs).
         """
         return self._source.expand(displacement @ self.basis.T)
 
@@ -210,7 +211,8 @@ class QuasiStaticReduction(ReducedStructure):
     def residual_flexibility(self) -> np.ndarray:
         """Static flexibility of the truncated part: (n_dofs, n_dofs) [m/N].
 
-        This is the displacement of the coordinates by unit forces on them, without the modes.
+        An entry is the displacement of a coordinate by a unit force on another one, less the part
+        of the modes.
         """
         return self.truncated_flexibility_root @ self.truncated_flexibility_root.T
 
@@ -476,8 +478,8 @@ def as_massless_structure_or_none(structure: Structure | None) -> MasslessStruct
 def _root_of_pseudoinverse(compliance: np.ndarray) -> np.ndarray:
     """Return a root W of the pseudoinverse W W^T of a compliance C.
 
-    It has W^T C W = I. Loads and pairs have different units, so C is scaled to a unit diagonal
-    first. Eigenvalues up to 1e-12 of the largest count as zero.
+    The root has W^T C W = I. Loads and pairs have different units, so C is scaled to a unit
+    diagonal first. Eigenvalues up to 1e-12 of the largest count as zero.
     """
     diagonal_roots = np.sqrt(np.maximum(np.diag(compliance), 0.0))
     unit_diagonal_scale = np.divide(

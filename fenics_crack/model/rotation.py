@@ -459,7 +459,7 @@ class RunUpStructure(QuasiStaticReduction):
     def stiffness(self) -> Any:
         """Stiffness in the coordinates at this speed, as a PETSc matrix (n_dofs, n_dofs).
 
-        It is made on request: curves over the speed make many structures, and never need it.
+        The matrix is made on request: curves over the speed make many structures and need none.
         """
         return make_matrix_from_local_rows(self.body.dense_stiffness, MPI.COMM_SELF)
 

@@ -240,7 +240,7 @@ Result = TypeVar("Result")
 def shared_property(compute: Callable[[Any], Any]) -> Any:
     """Make a property that is computed once for a structure and its varied copies.
 
-    ``compute`` is a function of the structure. It is called with :attr:`Structure.original`.
+    ``compute`` is a function, called with :attr:`Structure.original`.
     """
     return property(lambda structure: structure.compute_once(compute), doc=compute.__doc__)
 
@@ -300,7 +300,7 @@ class Structure(Coordinates):
 
     @cached_property
     def force(self) -> np.ndarray:  # type: ignore[override]
-        """Rows of the load: mean, then cosine and sine part to harmonic K: (2K+1, n_local) [N].
+        """Load's Fourier coefficients, mean, cosine, sine to harmonic K: (2K+1, n_local) [N].
 
         Factors by which the load was varied are included.
         """

@@ -130,9 +130,9 @@ def _load_or_solve_run(scene: Scene, source_path: Path | None, comm: MPI.Comm) -
 
 
 def get_response_curve_or_none(run: Run[Any] | None) -> ResponseCurve | None:
-    """Return the response curve of a run.
+    """Return the response curve if the result ``run`` has one, else None.
 
-    None for other results, and without a run (measured arrivals).
+    ``run`` is None for measured arrivals; the result is then None.
     """
     result = None if run is None else run.result
     return result if isinstance(result, ResponseCurve) else None
@@ -252,7 +252,7 @@ def list_arrival_remarks(arrivals: ArrivalTimes) -> list[str]:
 def is_run_up(arrivals: ArrivalTimes, run: Run[Any] | None) -> bool:
     """Return True if arrivals belong to a run-up or run-down.
 
-    Their run is a curve, or their speed varies by more than 1 %.
+    The arrivals come from a response curve, or the speed varies by more than 1 %.
     """
     return get_response_curve_or_none(run) is not None or not arrivals.steady
 

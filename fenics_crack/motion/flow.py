@@ -67,7 +67,10 @@ class Budget:
 
 
 class BudgetError(ConvergenceError):
-    """A motion needs more Taylor pieces than :class:`Budget` allows."""
+    """A motion needs more Taylor pieces than :class:`Budget` allows.
+
+    A piece is an interval with a single Taylor series.
+    """
 
 
 def exact_flow_or_none(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
@@ -385,7 +388,7 @@ class ContactFlow(Flow):
     def estimate_taylor_pieces(self, duration: float) -> float:
         """Return the number of Taylor pieces in a motion of ``duration`` [s] without events.
 
-        A piece is as long as the fastest possible mode takes to turn by 10 rad.
+        A piece has a single Taylor series. The fastest possible mode turns by 10 rad in a piece.
         """
         return float(self.rate_bound * duration / kernel.MAX_PIECE_ANGLE)
 

@@ -318,7 +318,7 @@ class Harmonics:
 
 
 class PointDisplacement(Harmonics):
-    """An observed displacement of a record, with index ``row``.
+    """An observed displacement in a :class:`Record`: row number ``row``.
 
     Attributes
     ----------
@@ -337,7 +337,7 @@ class PointDisplacement(Harmonics):
 
 
 class CrackFaces:
-    """The crack faces in a record.
+    """The crack faces in a motion, sampled in a :class:`Record`.
 
     Attributes
     ----------
@@ -419,12 +419,12 @@ def dof_selection_rows(structure: Structure, dofs: Sequence[int | None]) -> np.n
 
 
 class ExtraRows(NamedTuple):
-    """Further rows to observe, for numbers at a place.
+    """Further displacements to observe, for numbers as stress intensities or clamp forces.
 
     Attributes
     ----------
     rows : (m, n_local)
-        Factors of the displacement.
+        Factors: each row times the displacement u is an observed displacement.
     read_numbers : callable
         Returns numbers by name from a :class:`Record` of the rows' products.
     """
@@ -455,15 +455,16 @@ class ObservedDisplacement(NamedTuple):
     records="yield_records_of_row_products",
 )
 class ObservedMotion:
-    """Base of solutions, orbits, time histories and curves, with numbers from records.
+    """Base of solutions, orbits, time histories and curves, with numbers from a :class:`Record`.
 
-    A subclass defines ``records``.
+    A record has observed displacements, gaps and contact forces at instants. A subclass defines
+    :meth:`yield_records_of_row_products`.
     """
 
     structure: Structure
 
     def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[Record]:
-        """Yield the motion's record, or one for each curve point (collective).
+        """Yield the motion's :class:`Record`, or one for each curve point (collective).
 
         Parameters
         ----------
@@ -522,7 +523,8 @@ class ObservedMotion:
         dofs : sequence of int or None
             Numbers of dofs; None stands for the watched dof.
         places : sequence of ExtraRows
-            Rows to observe, with functions from their record to numbers.
+            Rows of factors for the displacement, with functions that compute numbers from the
+            observed products.
 
         Returns
         -------
@@ -560,7 +562,7 @@ class ObservedMotion:
         rows : (m, n_local)
             Factors of the displacement.
         places : sequence of ExtraRows
-            Further rows, with functions from their record to numbers.
+            Further rows, with functions that compute numbers from the observed products.
 
         Returns
         -------

@@ -278,7 +278,7 @@ class PeriodicOrbit(ObservedMotion, Described):
     def yield_records_of_row_products(
         self, rows: np.ndarray, instants: int | None = None
     ) -> Iterator[Record]:
-        """Yield the record of the motion over a period.
+        """Yield the motion's :class:`Record` over a period: displacements, gaps and forces.
 
         Between instants the motion is, on each piece of the period, the polynomial through Gauss
         nodes.
@@ -670,7 +670,8 @@ def is_orbit_search_affordable(
 def is_load_too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> bool:
     """Return True if two periods need more than 100,000 Taylor pieces.
 
-    Events are not counted. With more than 120 modes the result is False.
+    A piece is an interval with a single Taylor series. Events are not counted. With more than 120
+    modes the result is False.
     """
     pieces_per_period = flow.estimate_taylor_pieces(2.0 * np.pi * subharmonic / omega)
     return (
@@ -777,8 +778,9 @@ def find_orbit(
 ) -> PeriodicOrbit | None:
     """Search for an orbit from a state by Newton's method.
 
-    The search fails after 20 periods, or if its motions need more Taylor pieces than its budget,
-    20,000 or more for a slow load. An orbit must close to 1e-6.
+    The search fails after 20 periods, or if all motions together need more Taylor pieces (intervals
+    with one Taylor series) than the budget: 20,000, or more for a slow load. An orbit must close to
+    1e-6.
 
     Parameters
     ----------

@@ -83,7 +83,8 @@ class SearchOptions:
     def piece_budget(cls, flow: ContactFlow) -> int:
         """Return the search's budget on a flow, as a number of Taylor pieces.
 
-        800,000 up to 12 modes without friction, three quarters with friction; less with more modes.
+        A piece is an interval with a single Taylor series. The budget is 800,000 up
+        to 12 modes without friction, three quarters with friction; less with more modes.
         """
         n_periods = (0.75 if flow.friction_law else 1.0) * cls.period_budget
         return int(
@@ -436,8 +437,9 @@ def yield_states_after_periods(
 ) -> Iterator[np.ndarray]:
     """Yield a motion's state, in scaled unknowns x, after each period.
 
-    ``state`` is the start, in scaled unknowns. The motion ends after ``max_periods`` periods, after
-    200 Taylor pieces times ``max_periods``, or if integration fails.
+    ``scaled_state`` is the start. The motion ends after ``max_periods`` periods, or if integration
+    fails. It also ends after 200 Taylor pieces (intervals with a single Taylor series) times
+    ``max_periods``.
     """
     remaining_pieces = MIN_PIECES_CHARGED_PER_PERIOD * max_periods
     with suppress(ConvergenceError):  # pairs may chatter without end

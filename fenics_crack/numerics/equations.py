@@ -86,9 +86,10 @@ class Linearisation(ABC):
 
     @property
     def record(self) -> np.ndarray:
-        """Return numbers to compute ``step_control_values`` from, ``n_record_entries`` in all.
+        """Return this point's numbers to compute a system's ``step_control_values`` from.
 
-        Only systems for paths with a step control implement the record.
+        The array has ``n_record_entries`` entries; both names are attributes of :class:`System`.
+        Only systems for paths with a step control implement the property.
         """
         raise NotImplementedError
 

@@ -76,7 +76,7 @@ def fourier_basis(phase: np.ndarray, orders: ArrayLike = (1.0,)) -> np.ndarray:
 def fourier_basis_for(coefficients: np.ndarray, phases: np.ndarray) -> np.ndarray:
     """Return the Fourier basis 1, cos theta, sin theta, ... for given coefficients.
 
-    ``phase`` (...) [rad] holds the phases theta; the result is (..., 2H+1), up to harmonic H. Of
+    ``phases`` (...) [rad] holds the phases theta; the result is (..., 2H+1), up to harmonic H. Of
     ``coefficients`` (2H+1, ...) only the number of rows is used.
     """
     phases, n_harmonics = np.asarray(phases, dtype=float), len(coefficients) // 2

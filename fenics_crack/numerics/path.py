@@ -560,7 +560,7 @@ class StepControl(ABC):
 def step_control_values_or_none(system: System, linearisation: Linearisation) -> np.ndarray | None:
     """Return a point's values for a step control; None if the system has none.
 
-    ``linearisation`` belongs to the point; the values come from its ``record``.
+    ``linearisation`` belongs to the point; the values come from :attr:`Linearisation.record`.
     """
     values_function_or_none = getattr(system, "step_control_values", None)
     return (

@@ -79,7 +79,7 @@ def reaction(run: Run[PeriodicSolution] | Run[TimeHistory]) -> Reaction:
 
     The factor :math:`\alpha` of Rayleigh damping is a drag from outside. All other damping acts
     inside the body and adds no force. Contact forces on both crack faces cancel. In a reduced
-    structure, truncated modes have no inertia, but their share of the load is included.
+    structure, truncated modes have no inertia, but the load on them is included.
 
     Parameters
     ----------

@@ -567,8 +567,8 @@ def _observe_value_by_column(
 ) -> CaseValues:
     """Return a solution's numbers for the sweep's columns, by column name.
 
-    They are indicators and harmonics at the load and named points, numbers of the crack faces, and
-    requested quantities of crack tips or clamp.
+    The numbers are indicators and harmonics at the load and named points, numbers of the crack
+    faces, and requested quantities of crack tips or clamp.
     """
     row_by_name = _find_load_direction_row_by_name(solution, case) | geometry.watched_row_by_name
     row_matrix = np.reshape([*row_by_name.values()], (len(row_by_name), solution.structure.n_dofs))

@@ -368,7 +368,7 @@ class SweepFile:
     def _is_file_still_at_path(self) -> bool:
         """Return True if the path still leads to the open file.
 
-        It does not if the file was removed or replaced.
+        The result is False if the file was removed or replaced.
         """
         try:
             return os.path.samestat(os.fstat(self._file_descriptor), os.stat(self._path))
@@ -621,7 +621,7 @@ def _check_omitted_options_match(
 def _unit_and_type_by_dataset(scene: Scene) -> dict[str, tuple[str, str]]:
     """Return unit and NumPy type of all datasets in a sweep's file.
 
-    These are ``state``, all columns and the checksums, by name.
+    The datasets are ``state``, all columns and the checksums, by name.
     """
     unit_and_type_by_checksum = dict.fromkeys(
         (WAVES_CHECKSUM_COLUMN_NAME, CASE_CHECKSUM_COLUMN_NAME), ("", "u4")

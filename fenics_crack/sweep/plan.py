@@ -227,7 +227,7 @@ class Plan:
     def make_chunk(self, case_numbers: np.ndarray) -> Chunk:
         """Return the chunk with the given case numbers (n,).
 
-        It has the scene of each case, or the reason why its values make no valid scene.
+        A chunk has the scene of each case, or the reason why its values make no valid scene.
         """
         return Chunk(case_numbers, tuple(map(self._scene_or_reason_by_number, case_numbers)))
 

@@ -428,9 +428,10 @@ class SolvedCases:
     def get_natural_frequencies(self, crack_state: str, mode: int) -> np.ndarray:
         """Return natural frequencies of a mode [Hz]: (n, n_loads).
 
-        They are at all n combinations of the unknowns (grid nodes), and all loads. ``crack_state``
-        is "open", "tied" (bonded), "bilinear" or "uncracked"; ``mode`` counts from 1. If the crack
-        cannot be removed, the bonded crack replaces "uncracked". nan marks unknown frequencies.
+        The frequencies are at all n combinations of the unknowns (grid nodes), and all loads.
+        ``crack_state`` is "open", "tied" (bonded), "bilinear" or "uncracked"; ``mode`` counts from
+        1. If the crack cannot be removed, the bonded crack replaces "uncracked". nan marks unknown
+        frequencies.
         """
         if crack_state == "uncracked":
             if self.uncracked_cases is None:

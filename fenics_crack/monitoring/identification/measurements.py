@@ -187,7 +187,7 @@ class Measurement:
     def depends_on_shape_alone(self) -> bool:
         """Return True if the measurement does not depend on the load's size.
 
-        This is so for ratios and displacements, whose load is fitted.
+        True for ratios, and for displacements: the size of their load is fitted.
         """
         return not self.is_natural_frequency and not self.quantity.startswith("harmonic")
 
@@ -575,7 +575,7 @@ class Measurements(Tabular):
     def check(self, scene: Scene) -> None:
         """Raise InputError if measurements do not fit a scene.
 
-        This is also raised if all are frequencies without the crack.
+        The error is also raised if all are frequencies without the crack.
         """
         if all(measurement.quantity == "frequency_uncracked" for measurement in self.rows):
             raise InputError(

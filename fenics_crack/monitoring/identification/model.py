@@ -541,7 +541,7 @@ class MeasurementPredictor:
     def _set_up_feature_interpolations(self) -> None:
         """Set interpolations of all features, and of corrections by the finer mesh.
 
-        Features are natural frequencies and harmonics. This also sets ``is_predictable``.
+        Features are natural frequencies and harmonics. The method also sets ``is_predictable``.
         """
         model = self.model
         self._coarse_interpolation = Interpolation(

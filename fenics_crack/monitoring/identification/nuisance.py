@@ -145,7 +145,7 @@ class UncrackedPlate:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Solve the plate's modes at another speed and Young's modulus.
 
-        Both ratios are relative to the scene's values.
+        Speed and modulus are given as ratios, relative to the scene's values.
 
         Returns
         -------

@@ -101,7 +101,8 @@ class Likelihood:
     def predict_most_probable(self, x: np.ndarray) -> MeasurementPrediction:
         """Return predictions at values x (d,) of the unknowns.
 
-        They are for the most probable motion of the crack faces: breathing, open or closed.
+        The predictions are for the most probable motion of the crack faces: breathing, open or
+        closed.
         """
         states_with_residuals = self._iterate_state_residuals(x[None])
         return min(
@@ -385,7 +386,7 @@ class PosteriorBranch:
         return float(RegularGridInterpolator(self.axes, self.grid_log_likelihood)(bounded_x)[0])
 
     def compute_explaining_points_and_shares(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return cracks that explain the measurements, and variance shares by interpolation.
+        """Return cracks that explain the measurements, and variances due to interpolation.
 
         Returns
         -------
@@ -393,7 +394,7 @@ class PosteriorBranch:
             Values of the unknowns, among the first grid and the optima, that explain the
             measurements (:meth:`Likelihood.explains_measurements`).
         (m, d, q)
-            Part of the variance of each measurement, prediction included, by interpolation along
+            Fraction of each measurement's variance, prediction included, due to interpolation along
             each unknown.
         """
         likelihood, explaining_point_arrays = self.likelihood, [np.zeros((0, len(self.axes)))]
@@ -472,7 +473,7 @@ def _convolve_with_crack_deviations(
 def _build_first_axes(unknown_grid: UnknownGrid) -> list[np.ndarray]:
     """Return equally spaced values of each unknown for the first grid.
 
-    Their number is in :data:`FIRST_GRID_COUNT_BY_DIMENSION`.
+    The number of values is in :data:`FIRST_GRID_COUNT_BY_DIMENSION`.
     """
     n_values = FIRST_GRID_COUNT_BY_DIMENSION.get(len(unknown_grid.axes), 9)
     return [
@@ -799,8 +800,8 @@ class Posterior:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return probability and density over two unknowns: (n_first, n_second) each.
 
-        They are for one choice of text values, ``words_text``. The density is the probability over
-        the prior's.
+        Both results are for one choice of text values, ``words_text``. The density is the
+        probability over the prior's.
         """
         mass_and_prior = (
             self.grid_masses_by_words[words_text],
