@@ -120,8 +120,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         if is_quick(item.path) and not {"nightly", "mpi"} & {m.name for m in item.iter_markers()}:
             item.add_marker("quick")
     if (part := config.getoption("part")) is not None:
-        deselected_items = [item for item in items if part_of(item) != part]
-        config.hook.pytest_deselected(items=deselected_items)
+        items_of_other_parts = [item for item in items if part_of(item) != part]
+        config.hook.pytest_deselected(items=items_of_other_parts)
         items[:] = [item for item in items if part_of(item) == part]
     rank_paths = {item.path for item in items if "on_ranks" in getattr(item, "fixturenames", ())}
     items.sort(key=lambda item: item.path not in rank_paths)

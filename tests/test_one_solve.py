@@ -45,5 +45,9 @@ def test_named_functions_are_entered(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert len(named_functions) > 30
     folder = Path(fc.__file__).parent
     for name, path in named_functions:
-        names = {entered for file, entered in entered_functions if file == str(folder / path)}
-        assert any(entered == name or entered.startswith(f"{name}.") for entered in names), name
+        names = {
+            entered_name for file, entered_name in entered_functions if file == str(folder / path)
+        }
+        assert any(
+            entered_name == name or entered_name.startswith(f"{name}.") for entered_name in names
+        ), name

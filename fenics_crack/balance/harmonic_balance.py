@@ -344,8 +344,8 @@ def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
 SOUGHT_CHANGE_FACTOR = 3.0
 """Maximum predicted gap change by more modes for which their orbit is searched, over the tolerance.
 
-It holds while a tolerance chooses the modes. Larger linear predictions are enough to go on to more
-modes: measured, they are right to a factor of 2.
+It holds while a tolerance chooses the modes: a linear prediction this far above the tolerance is
+enough to go on to more modes. The error of the solution that is returned has no such limit.
 """
 FIRST_MODE_COUNT = 10
 """Number of modes in the first attempt to meet a tolerance, for a large structure."""

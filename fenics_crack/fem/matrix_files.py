@@ -92,9 +92,9 @@ def read_structure(scene: Scene, damping_rule: DampingRule | None, comm: MPI.Com
     except InputError as error:
         if error.key not in table.field_by_key():
             raise
-        given_value, problem_text = getattr(table, error.key), error.value
+        value_of_key, problem_text = getattr(table, error.key), error.value
         path_text = (
-            given_value if problem_text == given_value else f"{given_value} ({problem_text})"
+            value_of_key if problem_text == value_of_key else f"{value_of_key} ({problem_text})"
         )
         raise InputError(table.full_key(error.key), path_text, error.allowed) from None
 

@@ -154,13 +154,13 @@ class Campbell(SavedResult):
     frequency_bilinear = hertz_property("omega_bilinear")
 
     @classmethod
-    def from_stored_file(cls, stored: StoredFile) -> Campbell:
+    def from_stored_file(cls, stored_file: StoredFile) -> Campbell:
         """Read a diagram from an open result file.
 
         Another kind of result, or a changed mesh file of the scene, raises InputError.
         """
-        diagram = super().from_stored_file(stored)
-        stored.check_files(diagram.scene)
+        diagram = super().from_stored_file(stored_file)
+        stored_file.check_files(diagram.scene)
         return diagram
 
     @cached_property

@@ -516,17 +516,17 @@ def find_rainflow_cycles(values: np.ndarray) -> np.ndarray:
     periodic_values = np.append(values[start_index:], values[: start_index + 1])
     periodic_values = periodic_values[np.append(True, np.diff(periodic_values) != 0.0)]
     turning_point_indices = 1 + np.flatnonzero(np.diff(np.sign(np.diff(periodic_values))))
-    pending_turning_values: list[float] = []
+    pending_turning_points: list[float] = []
     maxima_and_minima = []
     for value in periodic_values[[0, *turning_point_indices, -1]].tolist():
-        pending_turning_values.append(value)
-        while len(pending_turning_values) > 2 and abs(
-            pending_turning_values[-1] - pending_turning_values[-2]
-        ) >= abs(pending_turning_values[-2] - pending_turning_values[-3]):
+        pending_turning_points.append(value)
+        while len(pending_turning_points) > 2 and abs(
+            pending_turning_points[-1] - pending_turning_points[-2]
+        ) >= abs(pending_turning_points[-2] - pending_turning_points[-3]):
             maxima_and_minima.append(
-                (max(pending_turning_values[-3:-1]), min(pending_turning_values[-3:-1]))
+                (max(pending_turning_points[-3:-1]), min(pending_turning_points[-3:-1]))
             )
-            del pending_turning_values[-3:-1]
+            del pending_turning_points[-3:-1]
     return np.array(maxima_and_minima).reshape(-1, 2)
 
 

@@ -45,12 +45,12 @@ def digest_of_dependencies(dependencies: tuple[Any, ...]) -> str:
     ``dependencies`` come from :func:`dependencies_of_structure`. Load amplitudes, clearances and
     damping do not count; the files of program and libraries do.
     """
-    digested_values = (
+    digest_inputs = (
         dependencies[0],
         excitation_and_loads_without_amplitudes(dependencies[1]),
         program_fingerprint_text(),
     )
-    return hashlib.sha256(repr(digested_values).encode()).hexdigest()
+    return hashlib.sha256(repr(digest_inputs).encode()).hexdigest()
 
 
 class StructureFile:

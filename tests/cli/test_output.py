@@ -47,16 +47,16 @@ def test_points_are_watched_at_their_nearest_nodes(scene: fc.Scene) -> None:
 
 
 @pytest.mark.parametrize(
-    ("point", "nearest"),
+    ("point", "nearest_node_text"),
     [((0.0, 0.05), "0, 0.05"), ((0.05, 0.001), "0.05, 0"), ((0.2, 0.1), "0.1, 0.1")],
 )
-def test_points_that_cannot_be_watched(scene: fc.Scene, point: Any, nearest: str) -> None:
+def test_points_that_cannot_be_watched(scene: fc.Scene, point: Any, nearest_node_text: str) -> None:
     """Refused before anything is solved, by name, with the nearest node."""
     catch_error(
         lambda: prepare(scene.replace({"output.points": {"bad": point}}), MPI.COMM_SELF),
         "output.points.bad",
         point,
-        names=rf"\({nearest}\)",
+        names=rf"\({nearest_node_text}\)",
     )
 
 

@@ -101,8 +101,12 @@ def test_pairs_crack_by_crack(layout: str, cells: str, cracks: list[dict[str, An
         is_below = nodes_of_side(structure, (0.0, crack.height), (0.0, -1.0))
         assert np.all(is_below[lower_nodes[is_own]]) and not np.any(is_below[upper_nodes[is_own]])
     height = scene.given("crack").height
-    touching = {"cracks.1.height": height, "cracks.1.length": 0.24, "cracks.1.center": 0.15}
-    catch_error(lambda: scene.replace(touching), "cracks.1.height", height)
+    touching_crack_changes = {
+        "cracks.1.height": height,
+        "cracks.1.length": 0.24,
+        "cracks.1.center": 0.15,
+    }
+    catch_error(lambda: scene.replace(touching_crack_changes), "cracks.1.height", height)
 
 
 def test_an_inner_crack_is_graded_to_both_tips() -> None:

@@ -484,7 +484,7 @@ def test_load_between_two_ranks(on_ranks: Callable[..., Any]) -> None:
     np.testing.assert_allclose(on_ranks(totals, scene, points), np.ones(len(points)), rtol=1e-9)
 
 
-def refused_values(scene: Scene, comm: MPI.Comm) -> list[str]:
+def list_refusal_values(scene: Scene, comm: MPI.Comm) -> list[str]:
     """Return the value of `mesh.file` that each rank is told to be wrong (collective)."""
     return comm.allgather(catch_error(lambda: build_structure(scene, comm), "mesh.file").value)
 
@@ -493,7 +493,7 @@ def refused_values(scene: Scene, comm: MPI.Comm) -> list[str]:
 def test_errors_reach_every_rank(on_ranks: Callable[..., Any], tmp_path: Path) -> None:
     """A mesh file that only rank 0 reads is refused on every rank; no rank waits."""
     path = tmp_path / "missing.msh"
-    assert on_ranks(refused_values, file_plate(path)) == [str(path)] * 2
+    assert on_ranks(list_refusal_values, file_plate(path)) == [str(path)] * 2
 
 
 @pytest.mark.parametrize(("order", "gibibytes"), [(1, 6.0), (2, 24.0)])

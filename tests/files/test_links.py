@@ -107,10 +107,11 @@ def test_no_link_is_followed(kind: str, tmp_path: Path) -> None:
         link(kept_path, Path("before") / name)
     assert run(kept_path) == codes
     assert [path for path in (kept_path / "before").iterdir() if not path.is_symlink()]
+    first_writer_index = int(RUNS[kind][1][0] == "check")  # writes nothing into the folder
     for name in folders:
         link(tmp_path / f"around_{name}", name)
         refusals = run(tmp_path / f"around_{name}")
-        assert refusals[0] == 2 and {*refusals} <= {0, 2}
+        assert refusals[first_writer_index] == 2 and {*refusals} <= {0, 2}
     outside_files = {
         path.relative_to(outside_folder) for path in outside_folder.rglob("*") if path.is_file()
     }

@@ -27,9 +27,9 @@ from fenics_crack import Scene
 def test_converted(text: str, unit: str, value: float | None) -> None:
     """Asked in the unit of the key, or nothing where that is not sure."""
     paired = unit in ("N", "m/s^2")  # components of a vector
-    key, wrong_value = KEYS[unit], [text, 0.0] if paired else text
+    key, text_or_pair = KEYS[unit], [text, 0.0] if paired else text
     error = catch_error(
-        lambda: Scene.from_text(PLATE).replace({key: wrong_value}), key, wrong_value
+        lambda: Scene.from_text(PLATE).replace({key: text_or_pair}), key, text_or_pair
     )
     suggested_keys = re.findall(r"did you mean \[?([^],?]+).*\?$", error.allowed)
     assert [float(suggestion) for suggestion in suggested_keys] == pytest.approx(

@@ -117,9 +117,13 @@ def test_sums_of_powers_lie_within(shares: list[float], fine: float, coarse: flo
 
 def test_bad_input() -> None:
     """Each error names what is wrong."""
-    rising = [1.0, 2.0, 3.0]
+    increasing_sizes = [1.0, 2.0, 3.0]
     for sizes in ([1.0], [1.0, 0.0, 2.0], [1.0, 1.0, 2.0]):
-        catch_error(partial(fc.grid_convergence, sizes, rising[: len(sizes)]), "sizes", sizes)
+        catch_error(
+            partial(fc.grid_convergence, sizes, increasing_sizes[: len(sizes)]), "sizes", sizes
+        )
     for values in ([1.0, 2.0], [1.0, 2.0, math.nan]):
-        catch_error(partial(fc.grid_convergence, rising, values), "values", values)
-    catch_error(lambda: fc.grid_convergence(rising, rising, formal=0.0), "formal", 0.0)
+        catch_error(partial(fc.grid_convergence, increasing_sizes, values), "values", values)
+    catch_error(
+        lambda: fc.grid_convergence(increasing_sizes, increasing_sizes, formal=0.0), "formal", 0.0
+    )

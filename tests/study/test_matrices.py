@@ -215,7 +215,7 @@ def test_bad_matrices_are_named(
     catch_error(lambda: fc.build_structure(scene.replace(settings), MPI.COMM_SELF), key)
 
 
-def refused_values(scene: Scene, name: str, comm: MPI.Comm) -> list[str]:
+def list_refusal_values(scene: Scene, name: str, comm: MPI.Comm) -> list[str]:
     """Return the value that each rank is told if the last one does not see a file (collective)."""
     missing_settings = {f"structure.{name}": "missing.mtx"} if comm.rank == comm.size - 1 else {}
     error = catch_error(
@@ -229,7 +229,7 @@ def refused_values(scene: Scene, name: str, comm: MPI.Comm) -> list[str]:
 def test_a_file_that_one_rank_does_not_see(on_ranks: Callable[..., Any], name: str) -> None:
     """It is refused on every rank; none waits for the other."""
     scene = Scene.load(DEMOS / "chain.toml")
-    assert all("missing.mtx" in value for value in on_ranks(refused_values, scene, name))
+    assert all("missing.mtx" in value for value in on_ranks(list_refusal_values, scene, name))
 
 
 def test_a_matrix_of_damping(scene: Scene, tmp_path: Path) -> None:

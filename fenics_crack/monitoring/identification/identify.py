@@ -636,11 +636,11 @@ class _ForwardSweeper:
         SweepResult
             All cases.
         """
-        values_solved_before = unknown_axes[axis_index].values
+        previous_axis_values = unknown_axes[axis_index].values
         added_axis_values = tuple(
             axis_value
             for axis_value in refined_axis.values
-            if axis_value not in values_solved_before
+            if axis_value not in previous_axis_values
         )
         added_axes = [*self.mesh_file_axes, *unknown_axes]
         axis_index += len(self.mesh_file_axes)

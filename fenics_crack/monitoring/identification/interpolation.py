@@ -542,8 +542,8 @@ class SolvedCases:
                 / bonded_frequencies
                 * (bonded_frequencies[..., :1] / bonded_frequencies) ** 2
             )
-            summed_split = np.nan_to_num(mode_splits, posinf=0.0, neginf=0.0).sum(axis=2)
-        split_root = np.where(summed_split > 1e-9, np.sqrt(np.abs(summed_split)), 1.0)
+            split_sum = np.nan_to_num(mode_splits, posinf=0.0, neginf=0.0).sum(axis=2)
+        split_root = np.where(split_sum > 1e-9, np.sqrt(np.abs(split_sum)), 1.0)
         return np.concatenate(
             [split_root[..., None], bilinear_frequencies, uncracked_frequencies], axis=2
         )

@@ -173,28 +173,28 @@ def _parse_response(
     if byte_order and not is_equally_spaced:
         raise ValueError("a binary frequency response has lines that are not equally spaced")
     if byte_order:
-        interleaved_values = np.frombuffer(
+        response_numbers = np.frombuffer(
             number_bytes, byte_order + NUMPY_TYPE_TEXT_BY_CODE[number_type_code]
         ).astype(float)
     else:
-        interleaved_values = _parse_fixed_width_numbers(number_bytes.upper().replace(b"D", b"E"))
-    if len(interleaved_values) != n_spectral_lines * (2 if is_equally_spaced else 3) or not np.all(
-        np.isfinite(interleaved_values)
+        response_numbers = _parse_fixed_width_numbers(number_bytes.upper().replace(b"D", b"E"))
+    if len(response_numbers) != n_spectral_lines * (2 if is_equally_spaced else 3) or not np.all(
+        np.isfinite(response_numbers)
     ):
         raise ValueError(
-            f"it has {len(interleaved_values)} numbers for a frequency response of "
+            f"it has {len(response_numbers)} numbers for a frequency response of "
             f"{n_spectral_lines} lines: too many, too few, or not all finite"
         )
     if is_equally_spaced:
         frequencies = first_frequency + frequency_step * np.arange(n_spectral_lines)
     else:
-        frequencies = interleaved_values[::3]
-        interleaved_values = np.delete(interleaved_values, np.s_[::3])
+        frequencies = response_numbers[::3]
+        response_numbers = np.delete(response_numbers, np.s_[::3])
     if np.any(np.diff(frequencies) <= 0.0):
         raise ValueError("a frequency response has frequencies that do not increase")
     return FrequencyResponse(
         frequencies,
-        interleaved_values[::2] + 1j * interleaved_values[1::2],
+        response_numbers[::2] + 1j * response_numbers[1::2],
         DERIVATIVE_ORDER_BY_CODE[motion_code],
     )
 

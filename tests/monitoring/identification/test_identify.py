@@ -202,8 +202,8 @@ def test_one_measurement_alone(scene: fc.Scene, folder: Path) -> None:
     """A crack that rests on one measurement, of a mode that was taken for another or is wrong, is
     reported; one that all of them show is not."""
     plain_rows = natural_of(measured(scene, {"crack": None, "contact": None}, 4))
-    measured_values = [row.value * (0.99 if row.mode == 3 else 1.0) for row in plain_rows.rows]
-    pairs = zip(plain_rows.rows, measured_values, strict=True)
+    changed_frequencies = [row.value * (0.99 if row.mode == 3 else 1.0) for row in plain_rows.rows]
+    pairs = zip(plain_rows.rows, changed_frequencies, strict=True)
     measurements = fc.Measurements(tuple(replace(row, value=value) for row, value in pairs))
     cracked_rows = natural_of(measured(scene, {"crack.length": 0.03, "crack.height": 0.09}, 4))
     either_text = (
