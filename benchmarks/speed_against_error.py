@@ -43,6 +43,7 @@ from fenics_crack.balance.harmonic_balance import truncated_orbit_solution
 from fenics_crack.balance.more_modes import MoreModes
 from fenics_crack.draw.figure import COLOURS_BY_NAME
 from fenics_crack.motion.flow import exact_flow_or_none
+from fenics_crack.motion.search import search_orbit
 from fenics_crack.study.meshes import refine_scene_or_none
 
 ROOT = Path(__file__).parents[1]
@@ -242,8 +243,12 @@ def with_more_modes(orbit: fc.PeriodicOrbit, study: fc.Study) -> fc.PeriodicOrbi
     problem = fc.Problem(orbit.structure, orbit.omega, study.contact, 5)
     wave = truncated_orbit_solution(problem, orbit, orbit.coefficients(5))
     more_modes = MoreModes(exact_flow_or_none(study.structure, study.contact), wave, orbit)
-    assert more_modes.orbit is not None
-    return more_modes.orbit
+    start_states = more_modes.nearest_orbit_states_with_static_new_modes
+    orbit_with_more_modes = (
+        more_modes.orbit or search_orbit(more_modes.flow, orbit.omega, [start_states]).orbit
+    )
+    assert orbit_with_more_modes is not None
+    return orbit_with_more_modes
 
 
 # --- what is kept of them -------------------------------------------------------------------------

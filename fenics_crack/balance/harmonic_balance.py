@@ -410,23 +410,33 @@ def solve_to_tolerance(
     for structure in structures:
         solver = replace(solver, problem=replace(solver.problem, structure=structure))
         solution = _solve_with_present_modes(solver, tolerance, initial)
-        solution = solution.reported(whole_structure.comm.bcast(solution.report))
-        if best_solution is None or solution.report.total < best_solution.report.total:
-            best_solution = solution
+        more_modes = solution.orbit and solution.assessment.more_modes
+        is_error_linear = bool(more_modes and more_modes.is_orbit_left_out)
+        report, is_error_linear = whole_structure.comm.bcast((solution.report, is_error_linear))
+        solution = solution.reported(report)
+        if not is_error_linear:
+            best_solution = _solution_with_smaller_error(best_solution, solution)
         if not (solution.converged and lacks_modes(solution, tolerance)):
             break
         initial = solution if structure.light_lips else None
+    if is_error_linear and solution.orbit is not None:  # the last solution has the most modes
+        problem = replace(solver.problem, harmonics=solution.harmonics)
+        status, other_orbits = solution.status, solution.others
+        solution = solution_of_orbit(problem, solution.orbit, tolerance)
+        solution = solution.reported(whole_structure.comm.bcast(solution.report))
+        solution = replace(solution, status=status, others=other_orbits)
+        best_solution = _solution_with_smaller_error(best_solution, solution)
     assert best_solution is not None
-    orbit, more_modes = best_solution.orbit, best_solution.assessment.more_modes
-    if orbit and more_modes and not more_modes.orbit and more_modes.allowed_prediction < math.inf:
-        problem = replace(
-            solver.problem, structure=best_solution.structure, harmonics=best_solution.harmonics
-        )
-        whole_report_solution = solution_of_orbit(problem, orbit, tolerance)
-        best_solution = replace(
-            whole_report_solution, status=best_solution.status, others=best_solution.others
-        )
     return _with_tolerance_status(solver, best_solution, tolerance, modes_key)
+
+
+def _solution_with_smaller_error(
+    solution: PeriodicSolution | None, other_solution: PeriodicSolution
+) -> PeriodicSolution:
+    """Return the solution with the smaller total error, ``other_solution`` if there is one only."""
+    if solution is None or other_solution.report.total < solution.report.total:
+        return other_solution
+    return solution
 
 
 def lacks_modes(solution: PeriodicSolution, tolerance: float) -> bool:
@@ -798,9 +808,7 @@ def _modal_truncation_errors(
     reduced_structure = problem.structure
     if not isinstance(reduced_structure, ReducedStructure) or reduced_structure.reference is None:
         return 0.0, 0.0
-    errors = more_modes and more_modes.gap_and_displacement_errors
-    is_change_large = errors and more_modes and errors[0] > more_modes.allowed_prediction
-    if more_modes is None or (more_modes.orbit is None and not is_change_large):
+    if more_modes is None or (more_modes.orbit is None and not more_modes.is_orbit_left_out):
         n_harmonics = problem.response_harmonics(SearchOptions.guess_harmonic_counts[-1])
         balance_solver = Solver(problem.with_harmonics(n_harmonics))
         balanced_solution = balance_solver.search_and_solution(

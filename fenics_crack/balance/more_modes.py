@@ -270,6 +270,12 @@ class MoreModes:
             ),
         )
 
+    @property
+    def is_orbit_left_out(self) -> bool:
+        """True if the orbit is not sought, as its linear prediction exceeds the allowed one."""
+        errors = self.gap_and_displacement_errors
+        return self.orbit is None and errors is not None and errors[0] > self.allowed_prediction
+
     def describe_contradiction(self, verdict: str) -> str:
         """Return in words that the orbit with more modes has another stability than given.
 
