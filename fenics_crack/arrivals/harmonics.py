@@ -129,9 +129,9 @@ class TipFit(HarmonicFit):
         Standard deviation of displacements from the fit; nan without more arrivals than unknowns.
         Standard errors follow Student's t, and are nan for one or two more arrivals than unknowns.
     misfit : float
-        Probability that residuals are as large between the probes' means, given the scatter within
-        a probe. If it is tiny, harmonics are missing, probes are out of place, or the order is
-        wrong. nan with too few probes or revolutions, and for :func:`fit_frequency`.
+        Probability that chance makes residuals of the probes' means as large, given the scatter
+        within a probe. If it is tiny, harmonics are missing, probes are out of place, or the order
+        is wrong. nan with too few probes or revolutions, and for :func:`fit_frequency`.
     candidates : Candidates
         Candidate orders.
     spare : int

@@ -196,11 +196,10 @@ class StudentNoise:
         next one with arrivals, or all residuals are 0. The correlation is between values of psi at
         a probe in successive revolutions (:func:`_sum_products_with_next_revolution`).
 
-        An error e_n of mark n moves arrivals: at probe i in revolution n by sum_k S_ki e_(n+k),
-        with ``mark_shares`` S (marks, probes). Products of psi at two probes in a revolution give
-        the variance of e. Multiplied by sum_k S_ki S_(k+m)i, this variance is the covariance
-        between arrivals at probe i, m revolutions apart. Shared errors also scatter the products
-        themselves.
+        Errors e of marks move the arrival at probe i in revolution n by sum_k S_ki e_(n+k), with
+        ``mark_shares`` S (marks, probes). Products of psi at two probes in a revolution give the
+        variance of e. Multiplied by sum_k S_ki S_(k+m)i, this variance is the covariance between
+        arrivals at probe i, m revolutions apart. Shared errors also scatter the products.
 
         ``places`` are the arrivals' revolutions and probes.
         """

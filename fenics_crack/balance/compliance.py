@@ -227,7 +227,7 @@ class ModalCompliance:
     Attributes
     ----------
     gap_shape : tuple of int
-        (2H+1, n_pairs)
+        (2H+1, n_pairs).
     matrices : (H+1, n_pairs, n_pairs) complex [m/N]
         Compliance for each harmonic, symmetric.
     linear_gap : (2H+1, n_pairs) [m]

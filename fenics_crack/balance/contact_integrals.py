@@ -216,8 +216,8 @@ def integrals_with_uncoupled_pairs(
     """Return integrals of contact forces for uncoupled pairs, exact if possible.
 
     Exact integrals require a piecewise linear law, lambda = k max(0, g), and no
-    ``instants_per_period``. Otherwise this is the number of instants at which forces are sampled;
-    default: :func:`default_instants_per_period` for each of ``n_load_periods``, the load periods.
+    ``instants_per_period``. Otherwise forces are sampled at ``instants_per_period`` instants; by
+    default, at :func:`default_instants_per_period` in each of ``n_load_periods`` load periods.
     """
     if instants_per_period is None and is_piecewise_linear(law):
         return ExactIntegrals(law, harmonics)

@@ -231,8 +231,8 @@ class StopRequest:
     Any of :data:`STOP_SIGNALS` makes the request; a second signal raises KeyboardInterrupt at once.
     After the block, the request passes to an enclosing StopRequest.
 
-    with StopRequest() as stop:
-        while not stop.is_requested(comm): ...
+        with StopRequest() as stop:
+            while not stop.is_requested(comm): ...
     """
 
     def __init__(self) -> None:

@@ -404,12 +404,12 @@ def check_calls(
 def convert_to_unit_or_none(text: str, unit: str) -> float | None:
     """Convert a text with a number, and perhaps a unit, to a given unit.
 
-    The number may have a decimal comma.
+    The number may have a decimal comma; without a unit, it is in ``unit``.
 
     Returns
     -------
     float or None
-        Number in ``unit``; None if the text is no number, or has no unit or an unknown unit.
+        Number in ``unit``; None if the text is no number, or has an unknown unit.
     """
     number_match = NUMBER_WITH_UNIT_PATTERN.fullmatch(
         text.strip()[:100].translate(UNIT_SPELLING_TABLE)

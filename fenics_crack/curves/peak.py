@@ -128,10 +128,9 @@ def interpolate_peak_and_damping(
     Returns
     -------
     value, amplitude : float
-        Parameter and amplitude at the peak; amplitude.
-    damping_ratio of the point ``peak_index`` if it has no
-        neighbour on a side, or if the curve turns back there.
-    damping : float
+        Parameter and amplitude at the peak; those at ``peak_index`` if this point has no neighbour
+        on a side, or if the curve turns back there.
+    damping_ratio : float
         Width at 1/sqrt(2) of the peak's amplitude, over twice the peak's parameter; nan if the
         amplitude does not fall so far on both sides.
     """

@@ -66,8 +66,8 @@ class SectorNumbering:
     own_members : (n_own,) int
         Members outside the right side and the upper crack face.
     member_positions : (n,) int
-        Position in ``own_members`` for the member with the same motion, on the right side a
-        member in the next sector.
+        Position in ``own_members`` for the member with the same motion. For members on the right
+        side, this is a member in the next sector.
     belongs_to_next_sector : (n,) bool
         True for members on the right side, a part of the next sector.
     upper_face_members : (n_upper,) int

@@ -448,7 +448,7 @@ def _yield_node_chains(
 ) -> Iterator[np.ndarray]:
     """Connect edges (n, 2) of crack faces to chains of nodes, and yield each chain.
 
-    A chain runs from a tip or mouth to the next tip or mouth. ``tips`` are the nodes of tips.
+    A chain runs from a tip or mouth to the next tip or mouth. ``tip_nodes`` are the nodes of tips.
     InputError if a chain branches or is closed.
     """
     from scipy.sparse.csgraph import breadth_first_order

@@ -708,8 +708,8 @@ def _rows_by_station(front: Front, functional_rows: np.ndarray) -> np.ndarray:
     """Arrange the functionals for K_I, K_II and K_III by station: (n_stations, 3, m).
 
     ``functional_rows`` (3 n_stations, m) are means of K over the hat functions, mode after mode.
-    The last hat of an open front is half, with a centroid inside. So both end stations are
-    extrapolated linearly from the last two hats.
+    At both ends of an open front, the last hat is half, with a centroid inside. So both end
+    stations are extrapolated linearly from the last two hats.
     """
     functional_rows = functional_rows.reshape(3, len(front.station_parameters), -1).swapaxes(0, 1)
     if not front.is_closed and len(front.station_parameters) > 2:

@@ -500,7 +500,7 @@ class FrictionContactSolver:
 
     Parameters
     ----------
-    compliance : (2 n_pairs, 2 n_pairs) [m/N]
+    compliance_matrix : (2 n_pairs, 2 n_pairs) [m/N]
         D = R_inf + diag(1/k, 1/k_t): residual flexibility plus normal and tangential contact
         springs; normal gaps come first.
     coefficient : float or (n_pairs,)
@@ -509,7 +509,7 @@ class FrictionContactSolver:
     Attributes
     ----------
     compliance_matrix
-        The parameter ``compliance``.
+        The parameter ``compliance_matrix``.
     """
 
     def __init__(self, compliance_matrix: np.ndarray, coefficient: float | np.ndarray) -> None:

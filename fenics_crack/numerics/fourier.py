@@ -140,7 +140,7 @@ def sample_period(coefficients: np.ndarray, n_instants: int) -> np.ndarray:
 def fourier_coefficients(samples: np.ndarray, harmonics: int) -> np.ndarray:
     """Return Fourier coefficients (2H+1, ...) of samples over a period.
 
-    ``values`` (n, ...) are n > 2H equally spaced samples from phase 0 on; H = ``harmonics``.
+    ``samples`` (n, ...) are n > 2H equally spaced values from phase 0 on; H = ``harmonics``.
     """
     if (2 * harmonics + 1) * len(samples) <= MAX_MATRIX_ENTRIES:
         return _multiply_first_axis(

@@ -325,7 +325,7 @@ class Tangent:
 
     Attributes
     ----------
-    x, p :
+    x, p
         Parts t_x, in the shape of the unknowns, and t_p.
     unknowns_weight : float
         Weight w of the unknowns, 1 / |x|^2 at the point (:func:`norm_weights_at`).
@@ -523,7 +523,7 @@ def solve_in_plane(
 
     Parameters
     ----------
-    unknown, parameter :
+    unknown, parameter
         Guess of x and p. The plane passes through the guess.
     plane : Tangent or None
         Normal of the plane, the tangent of a path. None: p stays as given.

@@ -427,10 +427,11 @@ class TimeHistory(ObservedMotion, Tabular):
 
 
 class PeriodWindow(NamedTuple):
-    """Output arrays of a single load period, written by a scheme's ``fill_period``.
+    """Output arrays of a single load period.
 
-    Rows are the instants. ``gap`` [m] and contact ``force`` [N] are (N, n_rows): a column for each
-    pair's normal gap, then with friction for each tangential gap.
+    :meth:`Scheme.integrate_and_fill_period` writes them. Rows are the instants. ``gap`` [m] and
+    contact ``force`` [N] are (N, n_rows): a column for each pair's normal gap, then with friction
+    for each tangential gap.
     """
 
     gap: np.ndarray
