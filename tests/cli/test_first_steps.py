@@ -218,7 +218,8 @@ def test_the_curve_to_paste_is_of_this_scene(
     Path("own.toml").write_text(scene.as_toml())
     message, _, lines = run_command("curve", "own.toml", code=2).err.partition("for example:\n\n")
     assert message.startswith(
-        "fenics-crack: curve is missing: give a table [curve] command, as start, table [curve]"
+        "fenics-crack: curve is missing: give a table [curve] with start, stop, which this command "
+        "needs"
     )
     Path("own.toml").write_text(f"{scene.as_toml()}\n{lines}")
     words = ["--set", "curve.stability=false", "--set", "mesh.error=false", "--quiet"]
