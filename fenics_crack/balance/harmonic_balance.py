@@ -599,12 +599,13 @@ def _solve_with_present_modes(
 
 
 def search_initial_orbit(
-    problem: Problem, initial: PeriodicSolution | None = None
+    problem: Problem, initial: PeriodicSolution | None = None, *, prefer_stable: bool = True
 ) -> OrbitSearchResult:
     """Search for an exact orbit from harmonic-balance solutions with 5 to 40 harmonics.
 
     Each solution is searched from ``initial``. If ``initial`` has an orbit, this orbit is tried
-    first.
+    first. Without ``initial``, and with ``prefer_stable``, the search goes on after an unstable
+    orbit.
 
     Raises
     ------
@@ -612,11 +613,16 @@ def search_initial_orbit(
         There is no exact flow.
     """
     flow = exact_flow_or_error(problem.structure, problem.contact)
-    return _search_orbit_from_solutions(Solver(problem, throw=False), flow, initial)[1]
+    solver = Solver(problem, throw=False)
+    return _search_orbit_from_solutions(solver, flow, initial, prefer_stable=prefer_stable)[1]
 
 
 def _search_orbit_from_solutions(
-    solver: Solver, flow: ContactFlow, initial: PeriodicSolution | None
+    solver: Solver,
+    flow: ContactFlow,
+    initial: PeriodicSolution | None,
+    *,
+    prefer_stable: bool = True,
 ) -> tuple[list[PeriodicSolution], OrbitSearchResult]:
     """Search for an orbit from harmonic-balance solutions with ascending harmonics.
 
@@ -646,7 +652,11 @@ def _search_orbit_from_solutions(
                 yield solution.assessment.states_at_period_parts
 
     search = search_orbit(
-        flow, problem.omega, state_guesses(), problem.subharmonic, prefer_stable=initial is None
+        flow,
+        problem.omega,
+        state_guesses(),
+        problem.subharmonic,
+        prefer_stable=prefer_stable and initial is None,
     )
     return solutions, search
 
@@ -731,6 +741,7 @@ def solution_of_orbit(
             if initial_more_modes
             else None,
         )
+    more_modes = _with_orbit_by_balance(problem, solution_with_harmonics, more_modes)
     reduction_error, displacement_at_load_error = _modal_truncation_errors(
         problem, solution_with_harmonics, more_modes
     )
@@ -786,6 +797,34 @@ def truncated_orbit_solution(
         coefficients.force[row_slice],
     )
     return PeriodicSolution(**vars(wave), assessment=Assessment(wave, orbit, more_modes=more_modes))
+
+
+def _with_orbit_by_balance(
+    problem: Problem,
+    solution_with_harmonics: Callable[[int], PeriodicSolution],
+    more_modes: MoreModes | None,
+) -> MoreModes | None:
+    """Return more modes with their orbit, from harmonic balance where Newton's method misses it.
+
+    The solution with more modes is searched from the orbit's series with 40 harmonics of the load
+    frequency. Unchanged: more modes with an orbit, or whose orbit is left out; crack faces with
+    mass; no convergence.
+    """
+    if (
+        more_modes is None
+        or not problem.structure.light_lips
+        or more_modes.orbit is not None
+        or more_modes.is_orbit_left_out
+    ):
+        return more_modes
+    n_harmonics = problem.response_harmonics(SearchOptions.guess_harmonic_counts[-1])
+    larger_problem = replace(problem, structure=more_modes.flow.structure)
+    larger_solution = Solver(larger_problem.with_harmonics(n_harmonics)).search_and_solution(
+        solution_with_harmonics(n_harmonics)
+    )[1]
+    if not (larger_solution.converged and larger_solution.assessment.is_accepted):
+        return more_modes
+    return replace(more_modes, known_orbit=larger_solution.assessment.nearest_orbit)
 
 
 def _modal_truncation_errors(

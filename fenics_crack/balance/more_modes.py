@@ -126,6 +126,8 @@ class MoreModes:
     """
     allowed_prediction: float = math.inf
     """Maximum predicted relative change of the gaps for which the orbit is searched."""
+    known_orbit: PeriodicOrbit | None = None
+    """Orbit with more modes, if it is known from another search."""
 
     @property
     def nearest_orbit_states_with_static_new_modes(self) -> np.ndarray:
@@ -208,6 +210,8 @@ class MoreModes:
         The step corrects all parts of the nearest orbit's period together. None: the motion cannot
         be followed.
         """
+        if self.known_orbit is not None:
+            return self.known_orbit
         flow, load_omega, n_load_periods = self.flow, self.wave.omega, self.wave.subharmonic
         period_states, start_i_minus_m_solver = (
             self.nearest_orbit_states_with_static_new_modes,
@@ -280,8 +284,11 @@ class MoreModes:
         """Return in words that the orbit with more modes has another stability than given.
 
         ``verdict`` is the solution's stability. Returns "" if both agree, or if one is not known.
+        Multipliers of more than 120 modes are not computed: they would take longer than the orbit.
         """
         if verdict not in ("stable", "unstable") or self.orbit is None:
+            return ""
+        if self.flow.n_modes > MAX_MODES_FOR_MONODROMY:
             return ""
         modulus = float(abs(self.orbit.multipliers[0]))
         orbit_verdict = "stable" if modulus < 1.0 else "unstable"

@@ -354,18 +354,22 @@ def solve_by_orbit_or_harmonics(
     n_harmonics: int,
     start_solution: PeriodicSolution | None = None,
     *,
-    by_orbit: bool,
+    answer_orbit: PeriodicOrbit | None,
 ) -> PeriodicSolution:
     """Solve a reduced study by an exact orbit, or by harmonic balance (collective).
 
-    With ``by_orbit``, return the Fourier coefficients of the exact orbit, if the search finds an
-    orbit. Otherwise solve with half the harmonics, and start all harmonics from this solution: so a
+    If the answer has an orbit, ``answer_orbit``, return the Fourier coefficients of the exact
+    orbit, if the search finds an orbit; it looks for a stable orbit if the answer's is stable.
+    Otherwise solve with half the harmonics, and start all harmonics from this solution: so a
     motion from rest is found in less time. If all harmonics do not converge, return the solution
     with half the harmonics.
     """
-    if by_orbit:
+    if answer_orbit is not None:
         problem = _make_solver(study, omega, n_harmonics).problem
-        if (orbit := search_initial_orbit(problem, start_solution).orbit) is not None:
+        orbit = search_initial_orbit(
+            problem, start_solution, prefer_stable=answer_orbit.is_stable
+        ).orbit
+        if orbit is not None:
             return truncated_orbit_solution(problem, orbit, orbit.coefficients(n_harmonics))
     n_first_harmonics = max(n_harmonics // 2, least_harmonics(study.structure, 1))
     half_harmonics_solution = solve_without_stability(

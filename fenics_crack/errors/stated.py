@@ -635,9 +635,12 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         The run at ``omega`` [rad/s] has the answer's harmonics. The search is for an exact orbit if
         the answer has an orbit, otherwise by harmonic balance.
         """
-        n_harmonics, by_orbit = self.balance_solution.harmonics, self.answer.orbit is not None
         return solve_by_orbit_or_harmonics(
-            study, omega, n_harmonics, start_solution, by_orbit=by_orbit
+            study,
+            omega,
+            self.balance_solution.harmonics,
+            start_solution,
+            answer_orbit=self.answer.orbit,
         )
 
     def _compute_values_at_resonance_shifts(
