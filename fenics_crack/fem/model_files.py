@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fenics_crack.model.matrices import read_number_rows, yield_numbered_lines
+from fenics_crack.model.matrix_formats import read_number_rows, yield_numbered_lines
 from fenics_crack.scene.fields import MAX_ALLOWED_MAGNITUDE
 
 VTK_TYPE_BY_NODE_COUNT = {4: 10, 6: 13, 8: 12, 10: 24, 15: 26, 20: 25}
