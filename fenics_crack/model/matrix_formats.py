@@ -320,9 +320,9 @@ def _read_abaqus(path: Path) -> LabelledMatrix:
 
 def _read_nastran(path: Path, matrix_letter: str) -> LabelledMatrix:
     """Read the DMIG matrix of a Nastran .pch file whose name begins with ``matrix_letter``."""
-    entry_labels: list[tuple[int, int, int, int]] = []
+    entry_labels: list[list[int]] = []
     entries: list[float] = []
-    is_wanted, column_label, form = False, (0, 0), 6
+    is_wanted, form, column_label = False, 6, ["", ""]
     for number, line in yield_numbered_lines(path, "$"):
         try:
             if line.startswith("DMIG "):
@@ -334,12 +334,13 @@ def _read_nastran(path: Path, matrix_letter: str) -> LabelledMatrix:
                     if form not in (1, 6) or type_code not in (1, 2):
                         raise ValueError
             elif line.startswith("DMIG*"):
-                is_wanted = re.match(f"{matrix_letter}[A-Z]", line[8:24].upper()) is not None
-                column_label = int(line[24:40]), int(line[40:56])
+                matrix_name, *column_label = cut_fields(line, 16, 8, 56)
+                is_wanted = re.match(f"{matrix_letter}[A-Z]", matrix_name.upper()) is not None
             elif line.startswith("*"):
                 if is_wanted:
-                    entry_labels.append((int(line[8:24]), int(line[24:40]), *column_label))
-                    entries.append(float(line[40:56].upper().replace("D", "E")))
+                    *row_label, value_text = cut_fields(line, 16, 8, 56)
+                    entry_labels.append([int(field) for field in (*row_label, *column_label)])
+                    entries.append(parse_real(value_text))
             elif is_wanted:
                 raise ValueError
         except LookupError:
@@ -369,23 +370,20 @@ def _read_op4(path: Path, matrix_letter: str) -> sparse.csr_matrix:
     Nastran, DMAP Programmer's Guide, OUTPUT4.
     """
     lines = yield_numbered_lines(path, "$")
-    line_number, line, number_width = 0, "", 16
+    line_number, line = 0, ""
 
-    def read_integers(count: int) -> list[int]:
+    def read_line() -> str:
         nonlocal line_number, line
         line_number, line = next(lines)
-        return [int(line[start : start + 8]) for start in range(0, 8 * count, 8)]
+        return line
 
-    def read_floats(count: int) -> list[float]:
-        nonlocal line_number, line
+    def read_integers(count: int) -> list[int]:
+        return [int(field) for field in cut_fields(read_line(), 8, 0, 8 * count)]
+
+    def read_reals(count: int, width: int) -> list[float]:
         column_entries: list[float] = []
         while len(column_entries) < count:
-            line_number, line = next(lines)
-            text = line.upper().replace("D", "E")
-            column_entries += [
-                float(text[start : start + number_width])
-                for start in range(0, len(text), number_width)
-            ]
+            column_entries += map(parse_real, cut_fields(read_line(), width))
         if len(column_entries) > count:
             raise ValueError
         return column_entries
@@ -409,11 +407,11 @@ def _read_op4(path: Path, matrix_letter: str) -> sparse.csr_matrix:
                         (n_words, row), n_header_words = read_integers(2), 2
                         n_words -= 1
                     elif first_row == 0:
-                        line_number, line = next(lines)
-                        n_words, row, n_header_words = int(line) // 65536 - 1, int(line) % 65536, 1
+                        n_words, row = divmod(int(read_line()), 65536)
+                        n_words, n_header_words = n_words - 1, 1
                     # Strings count their words, dense columns their numbers.
-                    column_entries = read_floats(
-                        n_words // words_per_number if n_header_words else n_words
+                    column_entries = read_reals(
+                        n_words // words_per_number if n_header_words else n_words, number_width
                     )
                     n_words_left -= n_words + n_header_words
                     if is_wanted and column <= n_columns:
@@ -625,6 +623,20 @@ def yield_numbered_lines(path: Path, comment: str) -> Iterator[tuple[int, str]]:
         for number, line in enumerate(text_file, 1):
             if text := line.partition(comment)[0].rstrip():
                 yield number, text
+
+
+def cut_fields(line: str, width: int, start: int = 0, stop: int | None = None) -> list[str]:
+    """Cut a line into fields of fixed width, from column ``start`` to ``stop`` or the end.
+
+    Fields after the end of the line are empty.
+    """
+    columns = range(start, len(line) if stop is None else stop, width)
+    return [line[column : column + width].strip() for column in columns]
+
+
+def parse_real(field: str) -> float:
+    """Parse a real number of Fortran, as "1.5D-3", or of Nastran, as "1.5-3"."""
+    return float(re.sub(r"(?<=[\d.])([+-]\d+)$", r"E\1", field.upper().replace("D", "E")))
 
 
 def read_number_rows(
