@@ -41,6 +41,7 @@ import numpy as np
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.gmsh_process import gmsh
 from fenics_crack.basics.threads import machine_memory
+from fenics_crack.fem import solid_mesher
 from fenics_crack.fem.cracks import CrackPath, Cracks, NamedParts
 from fenics_crack.fem.grading import (
     ElementInterval,
@@ -49,7 +50,6 @@ from fenics_crack.fem.grading import (
     crack_gradings,
     find_plate_columns_rows_and_slits,
 )
-from fenics_crack.kernel import kernel
 from fenics_crack.model.factor import estimate_factor_bytes
 from fenics_crack.scene.scene import Scene
 
@@ -460,15 +460,14 @@ class DiskRim:
         The stress is infinite at the corners. The length is ``mesh.size`` / 32 there, and grows by
         ``mesh.size`` over the blade's width, per distance.
         """
-        (blade_width, _), element_size = self.scene.geometry.sides, self.scene.mesh.given("size")
-        corner_x_positions = np.array([0.0, blade_width])
+        blade_width, element_size = self.scene.geometry.sides[0], self.scene.mesh.given("size")
         return [
             Grading(
-                corner_x_positions,
-                self.foot_height(0.0),
+                (corner_x_position, self.foot_height(0.0)),
                 BLADE_CORNER_LENGTH_TO_MESH_SIZE * element_size,
                 element_size / blade_width,
             )
+            for corner_x_position in (0.0, blade_width)
         ]
 
     def name_of(self, face_center: tuple[float, float, float]) -> str:
@@ -528,23 +527,20 @@ class DiskRim:
             self.outer_radius * rim_angle_beside_blade,
             self.outer_radius - self.inner_radius,
         )
-        element_counts = [
-            max(1, round(arc_or_radial_length / element_size)) if foot_columns[0].n_elements else 0
-            for arc_or_radial_length in arc_and_radial_lengths
-        ]
+        has_element_counts = foot_columns[0].n_elements > 0
         interval_beside_blade, radial_interval = (
-            ElementInterval(0.0, 1.0, n_elements, 1.0) for n_elements in element_counts
+            ElementInterval(
+                0.0, 1.0, has_element_counts * max(1, round(length / element_size)), 1.0
+            )
+            for length in arc_and_radial_lengths
         )
         center = geo.addPoint(self.blade_middle_position, self.axis_y_position, 0.0)
-        x_positions = [
-            foot_columns[0].start,
-            *(column_interval.stop for column_interval in foot_columns),
-        ]
-        point_angles = [
+        x_positions = [foot_columns[0].start, *(column.stop for column in foot_columns)]
+        foot_angles = [
             math.asin((x_position - self.blade_middle_position) / self.outer_radius)
             for x_position in x_positions
         ]
-        point_angles = [-self.half_angle, *point_angles, self.half_angle]
+        point_angles = [-self.half_angle, *foot_angles, self.half_angle]
         left_corner, right_corner = (
             geo.addPoint(*self.point_at(self.outer_radius, point_angle), 0.0)
             for point_angle in (-self.half_angle, self.half_angle)
@@ -600,29 +596,21 @@ def _mesh_current_model_with_gradings(
         gmsh cannot mesh the geometry; the error names the key to change.
     """
     element_size = unit_scene.mesh.given("size")
-    kernel_structs = [grading.as_kernel_struct() for grading in gradings]
-
-    def element_length(dimension: int, tag: int, x: float, y: float, *_: float) -> float:
-        """Return the element length at a point, for gmsh.
-
-        gmsh calls the function 1e5 times for a mesh.
-        """
-        return min(
-            [
-                element_size,
-                *(kernel.element_length_at(struct.address, x, y) for struct in kernel_structs),
-            ]
+    point_tags = [tag for _, tag in gmsh.model.getEntities(0)]
+    points = np.array([gmsh.model.getValue(0, tag, [])[:2] for tag in point_tags])
+    length_fields = []
+    for grading in gradings:
+        graded_point = point_tags[np.linalg.norm(points - grading.point, axis=1).argmin()]
+        lengths = element_size, grading.min_length, grading.length_per_distance
+        length_fields.append(
+            solid_mesher.add_graded_field("PointsList", [graded_point], *lengths)[1]
         )
-
-    for option in ("MeshSizeFromPoints", "MeshSizeExtendFromBoundary", "MeshSizeFromCurvature"):
-        gmsh.option.setNumber(f"Mesh.{option}", 0)
-    gmsh.model.mesh.setSizeCallback(element_length)
+    solid_mesher.use_smallest_length(length_fields)
+    solid_mesher.set_size_options(FromPoints=0, ExtendFromBoundary=0, FromCurvature=0)
     try:
         gmsh.model.mesh.generate(2)
     except Exception as error:  # gmsh raises nothing else
         raise meshing_refusal(scene, str(error)) from None
-    finally:
-        gmsh.model.mesh.removeSizeCallback()
 
 
 def meshing_refusal(scene: Scene, reason_text: str) -> InputError:

@@ -17,8 +17,8 @@ from itertools import pairwise
 import numpy as np
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.kernel import Struct
 from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import Crack
 
 MIN_RELATIVE_CELL_SIZE = 1e-7
 """Minimum cell size, relative to the plate's longer side. Smaller cells fail in gmsh and in the
@@ -128,7 +128,7 @@ def find_plate_columns_rows_and_slits(
         )
         rows = _intervals_with_equal_elements(height, scene.mesh.given("rows"), crack_heights)
     else:
-        columns, rows = _graded_columns_and_rows(scene, crack_spans, crack_heights)
+        columns, rows = _graded_columns_and_rows(scene)
     column_positions, row_positions = (
         np.array([intervals[0].start, *(interval.stop for interval in intervals)])
         for intervals in (columns, rows)
@@ -191,38 +191,37 @@ def _index_of_nearest_position(positions: np.ndarray, position: float) -> int:
     return int(np.argmin(np.abs(positions - position)))
 
 
-def _graded_columns_and_rows(
-    scene: Scene, crack_spans: list[tuple[float, float]], crack_heights: list[float]
-) -> tuple[list[ElementInterval], list[ElementInterval]]:
-    """Divide a plate into block columns and rows with short elements at tips and cracks.
+def _graded_faces(scene: Scene, crack: Crack) -> list[_GradedFace]:
+    """Return the graded parts of a crack's face, one for each tip."""
+    width = scene.geometry.sides[0]
+    left_end, right_end = crack.span(width)
+    coarse_end_position = 0.5 * (left_end + right_end)
+    if left_end == 0.0:
+        coarse_end_position = left_end
+    elif right_end == width:
+        coarse_end_position = right_end
+    return [
+        _GradedFace(scene, coarse_end_position, tip_position)
+        for tip_position in (left_end, right_end)
+        if tip_position != coarse_end_position
+    ]
 
-    ``crack_spans`` are the left and right ends of each crack, ``crack_heights`` their heights [m].
-    """
+
+def _graded_columns_and_rows(scene: Scene) -> tuple[list[ElementInterval], list[ElementInterval]]:
+    """Divide a plate into block columns and rows with short elements at tips and cracks."""
     (width, height), element_size = scene.geometry.sides, scene.mesh.given("size")
-    if not crack_spans:
-        element_counts = [
-            max(1, round(side_length / element_size)) for side_length in (width, height)
-        ]
-        return [ElementInterval(0.0, width, element_counts[0], 1.0)], [
-            ElementInterval(0.0, height, element_counts[1], 1.0)
-        ]
+    if not scene.crack_by_name:
+        columns, rows = (
+            [ElementInterval(0.0, side_length, max(1, round(side_length / element_size)), 1.0)]
+            for side_length in (width, height)
+        )
+        return columns, rows
     all_graded_faces: list[_GradedFace] = []
     crack_levels_and_element_lengths: list[tuple[float, float]] = []
-    for (left_end, right_end), crack_height in zip(crack_spans, crack_heights, strict=True):
-        coarse_end_position = (
-            left_end
-            if left_end == 0.0
-            else right_end
-            if right_end == width
-            else 0.5 * (left_end + right_end)
-        )
-        graded_faces = [
-            _GradedFace(scene, coarse_end_position, tip_position)
-            for tip_position in (left_end, right_end)
-            if tip_position != coarse_end_position
-        ]
+    for crack in scene.crack_by_name.values():
+        graded_faces = _graded_faces(scene, crack)
         crack_levels_and_element_lengths.append(
-            (crack_height, min(face.tip_element_length for face in graded_faces))
+            (crack.height or 0.0, min(face.tip_element_length for face in graded_faces))
         )
         all_graded_faces += graded_faces
     tip_positions_and_element_lengths = [
@@ -348,48 +347,24 @@ def _graded_count_and_ratio(
 
 @dataclass(frozen=True)
 class Grading:
-    """Element length h = min_length + length_per_distance d around points.
+    """Element length h = min_length + length_per_distance d around a point.
 
-    d is the distance from the nearest point. Lengths are in gmsh's unit.
-
-    Attributes
-    ----------
-    x_positions, y_position : (n,), ()
-        Coordinates x of the points, and the common y.
-    min_length : float
-        Element length at the points.
-    length_per_distance : float
-        Increase of the element length per distance d.
+    d is the distance from the point (x, y). Lengths are in gmsh's unit.
     """
 
-    x_positions: np.ndarray
-    y_position: float
+    point: tuple[float, float]
     min_length: float
     length_per_distance: float
 
-    def as_kernel_struct(self) -> Struct:
-        """Return the kernel's struct ``grading``, for the C function ``element_length_at``."""
-        return Struct("grading", count=len(self.x_positions), **vars(self))
-
 
 def crack_gradings(scene: Scene) -> list[Grading]:
-    """Return a grading of element lengths around the tips for each crack in a plate."""
-    (width, _), mesh, gradings = scene.geometry.sides, scene.mesh, []
-    for crack in scene.crack_by_name.values():
-        n_elements = mesh.given("lip_elements")
-        left_end, right_end = crack.span(width)
-        face_length = right_end - left_end
-        if crack.edge is None:
-            n_elements, face_length = -(-n_elements // 2), 0.5 * face_length  # as in _GradedFace
-        length_over_previous = mesh.grading ** (1.0 / max(n_elements - 1, 1))
-        tip_element_length = face_length / float(
-            (length_over_previous ** np.arange(n_elements)).sum()
+    """Return a grading of element lengths around each crack tip in a plate."""
+    return [
+        Grading(
+            (face.tip_position, crack.given("height")),
+            face.tip_element_length,
+            max(1.0 / face.length_over_next_from_tip - 1.0, MAX_ELEMENT_LENGTH_PER_DISTANCE),
         )
-        tip_positions = np.array(
-            [tip_position for tip_position in (left_end, right_end) if 0.0 < tip_position < width]
-        )
-        length_per_distance = max(length_over_previous - 1.0, MAX_ELEMENT_LENGTH_PER_DISTANCE)
-        gradings.append(
-            Grading(tip_positions, crack.given("height"), tip_element_length, length_per_distance)
-        )
-    return gradings
+        for crack in scene.crack_by_name.values()
+        for face in _graded_faces(scene, crack)
+    ]
