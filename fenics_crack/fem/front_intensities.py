@@ -46,9 +46,10 @@ from scipy.special import roots_jacobi
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.basics.tables import format_quantity
-from fenics_crack.fem.cracks import RELATIVE_POSITION_TOLERANCE, CrackSurface
+from fenics_crack.fem.cracks import RELATIVE_POSITION_TOLERANCE, CrackSurface, count_equal_rows
 from fenics_crack.fem.fronts import Front, find_fronts
-from fenics_crack.model.nodes import Nodes
+from fenics_crack.fem.interaction_integral import find_weight_and_slope
+from fenics_crack.model.nodes import Nodes, format_point
 from fenics_crack.model.receptance import check_has_matrices
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
@@ -56,8 +57,6 @@ from fenics_crack.scene.scene import Scene
 MAX_ELEMENT_LENGTH_TO_RADIUS = 1.25
 """Maximum element length along the front, relative to the integration domain's radius. At the limit
 K is in error by up to 20 %, allowed on the coarser mesh of an error estimate."""
-PLATEAU_FRACTION = 0.2
-"""Fraction of the integration domain's radius up to which the weight q is 1."""
 GAUSS_POINTS_AT_FRONT, GAUSS_POINTS_ELSEWHERE = 6, 5
 """Gauss points per direction, in cells at the front and in other cells. At the front, 4 points give
 1 to 3 % noise in K. Elsewhere, 5 points change K by 0.1 %, and 4 points by 0.3 %."""
@@ -129,8 +128,8 @@ def front_functionals(
         raise InputError("mesh", f"cells with {nodes.cells.shape[1]} nodes", requirement)
     points, cells = gather_rows(comm, nodes.points), gather_rows(comm, nodes.cells)
     stations: list[Station] = []
-    displacement_rows_of_fronts: list[np.ndarray] = []
-    force_rows_of_fronts: list[np.ndarray] = []
+    displacement_rows: list[np.ndarray] = []
+    force_rows: list[np.ndarray] = []
     for front in find_fronts(structure):
         _check_front_is_resolved(front)
         integration_domain = _IntegrationDomain(scene, front, points, cells)
@@ -146,29 +145,12 @@ def front_functionals(
             force_factors[: len(front.station_parameters)] += _contact_force_factors(
                 structure, front
             )
-        valid_station_indices = [
-            station_index
-            for station_index in range(len(front.station_parameters))
-            if station_index not in front.corner_station_indices
-        ]
-        for rows_of_fronts, factors_of_front in (
-            (displacement_rows_of_fronts, displacement_factors),
-            (force_rows_of_fronts, force_factors),
-        ):
-            rows_of_fronts.append(
-                _rows_by_station(front, factors_of_front)[valid_station_indices].reshape(
-                    3 * len(valid_station_indices), -1
-                )
-            )
-        stations += [
-            _make_stations(structure, front)[station_index]
-            for station_index in valid_station_indices
-        ]
-    return (
-        stations,
-        np.concatenate(displacement_rows_of_fronts),
-        np.concatenate(force_rows_of_fronts),
-    )
+        front_stations = _make_stations(structure, front)
+        smooth_stations = np.setdiff1d(range(len(front_stations)), front.corner_station_indices)
+        stations += [front_stations[station_index] for station_index in smooth_stations]
+        displacement_rows += [*_rows_by_station(front, displacement_factors)[smooth_stations]]
+        force_rows += [*_rows_by_station(front, force_factors)[smooth_stations]]
+    return stations, np.concatenate(displacement_rows), np.concatenate(force_rows)
 
 
 def _values_at_free_dofs(
@@ -242,12 +224,9 @@ def _check_front_is_resolved(front: Front) -> None:
     worst_edge = (edge_lengths / domain_radii_at_edges).argmax()
     if edge_lengths[worst_edge] > MAX_ELEMENT_LENGTH_TO_RADIUS * domain_radii_at_edges[worst_edge]:
         allowed_edge_length = MAX_ELEMENT_LENGTH_TO_RADIUS * domain_radii_at_edges[worst_edge]
-        position_text = ", ".join(
-            f"{coordinate:.4g}" for coordinate in front.node_positions[worst_edge]
-        )
         requirement = (
             f"elements of at most {allowed_edge_length:.3g} m along the crack front"
-            f" at ({position_text}) m; refine the mesh there"
+            f" at {format_point(front.node_positions[worst_edge], '.4g')} m; refine the mesh there"
         )
         raise InputError("mesh", f"elements of {edge_lengths[worst_edge]:.3g} m", requirement)
 
@@ -259,31 +238,11 @@ def _rows_by_station(front: Front, functional_rows: np.ndarray) -> np.ndarray:
     At both ends of an open front, the last hat is half, with a centroid inside. So both end
     stations are extrapolated linearly from the last two hats.
     """
-    functional_rows = functional_rows.reshape(3, len(front.station_parameters), -1).swapaxes(0, 1)
-    if not front.is_closed and len(front.station_parameters) > 2:
-        first_station_rows, last_station_rows = (
-            1.5 * functional_rows[end_station] - 0.5 * functional_rows[neighbour_station]
-            for end_station, neighbour_station in ((0, 1), (-1, -2))
-        )
-        functional_rows = np.concatenate(
-            [first_station_rows[None], functional_rows[1:-1], last_station_rows[None]]
-        )
-    return functional_rows
-
-
-def _weight_and_slope_by_radius_ratio(radius_ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the weight q of the interaction integral, and dq / d(r / R).
-
-    ``radius_ratio`` is r / R, distance from the front over the integration domain's radius. q is 1
-    up to r = 0.2 R, and falls smoothly to 0 at R.
-    """
-    ramp_position = np.clip((radius_ratio - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION), 0.0, 1.0)
-    slope_by_radius_ratio = (
-        -30.0 * ramp_position**2 * (1.0 - ramp_position) ** 2 / (1.0 - PLATEAU_FRACTION)
-    )
-    return 1.0 - ramp_position**3 * (
-        10.0 - 15.0 * ramp_position + 6.0 * ramp_position**2
-    ), slope_by_radius_ratio
+    rows_by_mode = functional_rows.reshape(3, len(front.station_parameters), -1)
+    rows_by_station = rows_by_mode.swapaxes(0, 1).copy()
+    if not front.is_closed and len(rows_by_station) > 2:
+        rows_by_station[[0, -1]] = 1.5 * rows_by_station[[0, -1]] - 0.5 * rows_by_station[[1, -2]]
+    return rows_by_station
 
 
 def _collapsed_gauss_rule(dimension: int, n_side_points: int) -> tuple[np.ndarray, np.ndarray]:
@@ -385,15 +344,8 @@ class _IntegrationDomain:
             corner_positions, corner_order[..., None], axis=1
         )
         corner_nodes = np.take_along_axis(self.cells[:, :4], corner_order, axis=1)
-        sorted_facets = [
-            np.sort(np.delete(corner_nodes, corner_index, axis=1), axis=1)
-            for corner_index in range(4)
-        ]
-        facet_keys = np.ravel_multi_index(np.concatenate(sorted_facets).T, (len(self.points),) * 3)
-        _, first_facets, facet_counts = np.unique(facet_keys, return_index=True, return_counts=True)
-        self.is_outer_facet = (
-            np.isin(facet_keys, facet_keys[first_facets[facet_counts == 1]]).reshape(4, -1).T
-        )
+        facets = np.concatenate([np.delete(corner_nodes, corner, axis=1) for corner in range(4)])
+        self.is_outer_facet = (count_equal_rows(facets) == 1).reshape(4, -1).T
         cell_edge_vectors = self.corner_positions[:, 1:] - self.corner_positions[:, :1]
         self.volumes = np.abs(np.linalg.det(cell_edge_vectors)) / 6.0
         inverse_cell_edge_matrices = np.linalg.inv(cell_edge_vectors).swapaxes(
@@ -590,7 +542,7 @@ class _IntegrationDomain:
         is_node_at_front = r < 1e-6 * domain_radius
         is_node_at_front[:, 4:] = is_node_at_front[:, np.array(TETRAHEDRON_EDGES)].all(axis=2)
         r = np.where(is_node_at_front, domain_radius, r)
-        q = np.where(is_node_at_front, 0.0, _weight_and_slope_by_radius_ratio(r / domain_radius)[0])
+        q = np.where(is_node_at_front, 0.0, find_weight_and_slope(r / domain_radius)[0])
         mode_fields = []
         for mode in range(3):
             _, a_by_xi, _ = self._plane_field_and_derivatives(mode, xi, y, r)
@@ -691,7 +643,7 @@ class _IntegrationDomain:
         )
         if normals is not None:  # At a concave front, crack faces reach ahead of the curve.
             xi = np.where(np.abs(y) < 1e-9 * r, -r, xi)
-        q, q_slope = _weight_and_slope_by_radius_ratio(r / radius)
+        q, q_slope = find_weight_and_slope(r / radius)
         q_slope /= radius
         metric = 1.0 + curvature * xi
         local_curvature = curvature / metric
@@ -853,15 +805,12 @@ def _contact_force_factors(structure: Structure, front: Front) -> np.ndarray:
         is_on_front = corner_distances < RELATIVE_POSITION_TOLERANCE * crack.size
         if is_on_front.sum() == 2:
             corner_order = np.append(np.flatnonzero(~is_on_front), np.flatnonzero(is_on_front))
-            t_start, t_stop = front.node_parameters[corner_front_nodes[corner_order[1:]]]
-            if front.is_closed and abs(t_stop - t_start) > 0.5 * (
-                front.node_parameters[-1] - front.node_parameters[0]
-            ):
-                parameter_period = front.node_parameters[-1] - front.node_parameters[0]
-                t_start, t_stop = (
-                    t_start + parameter_period * (t_start < t_stop),
-                    t_stop + parameter_period * (t_stop < t_start),
+            edge_parameters = front.node_parameters[corner_front_nodes[corner_order[1:]]]
+            if front.is_closed:
+                edge_parameters = np.unwrap(
+                    edge_parameters, period=front.node_parameters[-1] - front.node_parameters[0]
                 )
+            t_start, t_stop = edge_parameters
             t = t_start + edge_fractions * (t_stop - t_start)
             offsets_to_corner = triangle[corner_order[0]] - front.curve_function(t, 0)
             points = front.curve_function(t, 0) + corner_fractions[:, None] * offsets_to_corner
@@ -878,7 +827,7 @@ def _contact_force_factors(structure: Structure, front: Front) -> np.ndarray:
         t = front.nearest_parameters(points)
         r = np.linalg.norm(points - front.curve_function(t, 0), axis=1)
         domain_radii = front.domain_radius(front.frame_and_curvature(t)[2])
-        kernel = _weight_and_slope_by_radius_ratio(r / domain_radii)[0] / np.sqrt(r) * area_weights
+        kernel = find_weight_and_slope(r / domain_radii)[0] / np.sqrt(r) * area_weights
         corner_crack_nodes = crack_node_tree.query(triangle[corner_order])[1]
         factors[:, corner_crack_nodes] += front.hats_and_slopes(t)[0].T @ (
             kernel[:, None] * shape_values

@@ -18,7 +18,13 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
 from fenics_crack.basics.ranks import gather_rows
-from fenics_crack.fem.cracks import RELATIVE_POSITION_TOLERANCE, CrackSurface, upward_sign
+from fenics_crack.fem.cracks import (
+    RELATIVE_POSITION_TOLERANCE,
+    CrackSurface,
+    find_node_chains,
+    size_weighted_normals,
+    upward_sign,
+)
 from fenics_crack.model.structure import Structure
 
 RADIUS_IN_ELEMENTS = 2.0
@@ -115,13 +121,10 @@ class Front:
     @property
     def corner_station_indices(self) -> list[int]:
         """Return the indices of stations at corners of the front, where K is undefined."""
-        n_stations = len(self.station_parameters)
-        end_flags_and_stations = zip(self.ends_at_surface, (0, n_stations - 1), strict=True)
-        return (
-            []
-            if self.is_closed
-            else [station for is_at_surface, station in end_flags_and_stations if not is_at_surface]
-        )
+        if self.is_closed:
+            return []
+        end_stations = np.array([0, len(self.station_parameters) - 1])
+        return end_stations[~np.array(self.ends_at_surface)].tolist()
 
     def hats_and_slopes(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate the stations' hat functions h at curve parameters t (...).
@@ -308,43 +311,22 @@ def _yield_smooth_front_parts(
         True for each end at the surface of the solid.
     """
     corner_positions = crack.triangles.reshape(-1, 3)
-    corner_tree, tolerance = cKDTree(corner_positions), RELATIVE_POSITION_TOLERANCE * crack.size
-    edges = np.sort(corner_tree.query(crack.front_chords.reshape(-1, 3))[1].reshape(-1, 2), axis=1)
-    linked_nodes_by_node: dict[int, list[int]] = {}
-    edge_end_nodes = np.array(
-        [
-            min(corner_tree.query_ball_point(corner_position, tolerance))
-            for corner_position in corner_positions[edges.ravel()]
-        ]
+    corner_tree = cKDTree(corner_positions)
+    coincident_corners = corner_tree.query_ball_point(
+        corner_positions, RELATIVE_POSITION_TOLERANCE * crack.size
     )
-    for node, other_node in edge_end_nodes.reshape(-1, 2):
-        linked_nodes_by_node.setdefault(int(node), []).append(int(other_node))
-        linked_nodes_by_node.setdefault(int(other_node), []).append(int(node))
-    triangle_sides = crack.triangles[:, 1:] - crack.triangles[:, :1]
-    triangle_normals = np.cross(triangle_sides[:, 0], triangle_sides[:, 1])
-    normal_signs = np.array([upward_sign(triangle_normal) for triangle_normal in triangle_normals])
-    triangle_normals *= normal_signs[:, None]
-    triangle_centres = crack.triangles.mean(axis=1)
-    while linked_nodes_by_node:
-        first_node = min(
-            (node for node, linked_nodes in linked_nodes_by_node.items() if len(linked_nodes) == 1),
-            default=min(linked_nodes_by_node),
-        )
-        chained_nodes, is_closed = [first_node], len(linked_nodes_by_node[first_node]) == 2
-        while linked_nodes_by_node.get(chained_nodes[-1]):
-            next_node = linked_nodes_by_node[chained_nodes[-1]].pop()
-            linked_nodes_by_node[next_node].remove(chained_nodes[-1])
-            chained_nodes.append(next_node)
-        for node in chained_nodes:
-            linked_nodes_by_node.pop(node, None)
-        chained_points = corner_positions[chained_nodes]
-        point_normals, inward_vectors = np.empty_like(chained_points), np.empty_like(chained_points)
-        for index, point in enumerate(chained_points):
-            near_triangles = np.unique(
-                np.array(corner_tree.query_ball_point(point, tolerance)) // 3
-            )
-            point_normals[index] = triangle_normals[near_triangles].sum(axis=0)
-            inward_vectors[index] = triangle_centres[near_triangles].mean(axis=0) - point
+    node_of_corner = np.array([min(corners) for corners in coincident_corners])
+    triangle_normals = size_weighted_normals(crack.triangles)
+    triangle_normals *= np.array([[upward_sign(normal)] for normal in triangle_normals])
+    node_normals, node_centres = np.zeros((2, len(corner_positions), 3))
+    np.add.at(node_normals, node_of_corner, np.repeat(triangle_normals, 3, axis=0))
+    np.add.at(node_centres, node_of_corner, np.repeat(crack.triangles.mean(axis=1), 3, axis=0))
+    node_centres /= np.maximum(np.bincount(node_of_corner, minlength=len(node_centres)), 1)[:, None]
+    chord_corners = corner_tree.query(crack.front_chords.reshape(-1, 3))[1]
+    for nodes in find_node_chains(node_of_corner[chord_corners].reshape(-1, 2)):
+        is_closed = bool(nodes[0] == nodes[-1])
+        chained_points, point_normals = corner_positions[nodes], node_normals[nodes]
+        inward_vectors = node_centres[nodes] - chained_points
         point_normals /= np.linalg.norm(point_normals, axis=1)[:, None]
         edge_vectors = np.diff(chained_points, axis=0)
         edge_side_vectors = np.cross(point_normals[:-1] + point_normals[1:], edge_vectors)
@@ -438,16 +420,7 @@ def _fit_parameters_and_curve(
                 )
     edge_lengths = np.linalg.norm(np.diff(node_positions, axis=0), axis=1)
     t = np.append(0.0, np.cumsum(edge_lengths))
-    if len(node_positions) == 2:
-        node_positions = np.array(
-            [node_positions[0], node_positions.mean(axis=0), node_positions[1]]
-        )
-        knot_parameters = np.array([0, 0.5, 1]) * t[-1]
-    else:
-        knot_parameters = t
-    spline = CubicSpline(
-        knot_parameters, node_positions, bc_type="periodic" if is_closed else "not-a-knot"
-    )
+    spline = CubicSpline(t, node_positions, bc_type="periodic" if is_closed else "not-a-knot")
 
     return t, lambda t, order: np.asarray(spline(t, order))
 

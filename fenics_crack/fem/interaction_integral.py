@@ -283,17 +283,18 @@ def _kolosov_and_field_scale(scene: Scene) -> tuple[float, float]:
     return (3.0 - nu) / (1.0 + nu), 1.0 / (4.0 * shear_modulus * np.sqrt(2.0 * np.pi))
 
 
-def _weight_values(tip_distances: np.ndarray, domain_radius: float) -> np.ndarray:
-    """Return the weight q at distances r [m] from a tip: same shape.
+def find_weight_and_slope(radius_ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the weight q of the interaction integral, and the slope dq / d(r / R).
 
-    q is 1 up to 0.2 of the radius, and falls smoothly to 0 at the radius.
+    ``radius_ratio`` is r / R, distance from the tip or front over the integration domain's radius.
+    q is 1 up to r = 0.2 R, and falls smoothly to 0 at R.
     """
-    ramp_position = np.clip(
-        (tip_distances / domain_radius - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION), 0.0, 1.0
+    ramp_position = np.clip((radius_ratio - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION), 0.0, 1.0)
+    slope_by_radius_ratio = (
+        -30.0 * ramp_position**2 * (1.0 - ramp_position) ** 2 / (1.0 - PLATEAU_FRACTION)
     )
-    return np.asarray(
-        1.0 - ramp_position**3 * (10.0 - 15.0 * ramp_position + 6.0 * ramp_position**2)
-    )
+    weight = 1.0 - ramp_position**3 * (10.0 - 15.0 * ramp_position + 6.0 * ramp_position**2)
+    return weight, slope_by_radius_ratio
 
 
 def _weighted_singular_field(
@@ -326,7 +327,7 @@ def _weighted_singular_field(
     derivative_1, derivative_2 = _singular_displacement_derivative(
         r, cos_half_angle, side_signs * sin_half_angle, kolosov, mode
     )
-    scaled_weights = field_scale * _weight_values(r, tip.domain_radius)
+    scaled_weights = field_scale * find_weight_and_slope(r / tip.domain_radius)[0]
     weighted_field[is_in_domain] = (scaled_weights * derivative_1)[
         :, None
     ] * tip.growth_direction + (scaled_weights * derivative_2)[:, None] * e_2
@@ -434,7 +435,7 @@ def _contact_force_factors(
         2.0
         * (kolosov + 1.0)
         * field_scale
-        * _weight_values(quadrature_distances, tip.domain_radius)
+        * find_weight_and_slope(quadrature_distances / tip.domain_radius)[0]
         * rule_weights
     )
     hat_values = np.array(

@@ -29,7 +29,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.fem.cracks import (
     FACET_CORNERS_BY_CORNER_COUNT,
     RELATIVE_POSITION_TOLERANCE,
-    find_unique_rows,
+    count_equal_rows,
     make_matrix_extending_pressures_to_front,
 )
 from fenics_crack.fem.model_files import Model
@@ -214,16 +214,13 @@ def _find_crack_of_each_pair(twins: _TwinNodes, twin_pair_index: np.ndarray) -> 
         :, second_node_of_pair
     ].multiply(twins.connectivity[second_node_of_pair][:, first_node_of_pair])
     n_cracks, unsorted_crack_of_pair = connected_components(pair_links)
-    crack_centres = [
-        twins.points[first_node_of_pair[unsorted_crack_of_pair == unsorted_crack]].mean(axis=0)[
-            [1, 0, 2]
+    x, y, z = np.transpose(
+        [
+            twins.points[first_node_of_pair[unsorted_crack_of_pair == unsorted_crack]].mean(axis=0)
+            for unsorted_crack in range(n_cracks)
         ]
-        for unsorted_crack in range(n_cracks)
-    ]
-    sorted_crack_number = np.empty(n_cracks, dtype=int)
-    sorted_crack_number[
-        sorted(range(n_cracks), key=lambda unsorted_crack: tuple(crack_centres[unsorted_crack]))
-    ] = np.arange(n_cracks)
+    )
+    sorted_crack_number = np.lexsort((z, x, y)).argsort()
     return np.asarray(sorted_crack_number[unsorted_crack_of_pair])
 
 
@@ -258,11 +255,10 @@ def _crack_face_facets(model: Model, twins: _TwinNodes) -> list[Facets]:
             np.concatenate(same_field_arrays)
             for same_field_arrays in zip(*facets_and_centres_of_kinds, strict=True)
         )
-        is_boundary = _row_multiplicities(facet_nodes[:, :n_facet_corners]) == 1
+        is_boundary = count_equal_rows(facet_nodes[:, :n_facet_corners]) == 1
         is_on_crack = is_boundary.copy()
         is_on_crack[is_boundary] = (
-            _row_multiplicities(twins.place_numbers[facet_nodes[is_boundary, :n_facet_corners]])
-            == 2
+            count_equal_rows(twins.place_numbers[facet_nodes[is_boundary, :n_facet_corners]]) == 2
         )
         is_on_crack &= np.any(twins.pair_index[facet_nodes[:, :n_facet_corners]] >= 0, axis=1)
         is_on_crack &= ~np.any(twins.is_in_half_held_pair[facet_nodes] & (facet_nodes >= 0), axis=1)
@@ -296,15 +292,6 @@ def _cell_facets_and_cell_centres(
         points[cells[:, :n_corners]].mean(axis=1), len(local_facets), axis=0
     )
     return facet_nodes.reshape(-1, 2 * n_facet_corners), cell_centres_of_facets
-
-
-def _row_multiplicities(rows: np.ndarray) -> np.ndarray:
-    """Return how often each row of nodes occurs among all rows: (n,) int.
-
-    The order of nodes in a row does not matter.
-    """
-    _, index_of_unique_row, counts = find_unique_rows(rows)
-    return np.asarray(counts[index_of_unique_row])
 
 
 def _facet_basis(n_corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -378,9 +365,9 @@ def _assemble_patch_gap_matrix(
     patch_index = twins.pair_index.copy()
     # Patches of front nodes go to their neighbours.
     patch_index[front_nodes] = n_pairs + np.arange(len(front_nodes))
-    gap_triplets: list[tuple[np.ndarray, ...]] = []
-    overlap_triplets: list[tuple[np.ndarray, ...]] = []
     areas = np.zeros(n_pairs + len(front_nodes))
+    gap = sparse.csr_matrix((twins.n_dofs, len(areas)))
+    overlap_matrix = sparse.csr_matrix((len(areas), len(areas)))
     for nodes, cell_centres in facets:
         n_corners = nodes.shape[1] // 2
         (linear, edge_functions), pressure_basis, slopes = _facet_basis(n_corners)
@@ -395,10 +382,10 @@ def _assemble_patch_gap_matrix(
         corner_patches = patch_index[nodes[:, :n_corners]]
         np.add.at(areas, corner_patches, 0.5 * np.einsum("kq,fq->fk", linear, surface_jacobians))
         integrals = np.einsum("iq,jq,fq->fij", pressure_basis, linear, surface_jacobians)
-        row_patches, column_patches = np.broadcast_arrays(
-            corner_patches[:, :, None], corner_patches[:, None]
+        patch_pairs = np.broadcast_arrays(corner_patches[:, :, None], corner_patches[:, None])
+        overlap_matrix += sparse.csr_matrix(
+            (integrals.ravel(), [patches.ravel() for patches in patch_pairs]), overlap_matrix.shape
         )
-        overlap_triplets.append((integrals.ravel(), row_patches.ravel(), column_patches.ravel()))
         # A quadratic corner function is the linear one less half of its two edge functions.
         half_edge_functions = 0.5 * (edge_functions + np.roll(edge_functions, 1, axis=0))
         is_quadratic = np.all(nodes[:, n_corners:] >= 0, axis=1)[:, None, None]
@@ -416,13 +403,10 @@ def _assemble_patch_gap_matrix(
         rows = np.broadcast_to(twins.dofs[nodes][:, None], integrals.shape)
         patch_columns = np.broadcast_to(corner_patches[:, :, None, None], integrals.shape)
         is_kept_entry = (rows >= 0) & (integrals != 0.0)
-        gap_triplets.append(
-            (integrals[is_kept_entry], rows[is_kept_entry], patch_columns[is_kept_entry])
+        gap += sparse.csr_matrix(
+            (integrals[is_kept_entry], (rows[is_kept_entry], patch_columns[is_kept_entry])),
+            gap.shape,
         )
-    integrals, rows, patch_columns = map(np.concatenate, zip(*gap_triplets, strict=True))
-    gap = sparse.csr_matrix((integrals, (rows, patch_columns)), (twins.n_dofs, len(areas)))
-    integrals, rows, patch_columns = map(np.concatenate, zip(*overlap_triplets, strict=True))
-    overlap_matrix = sparse.csr_matrix((integrals, (rows, patch_columns)), (len(areas), len(areas)))
     front_shares = make_matrix_extending_pressures_to_front(overlap_matrix[n_pairs:, :n_pairs])
     areas = front_shares.T @ areas
     twin_pair_index = np.flatnonzero(areas)
