@@ -35,7 +35,6 @@ Gosz and Moran, Engineering Fracture Mechanics 69, 2002, 299: curved fronts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -48,7 +47,7 @@ from fenics_crack.basics.ranks import gather_rows
 from fenics_crack.basics.tables import format_quantity
 from fenics_crack.fem.cracks import RELATIVE_POSITION_TOLERANCE, CrackSurface, count_equal_rows
 from fenics_crack.fem.fronts import Front, find_fronts
-from fenics_crack.fem.interaction_integral import find_weight_and_slope
+from fenics_crack.fem.interaction_integral import Station, find_weight_and_slope
 from fenics_crack.model.nodes import Nodes, format_point
 from fenics_crack.model.receptance import check_has_matrices
 from fenics_crack.model.structure import Structure
@@ -62,33 +61,6 @@ GAUSS_POINTS_AT_FRONT, GAUSS_POINTS_ELSEWHERE = 6, 5
 1 to 3 % noise in K. Elsewhere, 5 points change K by 0.1 %, and 4 points by 0.3 %."""
 MAX_POINTS_IN_MEMORY = 100_000
 """Maximum number of quadrature points for which arrays are held in memory together."""
-
-
-@dataclass(frozen=True)
-class Station:
-    """Point on a crack front at which stress intensities are computed.
-
-    Attributes
-    ----------
-    name : str
-        Name in results, as "the crack front at 3.2 mm": front, and distance along it.
-    crack_index : int
-        Index of the crack in the mesh.
-    point, growth_direction : (3,) [m], (3,)
-        Position, and unit vector ahead of the crack.
-    arc_length : float [m]
-        Distance along the front from the front's first node.
-    adjacent_pairs : (k,) int
-        Contact pairs whose patches touch the front within the station's hat function. The crack is
-        closed at the station while all these pairs are closed.
-    """
-
-    name: str
-    crack_index: int
-    point: np.ndarray
-    growth_direction: np.ndarray
-    arc_length: float
-    adjacent_pairs: np.ndarray
 
 
 def front_functionals(

@@ -216,20 +216,18 @@ def _graded_columns_and_rows(scene: Scene) -> tuple[list[ElementInterval], list[
             for side_length in (width, height)
         )
         return columns, rows
-    all_graded_faces: list[_GradedFace] = []
-    crack_levels_and_element_lengths: list[tuple[float, float]] = []
+    graded_faces: list[_GradedFace] = []
+    levels_and_element_lengths: list[tuple[float, float]] = []
     for crack in scene.crack_by_name.values():
-        graded_faces = _graded_faces(scene, crack)
-        crack_levels_and_element_lengths.append(
-            (crack.height or 0.0, min(face.tip_element_length for face in graded_faces))
-        )
-        all_graded_faces += graded_faces
-    tip_positions_and_element_lengths = [
-        (face.tip_position, face.tip_element_length) for face in all_graded_faces
+        for face in _graded_faces(scene, crack):
+            graded_faces.append(face)
+            levels_and_element_lengths.append((crack.height or 0.0, face.tip_element_length))
+    tips_and_element_lengths = [
+        (face.tip_position, face.tip_element_length) for face in graded_faces
     ]
     return _intervals_with_graded_elements(
-        width, tip_positions_and_element_lengths, all_graded_faces, element_size
-    ), _intervals_with_graded_elements(height, crack_levels_and_element_lengths, [], element_size)
+        width, tips_and_element_lengths, graded_faces, element_size
+    ), _intervals_with_graded_elements(height, levels_and_element_lengths, [], element_size)
 
 
 def _intervals_with_graded_elements(

@@ -25,9 +25,9 @@ Shih, Moran and Nakamura, International Journal of Fracture 30, 1986, 79: domain
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -53,25 +53,23 @@ high degree."""
 
 
 @dataclass(frozen=True)
-class Tip:
-    """Crack tip in a plate, at which stress intensities are computed.
+class Station:
+    """Point on a crack tip or front at which stress intensities are computed.
 
     Attributes
     ----------
     name : str
-        "the crack tip"; for a crack inside "the left crack tip"; with several cracks "the crack
-        tip of crack 1".
+        Name in results, as "the crack tip", "the left crack tip" of a crack inside, "the crack tip
+        of crack 1", or "the crack front at 3.2 mm" with the distance along the front.
     crack_index : int
         Index of the crack in the mesh.
-    point, growth_direction : (2,) [m], (2,)
+    point, growth_direction : (d,) [m], (d,)
         Position, and unit vector ahead of the crack.
     arc_length : float [m]
-        Distance along the crack from the path's first point.
-    domain_radius : float [m]
-        Radius of the integration domain, 0.8 times the distance from the nearest boundary, bend or
-        other crack.
-    adjacent_pairs : (0,) int
-        Always empty for a plate. Stations in solids have contact pairs that touch the front.
+        Distance along a crack's path, or along a front, from the first point.
+    adjacent_pairs : (k,) int
+        Contact pairs whose patches touch the front within the station's hat function. The crack is
+        closed at the station while all these pairs are closed. Always empty for a plate.
     """
 
     name: str
@@ -79,8 +77,21 @@ class Tip:
     point: np.ndarray
     growth_direction: np.ndarray
     arc_length: float
-    domain_radius: float
-    adjacent_pairs: ClassVar[tuple[int, ...]] = ()
+    adjacent_pairs: Sequence[int] | np.ndarray = ()
+
+
+@dataclass(frozen=True)
+class Tip(Station):
+    """Crack tip in a plate.
+
+    Attributes
+    ----------
+    domain_radius : float [m]
+        Radius of the integration domain, 0.8 times the distance from the nearest boundary, bend or
+        other crack.
+    """
+
+    domain_radius: float = 0.0
 
 
 def find_tips(dofs: Dofs) -> list[Tip]:
@@ -129,7 +140,7 @@ def find_tips(dofs: Dofs) -> list[Tip]:
                     tip_point,
                     growth_direction,
                     arc_length,
-                    RADIUS_TO_CLEARANCE * tip_clearance,
+                    domain_radius=RADIUS_TO_CLEARANCE * tip_clearance,
                 )
             )
     return tips

@@ -164,9 +164,7 @@ def _read_matrices_columns_and_model(
                 labelled_matrix_by_name[name] = read_matrix(Path(path), letter, label_file, n_rows)
             n_rows = labelled_matrix_by_name[name].matrix.shape[0]
     labelled_stiffness = labelled_matrix_by_name["stiffness"]
-    for name, labelled_matrix in (
-        labelled_matrix_by_name.items() if labelled_stiffness.labels is not None else ()
-    ):
+    for name, labelled_matrix in labelled_matrix_by_name.items():
         with report_read_errors(
             name, getattr(table, name), "a matrix with the same dofs as structure.stiffness"
         ):

@@ -125,13 +125,14 @@ def make_petsc_matrix(name: str, data: Any, comm: MPI.Comm, n: int | None = None
     if n_rows != n_columns or n_rows == 0 or n not in (None, n_rows):
         requirement = "a square matrix (n, n)" if n is None else f"of shape ({n}, {n})"
         raise InputError(name, (n_rows, n_columns), requirement)
-    if not is_petsc:
+    if is_petsc:
+        comm = data.comm.tompi4py()
+        own_rows = local_rows(data.convert("aij", PETSc.Mat()))
+        call_on_each_rank(comm, lambda: _check_entries(name, own_rows.data))
+    else:
         _check_entries(name, given_matrix.data)
-        start, stop = (n_rows * comm.rank) // comm.size, (n_rows * (comm.rank + 1)) // comm.size
-        return make_matrix_from_local_rows(given_matrix[start:stop], comm)
-    comm = data.comm.tompi4py()
-    own_rows = local_rows(data.convert("aij", PETSc.Mat()))
-    call_on_each_rank(comm, lambda: _check_entries(name, own_rows.data))
+        start, stop = n_rows * np.array([comm.rank, comm.rank + 1]) // comm.size
+        own_rows = given_matrix[start:stop]
     return make_matrix_from_local_rows(own_rows, comm)
 
 

@@ -38,8 +38,7 @@ from fenics_crack.scene.tables import Growth
 from fenics_crack.study.prepare import Study
 
 if TYPE_CHECKING:
-    from fenics_crack.fem.front_intensities import Station
-    from fenics_crack.fem.interaction_integral import Tip
+    from fenics_crack.fem.interaction_integral import Station, Tip
 
 
 MIN_FRONT_STATIONS = 3
