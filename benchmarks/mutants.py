@@ -55,7 +55,7 @@ FOLDERS = (
     "kernel",
 )  # fmt: skip
 """Folders of the package that compute."""
-READERS = ("msh_file", "matrix_files", "model_files", "matrices")
+READERS = ("msh_file", "matrix_files", "model_pairs", "model_files", "matrix_formats", "matrices")
 """Modules there that read files."""
 TEST_LIMIT = 60.0
 """Processor time of a test [s]; nearly all take less than a few seconds."""

@@ -13,11 +13,7 @@ A plate is cut into blocks at all tips and along all cracks. One edge crack give
                     clamped (y = 0)
 
 So both crack faces have identical nodes, and quadrilaterals can be graded towards the tip block by
-block. The uniform grid of the paper is a special case. Blocks are a tensor product: columns between
-neighbouring tips, rows between neighbouring cracks. Elements grow geometrically away from tips and
-cracks, so their size is linear in the distance. Between two tips, or two cracks, they grow from
-both to the middle, where the block is cut once more. A crack inside the plate consists of two
-halves that meet in its middle. Each half is like an edge crack with its mouth there.
+block (:mod:`fenics_crack.fem.grading`). The uniform grid of the paper is a special case.
 
 Sectors of a disk
 -----------------
@@ -36,7 +32,7 @@ from __future__ import annotations
 
 import math
 from copy import copy
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from itertools import pairwise
 from typing import Any
 
@@ -45,137 +41,17 @@ import numpy as np
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.gmsh_process import gmsh
 from fenics_crack.basics.threads import machine_memory
+from fenics_crack.fem import solid_mesher
 from fenics_crack.fem.cracks import CrackPath, Cracks, NamedParts
-from fenics_crack.kernel import Struct, kernel
+from fenics_crack.fem.grading import (
+    ElementInterval,
+    Grading,
+    Slit,
+    crack_gradings,
+    find_plate_columns_rows_and_slits,
+)
 from fenics_crack.model.factor import estimate_factor_bytes
 from fenics_crack.scene.scene import Scene
-
-MIN_RELATIVE_CELL_SIZE = 1e-7
-"""Minimum cell size, relative to the plate's longer side. Smaller cells fail in gmsh and in the
-matrices."""
-MAX_ELEMENT_LENGTH_PER_DISTANCE = 1.0 / 3.0
-"""Maximum element length between two tips or cracks, relative to the distance from the nearer."""
-
-
-@dataclass(frozen=True)
-class ElementInterval:
-    """Part of a plate's side from ``start`` to ``stop``, in the scene's unit of length.
-
-    ``length_over_previous`` is the ratio of neighbouring element lengths, above 1 for growing ones.
-    ``n_elements`` 0 leaves the number to gmsh.
-    """
-
-    start: float
-    stop: float
-    n_elements: int
-    length_over_previous: float
-
-
-Slit = tuple[int, range]
-"""Crack among the blocks: index of the horizontal line, and range of block columns along the crack.
-"""
-
-
-class _GradedFace:
-    """Element lengths along a crack face, geometrically shorter towards a tip.
-
-    From the mouth to the tip there are ``mesh.lip_elements`` elements. A crack inside has two such
-    faces from the middle to a tip, with half as many elements each. ``length_over_next_from_tip``
-    is an element's length over the length of the next element away from the tip.
-    """
-
-    def __init__(self, scene: Scene, coarse_end_position: float, tip_position: float) -> None:
-        mesh, (plate_width, plate_height) = scene.mesh, scene.geometry.sides
-        self.coarse_end_position = coarse_end_position
-        self.tip_position = tip_position
-        self.n_elements = mesh.given("lip_elements")
-        if coarse_end_position not in (0.0, plate_width):
-            self.n_elements = -(-self.n_elements // 2)
-        self.length_over_next_from_tip = mesh.grading ** (-1.0 / max(self.n_elements - 1, 1))
-        relative_lengths = self.length_over_next_from_tip ** np.arange(self.n_elements)
-        self.tip_element_length = float(
-            abs(tip_position - coarse_end_position) * relative_lengths[-1] / relative_lengths.sum()
-        )
-        if self.tip_element_length < MIN_RELATIVE_CELL_SIZE * max(plate_width, plate_height):
-            requirement = "smaller: the element at the tip of this crack would be only"
-            raise InputError(
-                "mesh.grading", mesh.grading, f"{requirement} {self.tip_element_length:.1g} m long"
-            )
-
-    def covers(self, start: float, stop: float) -> bool:
-        """Return True if the middle of an interval of positions [m] lies on the face."""
-        return (
-            min(self.coarse_end_position, self.tip_position)
-            < 0.5 * (start + stop)
-            < max(self.coarse_end_position, self.tip_position)
-        )
-
-    def element_length(self, position: float) -> float:
-        """Return the element length at a position on the face [m], linear in the position."""
-        coarse_length = self.tip_element_length / self.length_over_next_from_tip ** (
-            self.n_elements - 1
-        )
-        fraction_from_tip = (position - self.tip_position) / (
-            self.coarse_end_position - self.tip_position
-        )
-        return self.tip_element_length + fraction_from_tip * (
-            coarse_length - self.tip_element_length
-        )
-
-    def count_elements(self, start: float, stop: float) -> float:
-        """Integrate 1 / element length over an interval: number of elements, not rounded."""
-        start_length, stop_length = self.element_length(start), self.element_length(stop)
-        if abs(start_length - stop_length) < 1e-9 * start_length:
-            return (stop - start) / start_length
-        return (stop - start) * math.log(start_length / stop_length) / (start_length - stop_length)
-
-
-def _find_plate_columns_rows_and_slits(
-    scene: Scene,
-) -> tuple[list[ElementInterval], list[ElementInterval], list[Slit]]:
-    """Divide a plate into blocks, and locate the cracks among the blocks.
-
-    Returns
-    -------
-    columns, rows : list of ElementInterval
-        Blocks across the plate and along it.
-    slits : list of Slit
-        Line and columns of each crack.
-
-    Raises
-    ------
-    InputError
-        The element at a tip is shorter than ``MIN_RELATIVE_CELL_SIZE`` of the plate.
-    """
-    width, height = scene.geometry.sides
-    cracks = list(scene.crack_by_name.values())
-    crack_spans = [crack.span(width) for crack in cracks]
-    crack_heights = [crack.height or 0.0 for crack in cracks]
-    if scene.mesh.layout == "grid":
-        crack_end_positions = [crack_end for crack_span in crack_spans for crack_end in crack_span]
-        columns = _intervals_with_equal_elements(
-            width, scene.mesh.given("columns"), crack_end_positions
-        )
-        rows = _intervals_with_equal_elements(height, scene.mesh.given("rows"), crack_heights)
-    else:
-        columns, rows = _graded_columns_and_rows(scene, crack_spans, crack_heights)
-    column_positions, row_positions = (
-        np.array([intervals[0].start, *(interval.stop for interval in intervals)])
-        for intervals in (columns, rows)
-    )
-    slits = [
-        (
-            _index_of_nearest_position(row_positions, crack_height),
-            range(
-                *(
-                    _index_of_nearest_position(column_positions, crack_end)
-                    for crack_end in crack_span
-                )
-            ),
-        )
-        for crack_span, crack_height in zip(crack_spans, crack_heights, strict=True)
-    ]
-    return columns, rows, slits
 
 
 def check_cell_count(
@@ -207,49 +83,6 @@ def _element_length_off_cracks(scene: Scene) -> float:
     For a grid the result is the plate's height over ``mesh.rows``.
     """
     return scene.mesh.size or scene.geometry.sides[1] / scene.mesh.given("rows")
-
-
-def plate_pair_upper_bound(scene: Scene) -> int:
-    """Return an upper bound for the number of contact pairs in a plate.
-
-    If the crack's length is still unknown, the bound comes from ``mesh.lip_elements``.
-    """
-    crack, element_order = scene.crack, scene.mesh.order
-    if crack is not None and crack.length is None:  # then it is the only crack
-        return ((scene.mesh.lip_elements or 0) + 1) * element_order
-    columns, _, slits = _find_plate_columns_rows_and_slits(scene)
-    return sum(
-        columns[column_index].n_elements * element_order
-        for _, crack_columns in slits
-        for column_index in crack_columns
-    )
-
-
-def _intervals_with_equal_elements(
-    side_length: float, n_elements: int, cut_positions: list[float]
-) -> list[ElementInterval]:
-    """Divide a side into equal elements, and cut it into intervals at given positions.
-
-    ``side_length`` and ``cut_positions`` are in metres; the positions lie on grid lines.
-    """
-    position_by_grid_line = {
-        round(cut_position / side_length * n_elements): cut_position
-        for cut_position in cut_positions
-    } | {0: 0.0, n_elements: side_length}
-    return [
-        ElementInterval(
-            position_by_grid_line[first_line],
-            position_by_grid_line[last_line],
-            last_line - first_line,
-            1.0,
-        )
-        for first_line, last_line in pairwise(sorted(position_by_grid_line))
-    ]
-
-
-def _index_of_nearest_position(positions: np.ndarray, position: float) -> int:
-    """Return the index in ``positions`` of the value nearest to ``position``."""
-    return int(np.argmin(np.abs(positions - position)))
 
 
 # --- the unit of length ---------------------------------------------------------------------------
@@ -298,164 +131,6 @@ def _scale_nodes(metres_per_unit: float) -> None:
             gmsh.model.mesh.setNode(node_number, node_position, [])
 
 
-# --- graded sides ---------------------------------------------------------------------------------
-
-
-def _graded_columns_and_rows(
-    scene: Scene, crack_spans: list[tuple[float, float]], crack_heights: list[float]
-) -> tuple[list[ElementInterval], list[ElementInterval]]:
-    """Divide a plate into block columns and rows with short elements at tips and cracks.
-
-    ``crack_spans`` are the left and right ends of each crack, ``crack_heights`` their heights [m].
-    """
-    (width, height), element_size = scene.geometry.sides, scene.mesh.given("size")
-    if not crack_spans:
-        element_counts = [
-            max(1, round(side_length / element_size)) for side_length in (width, height)
-        ]
-        return [ElementInterval(0.0, width, element_counts[0], 1.0)], [
-            ElementInterval(0.0, height, element_counts[1], 1.0)
-        ]
-    all_graded_faces: list[_GradedFace] = []
-    crack_levels_and_element_lengths: list[tuple[float, float]] = []
-    for (left_end, right_end), crack_height in zip(crack_spans, crack_heights, strict=True):
-        coarse_end_position = (
-            left_end
-            if left_end == 0.0
-            else right_end
-            if right_end == width
-            else 0.5 * (left_end + right_end)
-        )
-        graded_faces = [
-            _GradedFace(scene, coarse_end_position, tip_position)
-            for tip_position in (left_end, right_end)
-            if tip_position != coarse_end_position
-        ]
-        crack_levels_and_element_lengths.append(
-            (crack_height, min(face.tip_element_length for face in graded_faces))
-        )
-        all_graded_faces += graded_faces
-    tip_positions_and_element_lengths = [
-        (face.tip_position, face.tip_element_length) for face in all_graded_faces
-    ]
-    return _intervals_with_graded_elements(
-        width, tip_positions_and_element_lengths, all_graded_faces, element_size
-    ), _intervals_with_graded_elements(height, crack_levels_and_element_lengths, [], element_size)
-
-
-def _intervals_with_graded_elements(
-    extent: float,
-    tip_positions_and_element_lengths: list[tuple[float, float]],
-    faces: list[_GradedFace],
-    size: float,
-) -> list[ElementInterval]:
-    """Divide a side into intervals with element lengths graded between given positions.
-
-    Parameters
-    ----------
-    extent : float [m]
-        Length of the side.
-    tip_positions_and_element_lengths : list of (position, length) [m]
-        Tips on the side, or heights of cracks, with the element length there.
-    faces : list of _GradedFace
-        Crack faces along the side.
-    size : float [m]
-        Element length elsewhere.
-    """
-    # Closer positions are equal; cracks and tips are farther from the plate's edges.
-    tolerance = MIN_RELATIVE_CELL_SIZE * extent
-
-    def lengths_at_tip(position: float) -> list[float]:
-        """Return the element lengths prescribed at a position; empty off tips and cracks."""
-        return [
-            tip_length
-            for tip, tip_length in tip_positions_and_element_lengths
-            if abs(tip - position) <= tolerance
-        ]
-
-    def element_length(position: float, faces_along: list[_GradedFace]) -> float:
-        """Return the shortest element length at a position, from crack faces, tips or size."""
-        return min(
-            ([face.element_length(position) for face in faces_along] or [size])
-            + lengths_at_tip(position)
-        )
-
-    def make_intervals(start: float, stop: float) -> list[ElementInterval]:
-        """Divide between two positions; from tip to tip, into two intervals up to the middle."""
-        faces_along = [face for face in faces if face.covers(start, stop)]
-        for face in faces_along if len(faces_along) == 1 else ():
-            ends = sorted((face.coarse_end_position, face.tip_position))
-            if max(abs(ends[0] - start), abs(ends[1] - stop)) <= tolerance:
-                length_ratio = (
-                    face.length_over_next_from_tip
-                    if face.tip_position > face.coarse_end_position
-                    else 1.0 / face.length_over_next_from_tip
-                )
-                return [ElementInterval(start, stop, face.n_elements, length_ratio)]
-        start_length = element_length(start, faces_along)
-        stop_length = element_length(stop, faces_along)
-        if not (lengths_at_tip(start) and lengths_at_tip(stop)):
-            return [_graded_interval(start, stop, start_length, stop_length, faces_along)]
-        middle = 0.5 * (start + stop)
-        max_length = max(
-            start_length, stop_length, MAX_ELEMENT_LENGTH_PER_DISTANCE * 0.5 * (stop - start)
-        )
-        middle_length = min(max_length, element_length(middle, faces_along))
-        segments = (
-            (start, middle, start_length, middle_length),
-            (middle, stop, middle_length, stop_length),
-        )
-        return [_graded_interval(*segment, faces_along) for segment in segments]
-
-    interval_bounds = [0.0]
-    cuts = [position for position, _ in tip_positions_and_element_lengths] + [
-        face.coarse_end_position for face in faces
-    ]
-    for position in sorted([*cuts, extent]):
-        if position - interval_bounds[-1] > tolerance:
-            interval_bounds.append(position)
-    return [interval for ends in pairwise(interval_bounds) for interval in make_intervals(*ends)]
-
-
-def _graded_interval(
-    start: float, stop: float, start_length: float, stop_length: float, faces: list[_GradedFace]
-) -> ElementInterval:
-    """Return an interval with geometrically graded elements.
-
-    Element lengths are about ``start_length`` at ``start`` and ``stop_length`` at ``stop`` [m]. The
-    number is at least the number required by each crack face.
-    """
-    min_length, max_length = sorted((start_length, stop_length))
-    n_elements, growth_ratio = _graded_count_and_ratio(stop - start, min_length, max_length)
-    n_required_elements = max(
-        (math.ceil(face.count_elements(start, stop) - 0.01) for face in faces), default=0
-    )
-    if n_required_elements > n_elements:
-        n_elements = n_required_elements
-        growth_ratio = (max_length / min_length) ** (1.0 / max(n_required_elements - 1, 1))
-    return ElementInterval(
-        start, stop, n_elements, growth_ratio if start_length <= stop_length else 1.0 / growth_ratio
-    )
-
-
-def _graded_count_and_ratio(
-    interval_length: float, min_length: float, max_length: float
-) -> tuple[int, float]:
-    """Return number and length ratio of geometrically growing elements on an interval.
-
-    The elements grow from about ``min_length`` to about ``max_length``, at most half the
-    interval.
-    """
-    if min_length >= max_length:
-        return math.ceil(interval_length / max_length), 1.0
-    max_length = min(max_length, 0.5 * interval_length)
-    if min_length >= max_length:
-        return (1 if interval_length <= min_length else 2), 1.0
-    growth_ratio = (interval_length - min_length) / (interval_length - max_length)
-    n_elements = max(1, round(1.0 + math.log(max_length / min_length) / math.log(growth_ratio)))
-    return n_elements, (max_length / min_length) ** (1.0 / max(n_elements - 1, 1))
-
-
 # --- a plate --------------------------------------------------------------------------------------
 
 
@@ -480,7 +155,7 @@ def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
         )
         disk_rim.set_periodic(0, left_curves, right_curves)
         _mesh_current_model_with_gradings(
-            scene, unit_scene, [*_crack_gradings(unit_scene), *disk_rim.gradings()]
+            scene, unit_scene, [*crack_gradings(unit_scene), *disk_rim.gradings()]
         )
         # The mesh is made: end the periodicity.
         gmsh.model.mesh.setPeriodic(1, right_curves, right_curves, np.eye(4).ravel().tolist())
@@ -507,7 +182,7 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
     name.
     """
     _check_plate_cells(scene)
-    columns, rows, slits = _find_plate_columns_rows_and_slits(unit_scene)
+    columns, rows, slits = find_plate_columns_rows_and_slits(unit_scene)
     rim = None if unit_scene.disk is None else DiskRim(unit_scene)
     xs, ys = ([0.0, *(interval.stop for interval in intervals)] for intervals in (columns, rows))
     add_point = gmsh.model.geo.addPoint
@@ -578,7 +253,7 @@ def _draw_blocks(scene: Scene, unit_scene: Scene) -> dict[str, tuple[int, ...]]:
 
 def _check_plate_cells(scene: Scene) -> None:
     """Raise InputError if a plate would have too many cells (:func:`check_cell_count`)."""
-    columns, rows, _ = _find_plate_columns_rows_and_slits(scene)
+    columns, rows, _ = find_plate_columns_rows_and_slits(scene)
     n_cells: float = math.prod(
         sum(interval.n_elements for interval in intervals) for intervals in (columns, rows)
     )
@@ -779,21 +454,20 @@ class DiskRim:
         ]
         return list(occ.fuse(rim_dim_tags, blade_dim_tags)[0])
 
-    def gradings(self) -> list[_Grading]:
+    def gradings(self) -> list[Grading]:
         """Return the grading of element lengths around the corners between blade and rim.
 
         The stress is infinite at the corners. The length is ``mesh.size`` / 32 there, and grows by
         ``mesh.size`` over the blade's width, per distance.
         """
-        (blade_width, _), element_size = self.scene.geometry.sides, self.scene.mesh.given("size")
-        corner_x_positions = np.array([0.0, blade_width])
+        blade_width, element_size = self.scene.geometry.sides[0], self.scene.mesh.given("size")
         return [
-            _Grading(
-                corner_x_positions,
-                self.foot_height(0.0),
+            Grading(
+                (corner_x_position, self.foot_height(0.0)),
                 BLADE_CORNER_LENGTH_TO_MESH_SIZE * element_size,
                 element_size / blade_width,
             )
+            for corner_x_position in (0.0, blade_width)
         ]
 
     def name_of(self, face_center: tuple[float, float, float]) -> str:
@@ -853,23 +527,20 @@ class DiskRim:
             self.outer_radius * rim_angle_beside_blade,
             self.outer_radius - self.inner_radius,
         )
-        element_counts = [
-            max(1, round(arc_or_radial_length / element_size)) if foot_columns[0].n_elements else 0
-            for arc_or_radial_length in arc_and_radial_lengths
-        ]
+        has_element_counts = foot_columns[0].n_elements > 0
         interval_beside_blade, radial_interval = (
-            ElementInterval(0.0, 1.0, n_elements, 1.0) for n_elements in element_counts
+            ElementInterval(
+                0.0, 1.0, has_element_counts * max(1, round(length / element_size)), 1.0
+            )
+            for length in arc_and_radial_lengths
         )
         center = geo.addPoint(self.blade_middle_position, self.axis_y_position, 0.0)
-        x_positions = [
-            foot_columns[0].start,
-            *(column_interval.stop for column_interval in foot_columns),
-        ]
-        point_angles = [
+        x_positions = [foot_columns[0].start, *(column.stop for column in foot_columns)]
+        foot_angles = [
             math.asin((x_position - self.blade_middle_position) / self.outer_radius)
             for x_position in x_positions
         ]
-        point_angles = [-self.half_angle, *point_angles, self.half_angle]
+        point_angles = [-self.half_angle, *foot_angles, self.half_angle]
         left_corner, right_corner = (
             geo.addPoint(*self.point_at(self.outer_radius, point_angle), 0.0)
             for point_angle in (-self.half_angle, self.half_angle)
@@ -913,7 +584,7 @@ class DiskRim:
 
 
 def _mesh_current_model_with_gradings(
-    scene: Scene, unit_scene: Scene, gradings: list[_Grading]
+    scene: Scene, unit_scene: Scene, gradings: list[Grading]
 ) -> None:
     """Mesh gmsh's current model with elements of ``mesh.size``, shorter near graded points.
 
@@ -925,29 +596,21 @@ def _mesh_current_model_with_gradings(
         gmsh cannot mesh the geometry; the error names the key to change.
     """
     element_size = unit_scene.mesh.given("size")
-    kernel_structs = [grading.as_kernel_struct() for grading in gradings]
-
-    def element_length(dimension: int, tag: int, x: float, y: float, *_: float) -> float:
-        """Return the element length at a point, for gmsh.
-
-        gmsh calls the function 1e5 times for a mesh.
-        """
-        return min(
-            [
-                element_size,
-                *(kernel.element_length_at(struct.address, x, y) for struct in kernel_structs),
-            ]
+    point_tags = [tag for _, tag in gmsh.model.getEntities(0)]
+    points = np.array([gmsh.model.getValue(0, tag, [])[:2] for tag in point_tags])
+    length_fields = []
+    for grading in gradings:
+        graded_point = point_tags[np.linalg.norm(points - grading.point, axis=1).argmin()]
+        lengths = element_size, grading.min_length, grading.length_per_distance
+        length_fields.append(
+            solid_mesher.add_graded_field("PointsList", [graded_point], *lengths)[1]
         )
-
-    for option in ("MeshSizeFromPoints", "MeshSizeExtendFromBoundary", "MeshSizeFromCurvature"):
-        gmsh.option.setNumber(f"Mesh.{option}", 0)
-    gmsh.model.mesh.setSizeCallback(element_length)
+    solid_mesher.use_smallest_length(length_fields)
+    solid_mesher.set_size_options(FromPoints=0, ExtendFromBoundary=0, FromCurvature=0)
     try:
         gmsh.model.mesh.generate(2)
     except Exception as error:  # gmsh raises nothing else
         raise meshing_refusal(scene, str(error)) from None
-    finally:
-        gmsh.model.mesh.removeSizeCallback()
 
 
 def meshing_refusal(scene: Scene, reason_text: str) -> InputError:
@@ -975,52 +638,3 @@ def meshing_refusal(scene: Scene, reason_text: str) -> InputError:
     return InputError(
         smallest_size_key, crack_size_by_key.get(smallest_size_key, scene.mesh.size), requirement
     )
-
-
-@dataclass(frozen=True)
-class _Grading:
-    """Element length h = min_length + length_per_distance d around points.
-
-    d is the distance from the nearest point. Lengths are in gmsh's unit.
-
-    Attributes
-    ----------
-    x_positions, y_position : (n,), ()
-        Coordinates x of the points, and the common y.
-    min_length : float
-        Element length at the points.
-    length_per_distance : float
-        Increase of the element length per distance d.
-    """
-
-    x_positions: np.ndarray
-    y_position: float
-    min_length: float
-    length_per_distance: float
-
-    def as_kernel_struct(self) -> Struct:
-        """Return the kernel's struct ``grading``, for the C function ``element_length_at``."""
-        return Struct("grading", count=len(self.x_positions), **vars(self))
-
-
-def _crack_gradings(scene: Scene) -> list[_Grading]:
-    """Return a grading of element lengths around the tips for each crack in a plate."""
-    (width, _), mesh, gradings = scene.geometry.sides, scene.mesh, []
-    for crack in scene.crack_by_name.values():
-        n_elements = mesh.given("lip_elements")
-        left_end, right_end = crack.span(width)
-        face_length = right_end - left_end
-        if crack.edge is None:
-            n_elements, face_length = -(-n_elements // 2), 0.5 * face_length  # as in _GradedFace
-        length_over_previous = mesh.grading ** (1.0 / max(n_elements - 1, 1))
-        tip_element_length = face_length / float(
-            (length_over_previous ** np.arange(n_elements)).sum()
-        )
-        tip_positions = np.array(
-            [tip_position for tip_position in (left_end, right_end) if 0.0 < tip_position < width]
-        )
-        length_per_distance = max(length_over_previous - 1.0, MAX_ELEMENT_LENGTH_PER_DISTANCE)
-        gradings.append(
-            _Grading(tip_positions, crack.given("height"), tip_element_length, length_per_distance)
-        )
-    return gradings

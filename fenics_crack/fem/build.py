@@ -68,7 +68,7 @@ from fenics_crack.fem.setting import clearance_of, damping_rule_of
 from fenics_crack.model.body import Body
 from fenics_crack.model.factor import local_rows
 from fenics_crack.model.modes import solve_modes
-from fenics_crack.model.nodes import Pairs
+from fenics_crack.model.nodes import Pairs, format_point
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 
@@ -133,35 +133,29 @@ def pair_crack_faces(
     gap = lower_gap + pressure_gap_columns[:, upper_node_table[:, 0].astype(int)]
     points = lower_node_table[:, 2:]
     areas = lower_node_table[:, 1]
-    pair_node_index = np.arange(n_inside)
-    fields: dict[str, Any] = {}
-    if max_patches is not None or dimension == 3:
-        if max_patches is None:
+    if max_patches is not None:
+        pair_node_index, shares = _find_patch_nodes_and_shares(
+            points, crack_of_pair, distances_on_crack, n_inside, max_patches
+        )
+    else:
+        pair_node_index, shares = np.arange(n_inside), sparse.eye(len(points), n_inside).tocsr()
+        if dimension == 3:
             shares = _front_pressure_share_matrix(
                 dofs, pressure_space, both_faces_measure, lower_nodes, n_inside
             )
-        else:
-            pair_node_index, shares = _find_patch_nodes_and_shares(
-                points, crack_of_pair, distances_on_crack, n_inside, max_patches
-            )
-        nodal_force_shares = sparse.csc_matrix(shares.multiply(areas[:, None]))
-        areas[pair_node_index] = shares.T @ areas
-        nodal_force_shares.data /= np.repeat(
-            areas[pair_node_index], np.diff(nodal_force_shares.indptr)
-        )
-        gap, lower_gap = gap @ nodal_force_shares, lower_gap @ nodal_force_shares
-        fields = {"nodes": points, "pressure_matrix": shares} if dimension == 3 else {}
-    if max_patches is None:
-        kept_pairs = np.arange(n_inside)
         if mouth_only:
-            kept_pairs = np.array([*_watched_pair_by_name(
+            pair_node_index = np.array([*_watched_pair_by_name(
                 part_mesh.crack_paths_or_surfaces,
                 crack_of_pair[:n_inside], distances_on_crack[:n_inside],
             ).values()])  # fmt: skip
-            fields = {"nodes": points, "pressure_matrix": shares[:, kept_pairs]} if fields else {}
-        pair_node_index, gap, lower_gap = kept_pairs, gap[:, kept_pairs], lower_gap[:, kept_pairs]
-    points, areas, crack_of_pair, distances_on_crack = (
-        values[pair_node_index] for values in (points, areas, crack_of_pair, distances_on_crack)
+            shares = shares[:, pair_node_index]
+    nodal_force_shares = sparse.csc_matrix(shares.multiply(areas[:, None]))
+    areas = shares.T @ areas
+    nodal_force_shares.data /= np.repeat(areas, np.diff(nodal_force_shares.indptr))
+    gap, lower_gap = gap @ nodal_force_shares, lower_gap @ nodal_force_shares
+    fields: dict[str, Any] = {"nodes": points, "pressure_matrix": shares} if dimension == 3 else {}
+    points, crack_of_pair, distances_on_crack = (
+        values[pair_node_index] for values in (points, crack_of_pair, distances_on_crack)
     )
     if dimension == 3:
         fields["tangential_gap_matrix"] = _free_rows(
@@ -461,12 +455,11 @@ def _match_face_nodes(
             nearest_distances.max() <= RELATIVE_POSITION_TOLERANCE * crack_extent
             and len(np.unique(upper_partner_indices)) == len(upper_partner_indices)
         )
-        position_text = ", ".join(
-            f"{coordinate:g}"
-            for coordinate in lower_node_table[int(np.argmax(nearest_distances)), 2:]
+        lower_point = lower_node_table[int(np.argmax(nearest_distances)), 2:]
+        mismatch_reason = (
+            f"the upper node nearest to the lower node at {format_point(lower_point, 'g')} m"
+            f" is {nearest_distances.max():.2g} m away"
         )
-        mismatch_reason = f"the upper node nearest to the lower node at ({position_text}) m"
-        mismatch_reason += f" is {nearest_distances.max():.2g} m away"
     if not has_matching_faces:
         problem_text = f"{n_inside} lower and {len(upper_node_table) - n_front} upper nodes"
         advice_text = (

@@ -15,7 +15,7 @@ point up; if the sum is level, they point to the right.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -25,6 +25,7 @@ import numpy as np
 import scipy.sparse as sparse
 
 from fenics_crack.basics.errors import InputError
+from fenics_crack.model.nodes import format_point
 
 CRACK_FACE_NAMES = ("lower_lip", "upper_lip")
 """Names of the lower and upper faces of all cracks in a mesh."""
@@ -91,8 +92,7 @@ class CrackPath:
         positions : (n,) [m]
             Distance along the path from the first point to the nearest point.
         """
-        offsets_from_path_edges, edge_fractions = offsets_from_edges(points, self.edges)
-        distances_to_edges = np.linalg.norm(offsets_from_path_edges, axis=2)
+        distances_to_edges, edge_fractions = _locate_on_edges(points, self.edges)
         corner_arc_lengths = self.corner_arc_lengths
         nearest_arc_lengths = corner_arc_lengths[:-1] + edge_fractions * np.diff(corner_arc_lengths)
         edge_index, point_index = distances_to_edges.argmin(axis=1), np.arange(len(points))
@@ -114,11 +114,11 @@ class CrackPath:
             else min(arc_length, path_length - arc_length)
         )
         edge_index = np.searchsorted(self.corner_arc_lengths[1:-1], arc_length)
-        return points_on_both_sides(
+        return _points_on_both_sides(
             point,
             distance_to_crack,
             tip_distance,
-            _size_weighted_normals(self.edges[[edge_index]])[0],
+            size_weighted_normals(self.edges[[edge_index]])[0],
             path_length,
         )
 
@@ -165,20 +165,19 @@ class CrackSurface:
             Distance between each point and the front, at most twice the crack's size. Without a
             front all distances are this maximum.
         """
+        from fenics_crack.fem.solid_mesher import pairwise_triangle_distances  # it imports gmsh
+
         surface_distances, front_distances = np.empty(len(points)), np.empty(len(points))
         # Limit the memory: two million distances at a time.
         block_size = max(1, 2_000_000 // max(len(self.triangles), len(self.front_chords)))
         for block_start in range(0, len(points), block_size):
             point_slice = slice(block_start, block_start + block_size)
-            surface_distances[point_slice] = np.linalg.norm(
-                _offsets_from_triangles(points[point_slice], self.triangles), axis=2
-            ).min(1)
-            # Larger than any distance between the surface and its front.
-            front_distance_bound = 2.0 * self.size
-            edge_distances = np.linalg.norm(
-                offsets_from_edges(points[point_slice], self.front_chords)[0], axis=2
-            )
-            front_distances[point_slice] = edge_distances.min(axis=1, initial=front_distance_bound)
+            surface_distances[point_slice] = pairwise_triangle_distances(
+                points[point_slice], self.triangles
+            ).min(axis=1)
+            edge_distances, _ = _locate_on_edges(points[point_slice], self.front_chords)
+            # The bound is larger than any distance between the surface and its front.
+            front_distances[point_slice] = edge_distances.min(axis=1, initial=2.0 * self.size)
         return surface_distances, front_distances
 
     def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
@@ -187,39 +186,16 @@ class CrackSurface:
         Both are 1e-3 of the crack's size away. None if the given point is farther than 1e-6 of the
         size from the crack, or as close to a front.
         """
+        from fenics_crack.fem.solid_mesher import pairwise_triangle_distances  # it imports gmsh
+
         position = np.asarray(point, dtype=float)
         (distance_to_crack,), (front_distance,) = self.locate(position[None])
-        nearest_triangle = np.linalg.norm(
-            _offsets_from_triangles(position[None], self.triangles)[0], axis=1
-        ).argmin()
-        normal = _size_weighted_normals(self.triangles[[nearest_triangle]])[0]
-        return points_on_both_sides(point, distance_to_crack, front_distance, normal, self.size)
+        nearest_triangle = pairwise_triangle_distances(position[None], self.triangles).argmin()
+        normal = size_weighted_normals(self.triangles[[nearest_triangle]])[0]
+        return _points_on_both_sides(point, distance_to_crack, front_distance, normal, self.size)
 
 
-def _offsets_from_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Return vectors from triangles (m, 3, 3) to points (n, 3): (n, m, 3).
-
-    Each vector starts at the triangle's nearest point and ends at the given point.
-    """
-    side_1, side_2 = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    corner_offsets = points[:, None] - triangles[:, 0]
-    a, b, c = (side_1**2).sum(1), (side_1 * side_2).sum(1), (side_2**2).sum(1)
-    d, e = (corner_offsets * side_1).sum(2), (corner_offsets * side_2).sum(2)
-    u, v = (c * d - b * e) / (a * c - b**2), (a * e - b * d) / (a * c - b**2)
-    offsets_from_plane = corner_offsets - u[..., None] * side_1 - v[..., None] * side_2
-    is_outside = (u < 0.0) | (v < 0.0) | (u + v > 1.0)
-    nearest_distances = np.where(is_outside, np.inf, np.linalg.norm(offsets_from_plane, axis=2))
-    for start_corner, end_corner in ((0, 1), (1, 2), (2, 0)):
-        side_offsets, _ = offsets_from_edges(points, triangles[:, [start_corner, end_corner]])
-        is_nearer = np.linalg.norm(side_offsets, axis=2) < nearest_distances
-        offsets_from_plane[is_nearer], nearest_distances[is_nearer] = (
-            side_offsets[is_nearer],
-            np.linalg.norm(side_offsets, axis=2)[is_nearer],
-        )
-    return offsets_from_plane
-
-
-def _size_weighted_normals(facets: np.ndarray) -> np.ndarray:
+def size_weighted_normals(facets: np.ndarray) -> np.ndarray:
     """Return a normal for each edge (n, 2, 2) or triangle (n, 3, 3): (n, 2) or (n, 3).
 
     A normal's length is the edge's length, or twice the triangle's area. The direction follows the
@@ -237,13 +213,13 @@ NamedParts = tuple[dict[str, tuple[int, ...]], dict[str, tuple[float, ...]]]
 """gmsh's facet group tags by name of a curve or surface, and positions by name of a point [m]."""
 
 
-def offsets_from_edges(points: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vector from each of m edges (m, 2, d) to each of n points (n, d).
+def _locate_on_edges(points: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Find the nearest point on each of m edges (m, 2, d) to each of n points (n, d).
 
     Returns
     -------
-    offsets : (n, m, d)
-        Vector from the edge's nearest point to the given point.
+    distances : (n, m)
+        Distance between the edge and the given point.
     fractions : (n, m)
         Position of the nearest point on the edge, from 0 at the start to 1 at the end.
     """
@@ -252,10 +228,11 @@ def offsets_from_edges(points: np.ndarray, edges: np.ndarray) -> tuple[np.ndarra
     fractions = np.clip(
         (start_offsets * edge_vectors).sum(axis=2) / (edge_vectors**2).sum(axis=1), 0.0, 1.0
     )
-    return start_offsets - fractions[..., None] * edge_vectors, fractions
+    offsets = start_offsets - fractions[..., None] * edge_vectors
+    return np.linalg.norm(offsets, axis=2), fractions
 
 
-def points_on_both_sides(
+def _points_on_both_sides(
     point: Sequence[float],
     distance_to_crack: float,
     front_distance: float,
@@ -281,10 +258,8 @@ def points_on_both_sides(
         Two lists of float [m]. None if the point is farther from the crack than 1e-6 of the size,
         or as close to the front.
     """
-    if (
-        distance_to_crack > RELATIVE_POSITION_TOLERANCE * crack_size
-        or front_distance <= RELATIVE_POSITION_TOLERANCE * crack_size
-    ):
+    tolerance = RELATIVE_POSITION_TOLERANCE * crack_size
+    if distance_to_crack > tolerance or front_distance <= tolerance:
         return None
     offset_to_upper_point = (
         1e-3 * crack_size * upward_sign(crack_normal) * crack_normal / np.linalg.norm(crack_normal)
@@ -353,10 +328,8 @@ def label_connected_rows(node_rows: np.ndarray) -> np.ndarray:
     """
     from scipy.sparse.csgraph import connected_components  # slow to import, and few meshes need it
 
-    link_ends, n_node_numbers = (
-        (node_rows[:, :-1].ravel(), node_rows[:, 1:].ravel()),
-        int(node_rows.max()) + 1,
-    )
+    link_ends = node_rows[:, :-1].ravel(), node_rows[:, 1:].ravel()
+    n_node_numbers = int(node_rows.max(initial=0)) + 1
     node_link_graph = sparse.coo_matrix(
         (np.ones(len(link_ends[0]), bool), link_ends), (n_node_numbers, n_node_numbers)
     )
@@ -384,6 +357,15 @@ def find_unique_rows(node_rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
         return_counts=True,
     )
     return first_rows, unique_row_of_row.ravel(), unique_row_counts
+
+
+def count_equal_rows(rows: np.ndarray) -> np.ndarray:
+    """Return how often each row of nodes occurs among all rows: (n,) int.
+
+    The order of nodes in a row does not matter.
+    """
+    _, index_of_unique_row, counts = find_unique_rows(rows)
+    return np.asarray(counts[index_of_unique_row])
 
 
 def are_rows_in(node_rows: np.ndarray, other_node_rows: np.ndarray) -> np.ndarray:
@@ -428,7 +410,18 @@ def find_crack_paths(
         )
         raise InputError("lips", "the same nodes for 'lower_lip' and 'upper_lip'", requirement)
     crack_paths = []
-    for chain_nodes in _yield_node_chains(lower_edges, common_nodes, positions):
+    _check_face_nodes(lower_edges, common_nodes, positions)
+    # Cracks that share a tip are different: number the tips of each edge anew.
+    new_tip_numbers = len(positions) + np.arange(lower_edges.size).reshape(lower_edges.shape)
+    is_tip = np.isin(lower_edges, common_nodes)
+    numbered_nodes = np.append(np.arange(len(positions)), lower_edges.ravel())
+    for chain in find_node_chains(np.where(is_tip, new_tip_numbers, lower_edges)):
+        chain_nodes = numbered_nodes[chain]
+        if chain_nodes[0] == chain_nodes[-1]:
+            requirement = (
+                "cracks with two ends; a closed curve would cut a piece out of the structure"
+            )
+            raise InputError("lips", "a closed curve", requirement)
         first_end_position, last_end_position = (
             tuple(positions[chain_nodes[end_index]]) for end_index in (0, -1)
         )
@@ -443,42 +436,39 @@ def find_crack_paths(
     return tuple(sorted(crack_paths, key=lambda crack_path: tuple(crack_path.points[0, ::-1])))
 
 
-def _yield_node_chains(
-    edges: np.ndarray, tip_nodes: np.ndarray, positions: np.ndarray
-) -> Iterator[np.ndarray]:
-    """Connect edges (n, 2) of crack faces to chains of nodes, and yield each chain.
-
-    A chain runs from a tip or mouth to the next tip or mouth. ``tip_nodes`` are the nodes of tips.
-    InputError if a chain branches or is closed.
-    """
-    from scipy.sparse.csgraph import breadth_first_order
-
+def _check_face_nodes(edges: np.ndarray, tip_nodes: np.ndarray, positions: np.ndarray) -> None:
+    """Raise InputError if more than two edges (n, 2) of a crack face meet off tips."""
     edge_nodes, edge_counts = np.unique(edges, return_counts=True)
     for edge_node, n_node_edges in zip(edge_nodes, edge_counts, strict=True):
         if n_node_edges > 2 and edge_node not in tip_nodes:
-            position_text = "({:g}, {:g})".format(*positions[edge_node])
+            problem = (
+                f"{n_node_edges} edges of a crack face at {format_point(positions[edge_node], 'g')}"
+            )
             requirement = "cracks that neither branch nor cross; draw each crack as a single line"
-            raise InputError(
-                "lips", f"{n_node_edges} edges of a crack face at {position_text}", requirement
-            )
-    # Cracks that share a tip are different: number the tips of each edge anew.
-    new_tip_numbers = len(positions) + np.arange(edges.size).reshape(edges.shape)
-    edge_labels = label_connected_rows(np.where(np.isin(edges, tip_nodes), new_tip_numbers, edges))
-    for chain_index in range(edge_labels.max() + 1):
-        sorted_chain_nodes, local_end_nodes = np.unique(
-            edges[edge_labels == chain_index].ravel(), return_inverse=True
+            raise InputError("lips", problem, requirement)
+
+
+def find_node_chains(edges: np.ndarray) -> list[np.ndarray]:
+    """Connect edges (n, 2) to chains of nodes.
+
+    An open chain begins at the end with the lower number. A closed chain begins at the lowest
+    number, and ends with the same node. Open chains come first, each kind sorted by the first node.
+    """
+    from scipy.sparse.csgraph import depth_first_order
+
+    edge_labels, chains = label_connected_rows(edges), []
+    for label in range(edge_labels.max(initial=-1) + 1):
+        chain_edges = edges[edge_labels == label]
+        nodes, edge_ends, edge_counts = np.unique(
+            chain_edges, return_inverse=True, return_counts=True
         )
-        local_chain_ends = np.flatnonzero(np.bincount(local_end_nodes) == 1)
-        if not len(local_chain_ends):
-            requirement = (
-                "cracks with two ends; a closed curve would cut a piece out of the structure"
-            )
-            raise InputError("lips", "a closed curve", requirement)
-        graph_triplets = np.ones(len(local_end_nodes) // 2), tuple(local_end_nodes.reshape(-1, 2).T)
-        chain_graph = sparse.coo_matrix(graph_triplets, (len(sorted_chain_nodes),) * 2)
-        yield sorted_chain_nodes[
-            breadth_first_order(chain_graph.tocsr(), local_chain_ends[0], directed=False)[0]
-        ]
+        end_nodes = np.flatnonzero(edge_counts == 1)
+        graph_triplets = np.ones(len(chain_edges)), tuple(edge_ends.reshape(-1, 2).T)
+        graph = sparse.csr_matrix(graph_triplets, (len(nodes), len(nodes)))
+        first_node = end_nodes[0] if len(end_nodes) else 0
+        chain = nodes[depth_first_order(graph, first_node, directed=False)[0]]
+        chains.append(chain if len(end_nodes) else np.append(chain, chain[0]))
+    return sorted(chains, key=lambda chain: (chain[0] == chain[-1], chain[0]))
 
 
 def find_crack_surfaces(
@@ -690,7 +680,7 @@ def split_cracks(
         "a mesh whose cracks neither branch nor cross, and end inside or at the boundary",
     )
     side_corner_positions = np.tile(positions[crack_facets[:, :n_corners]], (2, 1, 1))
-    outward_normals = _size_weighted_normals(side_corner_positions)
+    outward_normals = size_weighted_normals(side_corner_positions)
     cell_offsets = positions[cells.cell_nodes[side_cells, : cells.n_corners]].mean(
         axis=1
     ) - side_corner_positions.mean(axis=1)

@@ -25,9 +25,9 @@ Shih, Moran and Nakamura, International Journal of Fracture 30, 1986, 79: domain
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -53,25 +53,23 @@ high degree."""
 
 
 @dataclass(frozen=True)
-class Tip:
-    """Crack tip in a plate, at which stress intensities are computed.
+class Station:
+    """Point on a crack tip or front at which stress intensities are computed.
 
     Attributes
     ----------
     name : str
-        "the crack tip"; for a crack inside "the left crack tip"; with several cracks "the crack
-        tip of crack 1".
+        Name in results, as "the crack tip", "the left crack tip" of a crack inside, "the crack tip
+        of crack 1", or "the crack front at 3.2 mm" with the distance along the front.
     crack_index : int
         Index of the crack in the mesh.
-    point, growth_direction : (2,) [m], (2,)
+    point, growth_direction : (d,) [m], (d,)
         Position, and unit vector ahead of the crack.
     arc_length : float [m]
-        Distance along the crack from the path's first point.
-    domain_radius : float [m]
-        Radius of the integration domain, 0.8 times the distance from the nearest boundary, bend or
-        other crack.
-    adjacent_pairs : (0,) int
-        Always empty for a plate. Stations in solids have contact pairs that touch the front.
+        Distance along a crack's path, or along a front, from the first point.
+    adjacent_pairs : (k,) int
+        Contact pairs whose patches touch the front within the station's hat function. The crack is
+        closed at the station while all these pairs are closed. Always empty for a plate.
     """
 
     name: str
@@ -79,8 +77,21 @@ class Tip:
     point: np.ndarray
     growth_direction: np.ndarray
     arc_length: float
-    domain_radius: float
-    adjacent_pairs: ClassVar[tuple[int, ...]] = ()
+    adjacent_pairs: Sequence[int] | np.ndarray = ()
+
+
+@dataclass(frozen=True)
+class Tip(Station):
+    """Crack tip in a plate.
+
+    Attributes
+    ----------
+    domain_radius : float [m]
+        Radius of the integration domain, 0.8 times the distance from the nearest boundary, bend or
+        other crack.
+    """
+
+    domain_radius: float = 0.0
 
 
 def find_tips(dofs: Dofs) -> list[Tip]:
@@ -129,7 +140,7 @@ def find_tips(dofs: Dofs) -> list[Tip]:
                     tip_point,
                     growth_direction,
                     arc_length,
-                    RADIUS_TO_CLEARANCE * tip_clearance,
+                    domain_radius=RADIUS_TO_CLEARANCE * tip_clearance,
                 )
             )
     return tips
@@ -283,17 +294,18 @@ def _kolosov_and_field_scale(scene: Scene) -> tuple[float, float]:
     return (3.0 - nu) / (1.0 + nu), 1.0 / (4.0 * shear_modulus * np.sqrt(2.0 * np.pi))
 
 
-def _weight_values(tip_distances: np.ndarray, domain_radius: float) -> np.ndarray:
-    """Return the weight q at distances r [m] from a tip: same shape.
+def find_weight_and_slope(radius_ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the weight q of the interaction integral, and the slope dq / d(r / R).
 
-    q is 1 up to 0.2 of the radius, and falls smoothly to 0 at the radius.
+    ``radius_ratio`` is r / R, distance from the tip or front over the integration domain's radius.
+    q is 1 up to r = 0.2 R, and falls smoothly to 0 at R.
     """
-    ramp_position = np.clip(
-        (tip_distances / domain_radius - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION), 0.0, 1.0
+    ramp_position = np.clip((radius_ratio - PLATEAU_FRACTION) / (1.0 - PLATEAU_FRACTION), 0.0, 1.0)
+    slope_by_radius_ratio = (
+        -30.0 * ramp_position**2 * (1.0 - ramp_position) ** 2 / (1.0 - PLATEAU_FRACTION)
     )
-    return np.asarray(
-        1.0 - ramp_position**3 * (10.0 - 15.0 * ramp_position + 6.0 * ramp_position**2)
-    )
+    weight = 1.0 - ramp_position**3 * (10.0 - 15.0 * ramp_position + 6.0 * ramp_position**2)
+    return weight, slope_by_radius_ratio
 
 
 def _weighted_singular_field(
@@ -326,7 +338,7 @@ def _weighted_singular_field(
     derivative_1, derivative_2 = _singular_displacement_derivative(
         r, cos_half_angle, side_signs * sin_half_angle, kolosov, mode
     )
-    scaled_weights = field_scale * _weight_values(r, tip.domain_radius)
+    scaled_weights = field_scale * find_weight_and_slope(r / tip.domain_radius)[0]
     weighted_field[is_in_domain] = (scaled_weights * derivative_1)[
         :, None
     ] * tip.growth_direction + (scaled_weights * derivative_2)[:, None] * e_2
@@ -434,7 +446,7 @@ def _contact_force_factors(
         2.0
         * (kolosov + 1.0)
         * field_scale
-        * _weight_values(quadrature_distances, tip.domain_radius)
+        * find_weight_and_slope(quadrature_distances / tip.domain_radius)[0]
         * rule_weights
     )
     hat_values = np.array(

@@ -15,7 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from fenics_crack.model.matrices import read_number_rows, yield_numbered_lines
+from fenics_crack.model.matrix_formats import (
+    cut_fields,
+    parse_real,
+    read_number_rows,
+    yield_numbered_lines,
+)
 from fenics_crack.scene.fields import MAX_ALLOWED_MAGNITUDE
 
 VTK_TYPE_BY_NODE_COUNT = {4: 10, 6: 13, 8: 12, 10: 24, 15: 26, 20: 25}
@@ -170,10 +175,9 @@ def _read_abaqus(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
                 keyword, *options = (
                     field_text.strip().upper() for field_text in line[1:].split(",")
                 )
-                option_triples = (option.partition("=") for option in options)
                 parameters = {
-                    option_name.strip(): option_value.strip()
-                    for option_name, _, option_value in option_triples
+                    name.strip(): value.strip()
+                    for name, _, value in (option.partition("=") for option in options)
                 }
                 is_in_other_file = keyword in ("NODE", "ELEMENT") and "INPUT" in parameters
                 is_in_other_system = keyword == "NODE" and parameters.get("SYSTEM", "R") != "R"
@@ -224,7 +228,7 @@ def _read_nastran(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
             if name == "GRID":
                 if fields[1] not in ("", "0") or (fields[5:6] or [""])[0] not in ("", "0"):
                     raise ValueError
-                position = tuple(_parse_real(field) for field in (*fields[2:5], "", "")[:3])
+                position = tuple(parse_real(field or "0") for field in (*fields[2:5], "", "")[:3])
                 _add_node(nodes, line_number, int(fields[0]), position)
             elif name.startswith("INCLUDE") or (
                 name == "GRDSET" and any(field.strip("0") for field in fields[1:6:4])
@@ -248,11 +252,6 @@ def _read_nastran(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
             raise ValueError(f"line {line_number}: {name}: {requirement}") from None
 
 
-def _parse_real(field: str) -> float:
-    """Parse Nastran's real number, as "1.5-3" for 1.5e-3; empty text is 0."""
-    return float(re.sub(r"(?<=[\d.])([+-]\d+)$", r"E\1", field.upper().replace("D", "E")) or 0.0)
-
-
 def _yield_nastran_cards(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Yield the entries (cards) in a file with Nastran's bulk data.
 
@@ -270,21 +269,16 @@ def _yield_nastran_cards(path: Path) -> Iterator[tuple[int, list[str]]]:
     for line_number, line in yield_numbered_lines(path, "$"):
         line = line.expandtabs(8)
         if "," in line:
-            name, *fields = line.split(",")
-            fields = fields[:8]
+            name, *fields = (field.strip() for field in line.split(",")[:9])
         else:
-            field_width = 16 if "*" in line[:8] else 8
-            name, fields_text = line[:8], line[8:72].ljust(64)
-            fields = [
-                fields_text[start : start + field_width] for start in range(0, 64, field_width)
-            ]
-        line_fields = [field.strip() for field in fields]
-        if name.strip() and name.strip()[0] not in "+*":
+            name = line[:8].strip()
+            fields = cut_fields(line, 16 if "*" in name else 8, 8, 72)
+        if name and name[0] not in "+*":
             if card:
                 yield first_line_number, card
             first_line_number, card = line_number, [name.strip(" *").upper()]
         if card:
-            card += line_fields
+            card += fields
     if card:
         yield first_line_number, card
 
@@ -315,30 +309,22 @@ def _read_ansys(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
                     raise ValueError
                 block, node_labels = keyword[:6], []
             elif block and line.lstrip().startswith("("):
-                format_numbers = [int(number_text) for number_text in re.findall(r"\d+", line)]
-                n_integers = format_numbers[0]
-                integer_width = format_numbers[1]
-                real_width = format_numbers[3] if len(format_numbers) > 3 else 0
+                n_integers, integer_width, *real_numbers = map(int, re.findall(r"\d+", line))
+                real_width = real_numbers[1] if len(real_numbers) > 1 else 0
             elif keyword.startswith(("N,", "-1")):
                 if node_labels:
                     raise ValueError  # the last cell is incomplete
                 block = ""
             elif block == "NBLOCK":
-                fields = [
-                    line[start : start + real_width]
-                    for start in range(n_integers * integer_width, len(line), real_width)
-                ]
-                coordinates = [float(field) for field in fields if field.strip()]
+                fields = cut_fields(line, real_width, n_integers * integer_width)
+                coordinates = [parse_real(field) for field in fields if field]
                 if any(coordinates[3:]):
                     raise ValueError  # the node has angles
                 _add_node(
                     nodes, line_number, int(line[:integer_width]), (*coordinates, 0.0, 0.0, 0.0)[:3]
                 )
             elif block == "EBLOCK":
-                integers = [
-                    int(line[start : start + integer_width])
-                    for start in range(0, len(line), integer_width)
-                ]
+                integers = [int(field) for field in cut_fields(line, integer_width)]
                 if not node_labels:
                     is_solid = (
                         integers[1] not in type_number_by_index

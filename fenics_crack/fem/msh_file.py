@@ -53,6 +53,7 @@ from fenics_crack.fem.cracks import (
     merge_crack_nodes,
     split_cracks,
 )
+from fenics_crack.model.nodes import format_point
 
 Group = tuple[int, int, str, int, np.ndarray]
 """Group of elements: dimension, tag, name, gmsh's kind of elements, and node numbers."""
@@ -433,9 +434,8 @@ def _check_mouths_are_open(
     boundary_edges = boundary_edges[~are_rows_in(boundary_edges, np.concatenate(face_edges))]
     closed_mouth_nodes = np.intersect1d(np.intersect1d(*face_edges), boundary_edges)
     if len(closed_mouth_nodes):
-        position_text = "({:g}, {:g})".format(*positions[closed_mouth_nodes[0]])
         requirement = "open, with a node of each face at this point; or name one curve 'crack'"
-        problem = f"a mouth at {position_text} that is closed"
+        problem = f"a mouth at {format_point(positions[closed_mouth_nodes[0]], 'g')} that is closed"
         raise InputError("lips", problem, f"{requirement}: it is split into both faces")
 
 
@@ -500,10 +500,16 @@ MIN_RELATIVE_DETERMINANT = 1e-9
 count as zero."""
 
 
-def _mesh_error(problem: str, position: np.ndarray, requirement: str) -> InputError:
-    """Return an InputError for the key "mesh", with a problem at a position (d,) [m]."""
-    position_text = ", ".join(f"{coordinate:g}" for coordinate in position)
-    return InputError("mesh", f"{problem} at ({position_text})", requirement)
+def _check_none(
+    is_wrong: np.ndarray, problem: str, positions: np.ndarray, requirement: str
+) -> None:
+    """Raise InputError if any of n parts of a mesh is wrong, and name the centre of the first.
+
+    ``is_wrong`` (n,) is True for wrong parts, ``positions`` (n, k, d) [m] are the parts' nodes.
+    """
+    if np.any(is_wrong):
+        centre = positions[np.argmax(is_wrong)].mean(axis=0)
+        raise InputError("mesh", f"{problem} at {format_point(centre, 'g')}", requirement)
 
 
 def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
@@ -543,17 +549,11 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
         np.minimum(-min_determinants, max_determinants)
         > MIN_RELATIVE_DETERMINANT * max_abs_determinants
     )
-    for problem, is_wrong in (
-        (f"a cell without {extent_word}", is_flat),
-        ("a folded cell", is_folded),
-    ):
-        if np.any(is_wrong):
-            requirement = f"a mesh of convex cells with {extent_word}"
-            if cells.cell_nodes.shape[1] > cells.n_corners:
-                requirement += "; in gmsh, set Mesh.HighOrderOptimize = 1, or use cells of order 1"
-            raise _mesh_error(
-                problem, cell_positions[np.argmax(is_wrong)].mean(axis=0), requirement
-            )
+    requirement = f"a mesh of convex cells with {extent_word}"
+    if cells.cell_nodes.shape[1] > cells.n_corners:
+        requirement += "; in gmsh, set Mesh.HighOrderOptimize = 1, or use cells of order 1"
+    _check_none(is_flat, f"a cell without {extent_word}", cell_positions, requirement)
+    _check_none(is_folded, "a folded cell", cell_positions, requirement)
     sorted_facets, owner, _ = cells.sorted_facets_and_owners
     facet_corner_positions = positions[sorted_facets]
     cell_centres = cell_positions[:, : cells.n_corners].mean(axis=1)
@@ -562,21 +562,18 @@ def check_cells(kind: int, cells: Cells, positions: np.ndarray) -> None:
         - facet_corner_positions[:, :1]
     )
     side_signs, is_shared = np.sign(np.linalg.det(corner_vectors)), cells.is_shared
-    side_requirement = (
-        f"a mesh whose cells do not overlap; these lie on the same side of {facet_word} of both"
+    _check_none(
+        is_shared[1:] & is_shared[:-1],
+        f"{facet_word} of three cells",
+        facet_corner_positions,
+        f"a mesh with at most two cells at {facet_word}",
     )
-    for problem, is_wrong, requirement in (
-        (
-            f"{facet_word} of three cells",
-            is_shared[1:] & is_shared[:-1],
-            f"a mesh with at most two cells at {facet_word}",
-        ),
-        ("cells that overlap", is_shared & (side_signs[1:] == side_signs[:-1]), side_requirement),
-    ):
-        if np.any(is_wrong):
-            raise _mesh_error(
-                problem, facet_corner_positions[np.argmax(is_wrong)].mean(axis=0), requirement
-            )
+    _check_none(
+        is_shared & (side_signs[1:] == side_signs[:-1]),
+        "cells that overlap",
+        facet_corner_positions,
+        f"a mesh whose cells do not overlap; these lie on the same side of {facet_word} of both",
+    )
 
 
 def _check_inner_surfaces(
@@ -646,9 +643,8 @@ def check_parts_are_clamped(
             " or share nodes"
         )
         requirement += " with such a part; contact alone does not hold a part"
-        raise _mesh_error(
-            problem, positions[cells.cell_nodes[is_loose_cell]].mean(axis=(0, 1)), requirement
-        )
+        centre = positions[cells.cell_nodes[is_loose_cell]].mean(axis=(0, 1))
+        raise InputError("mesh", f"{problem} at {format_point(centre, 'g')}", requirement)
 
 
 def check_parts_do_not_overlap(
@@ -699,18 +695,15 @@ def check_parts_do_not_overlap(
     is_other_cell = owner[near_point_index] != near_cell_index
     near_cell_index = near_cell_index[is_other_cell]
     near_point_index = near_point_index[is_other_cell]
-    if np.any(
-        is_covered := _are_in_cells(
-            kind, cells.n_corners, cell_positions[near_cell_index], points[near_point_index]
-        )
-    ):
-        requirement = (
-            "a mesh whose cells share nodes where they touch (gmsh: BooleanFragments or"
-            " Coherence Mesh), except at the faces of named cracks"
-            " ('crack', or 'lower_lip' and 'upper_lip')"
-        )
-        problem = "cells that overlap, or touch without a node of both,"
-        raise _mesh_error(problem, points[near_point_index[is_covered][0]], requirement)
+    near_points = points[near_point_index]
+    _check_none(
+        _are_in_cells(kind, cells.n_corners, cell_positions[near_cell_index], near_points),
+        "cells that overlap, or touch without a node of both,",
+        near_points[:, None],
+        "a mesh whose cells share nodes where they touch (gmsh: BooleanFragments or"
+        " Coherence Mesh), except at the faces of named cracks"
+        " ('crack', or 'lower_lip' and 'upper_lip')",
+    )
 
 
 def _are_in_cells(

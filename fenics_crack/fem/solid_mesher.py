@@ -91,17 +91,11 @@ def read(path: str, _max_bytes: int, request: dict[str, Any] | None = None) -> d
     gmsh.option.setNumber("General.ExpertMode", 1)  # it must not ask
     if request is None:
         gmsh.merge(path)
-        group_dim_tags = gmsh.model.getPhysicalGroups()
-        group_names = [gmsh.model.getPhysicalName(*dim_tag) for dim_tag in group_dim_tags]
-        group_entities = [
-            gmsh.model.getEntitiesForPhysicalGroup(*dim_tag) for dim_tag in group_dim_tags
-        ]
+        name_of, entities_of = gmsh.model.getPhysicalName, gmsh.model.getEntitiesForPhysicalGroup
         return collect_groups(
             [
-                (*dim_tag, *name_and_entities)
-                for dim_tag, *name_and_entities in zip(
-                    group_dim_tags, group_names, group_entities, strict=True
-                )
+                (*dim_tag, name_of(*dim_tag), entities_of(*dim_tag))
+                for dim_tag in gmsh.model.getPhysicalGroups()
             ]
         )
     try:
@@ -182,7 +176,7 @@ def mesh_faces_coarsely() -> tuple[np.ndarray, np.ndarray]:
     """
     bounds = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
     max_size = float(np.linalg.norm(np.ptp(bounds, axis=0))) / COARSE_TRIANGLES_PER_DIAGONAL
-    _set_size_options(Max=max_size, FromCurvature=16, Min=0.05 * max_size)
+    set_size_options(Max=max_size, FromCurvature=16, Min=0.05 * max_size)
     try:
         gmsh.model.mesh.generate(2)
     except Exception as error:
@@ -562,47 +556,66 @@ def generate_mesh(size: float, fronts: list[FrontData], per_turn: int = 0) -> No
     ``per_turn`` is the number of elements on a full turn of a curved face; 0: no limit by
     curvature.
     """
-    field_module = gmsh.model.mesh.field
-    graded_fields = []
+    length_fields = []
     for front in fronts:
         if front["curves"]:
-            distance_field = field_module.add("Distance")
-            threshold_field = field_module.add("Threshold")
-            field_module.setNumbers(distance_field, "CurvesList", front["curves"])
+            distance_field, length_field = add_graded_field(
+                "CurvesList", front["curves"], size, front["shortest"], front["growth"]
+            )
             n_curve_samples = min(
                 2000, max(N_CURVE_INTERVALS, math.ceil(2.0 * front["length"] / front["shortest"]))
             )
             for option_name in ("NumPointsPerCurve", "Sampling"):  # gmsh until 4.8, and later
                 with suppress(Exception):
-                    field_module.setNumber(distance_field, option_name, n_curve_samples)
-            shortest_length = min(front["shortest"], size)
-            graded_distance = max((size - shortest_length) / front["growth"], 1e-9 * size)
-            threshold_options = {
-                "InField": distance_field,
-                "SizeMin": shortest_length,
-                "SizeMax": size,
-                "DistMax": graded_distance,
-            }
-            for option_name, option_value in threshold_options.items():
-                field_module.setNumber(threshold_field, option_name, option_value)
-            field_module.setNumber(threshold_field, "DistMin", 0.0)
-            graded_fields.append(threshold_field)
-    if graded_fields:
-        minimum_field = field_module.add("Min")
-        field_module.setNumbers(minimum_field, "FieldsList", graded_fields)
-        field_module.setAsBackgroundMesh(minimum_field)
+                    gmsh.model.mesh.field.setNumber(distance_field, option_name, n_curve_samples)
+            length_fields.append(length_field)
+    if length_fields:
+        use_smallest_length(length_fields)
     # Small faces of a part are not resolved, as some meshes would not end.
     min_size = min([MIN_CURVED_LENGTH_TO_SIZE * size, *(front["shortest"] for front in fronts)])
-    _set_size_options(
+    set_size_options(
         FromPoints=0, ExtendFromBoundary=0, FromCurvature=per_turn, Max=size, Min=min_size
     )
     try:
         gmsh.model.mesh.generate(3)
     finally:
-        _set_size_options(FromCurvature=0, Max=1e22, Min=0)  # defaults for the next mesh
+        set_size_options(FromCurvature=0, Max=1e22, Min=0)  # defaults for the next mesh
 
 
-def _set_size_options(**options: float) -> None:
+def add_graded_field(
+    list_name: str, tags: list[int], size: float, shortest: float, growth: float
+) -> tuple[int, int]:
+    """Add gmsh's fields for the element length ``shortest`` + ``growth`` d, at most ``size``.
+
+    d is the distance from gmsh's entities ``tags``, which are curves if ``list_name`` is
+    "CurvesList", points if it is "PointsList".
+
+    Returns
+    -------
+    distance_field, length_field : int
+        gmsh's tags of the fields.
+    """
+    field = gmsh.model.mesh.field
+    distance_field, length_field = field.add("Distance"), field.add("Threshold")
+    field.setNumbers(distance_field, list_name, tags)
+    min_size = min(shortest, size)
+    threshold_options = {
+        "InField": distance_field, "SizeMin": min_size, "SizeMax": size, "DistMin": 0.0,
+        "DistMax": max((size - min_size) / growth, 1e-9 * size),
+    }  # fmt: skip
+    for option_name, option_value in threshold_options.items():
+        field.setNumber(length_field, option_name, option_value)
+    return distance_field, length_field
+
+
+def use_smallest_length(length_fields: list[int]) -> None:
+    """Let gmsh's element length be the minimum of fields."""
+    minimum_field = gmsh.model.mesh.field.add("Min")
+    gmsh.model.mesh.field.setNumbers(minimum_field, "FieldsList", length_fields)
+    gmsh.model.mesh.field.setAsBackgroundMesh(minimum_field)
+
+
+def set_size_options(**options: float) -> None:
     """Set gmsh's options ``Mesh.MeshSize...`` by the end of the name."""
     for option_suffix, option_value in options.items():
         gmsh.option.setNumber(f"Mesh.MeshSize{option_suffix}", option_value)
@@ -625,20 +638,14 @@ def collect_mesh(
     dict
         Arrays of :func:`collect_groups`, and "middles", the cracks' centres of mass (n, 3).
     """
-    group_rows = [(3, "solid", [tag for _, tag in gmsh.model.getEntities(3)])]
-    group_rows += [(2, name, entities) for name, entities in surface_tags_by_name.items()]
-    group_rows += [
-        (2, f"crack {crack_number}", [tag])
-        for crack_number, tag in enumerate(crack_surface_tags, 1)
+    surface_groups = [
+        *surface_tags_by_name.items(),
+        *((f"crack {number}", [tag]) for number, tag in enumerate(crack_surface_tags, 1)),
     ]
+    groups = [(3, 1, "solid", [tag for _, tag in gmsh.model.getEntities(3)])]
+    groups += [(2, tag, *surface_group) for tag, surface_group in enumerate(surface_groups, 2)]
     crack_centres = [gmsh.model.occ.getCenterOfMass(2, tag) for tag in crack_surface_tags]
-    array_by_name = collect_groups(
-        [
-            (dimension, tag, *name_and_entities)
-            for tag, (dimension, *name_and_entities) in enumerate(group_rows, 1)
-        ]
-    )
-    return array_by_name | {"middles": np.reshape(crack_centres, (-1, 3))}
+    return collect_groups(groups) | {"middles": np.reshape(crack_centres, (-1, 3))}
 
 
 def collect_groups(groups: list[tuple[Any, ...]]) -> dict[str, Any]:

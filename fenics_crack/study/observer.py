@@ -38,8 +38,7 @@ from fenics_crack.scene.tables import Growth
 from fenics_crack.study.prepare import Study
 
 if TYPE_CHECKING:
-    from fenics_crack.fem.fronts import Station
-    from fenics_crack.fem.interaction_integral import Tip
+    from fenics_crack.fem.interaction_integral import Station, Tip
 
 
 MIN_FRONT_STATIONS = 3
@@ -484,7 +483,7 @@ class _TipsAndIntensityRowsMaker:
 
                 tips_and_rows = tip_functionals(self.scene, structure)
             else:
-                from fenics_crack.fem.fronts import front_functionals
+                from fenics_crack.fem.front_intensities import front_functionals
 
                 tips_and_rows = front_functionals(self.scene, structure)
             if not tips_and_rows[0]:

@@ -14,7 +14,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.basics.errors import MAX_HARMONIC_ORDER, InputError
-from fenics_crack.fem.blocks import plate_pair_upper_bound
+from fenics_crack.fem.grading import plate_pair_upper_bound
 from fenics_crack.fem.matrix_files import table_pair_upper_bound
 from fenics_crack.fem.plate import build_plate_or_solid_mesh
 from fenics_crack.scene.scene import Scene

@@ -24,9 +24,9 @@ from surroundings import RunCommand, main
 
 import fenics_crack as fc
 from fenics_crack import Scene
-from fenics_crack.fem.matrix_files import find_gap_matrix_and_pairs
 from fenics_crack.fem.model_files import Model, read_model
-from fenics_crack.model.matrices import read_matrix
+from fenics_crack.fem.model_pairs import find_gap_matrix_and_pairs
+from fenics_crack.model.matrix_formats import read_matrix
 
 FOLDER = Path(__file__).with_name("plate")
 TEXT = """

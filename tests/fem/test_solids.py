@@ -37,7 +37,7 @@ from fenics_crack.fem.cracks import (
     split_cracks,
 )
 from fenics_crack.fem.loads import assemble_loads
-from fenics_crack.fem.matrix_files import find_coincident_node_pairs
+from fenics_crack.fem.model_pairs import find_coincident_node_pairs
 from fenics_crack.fem.msh_file import make_cells_of_kind
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.fem.plate import Dofs, build_plate_or_solid_mesh

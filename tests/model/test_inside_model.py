@@ -33,7 +33,7 @@ from fenics_crack.model.contact import (
     solve_contact_forces_by_newton,
 )
 from fenics_crack.model.factor import Factor, make_matrix_from_local_rows
-from fenics_crack.model.matrices import read_labels
+from fenics_crack.model.matrix_formats import read_labels
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import (
     damped_count_and_max_omega_or_none,

@@ -13,7 +13,8 @@ from helpers import ROOT
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.fem.fronts import Front, _rows_by_station, front_functionals
+from fenics_crack.fem.front_intensities import _rows_by_station, front_functionals
+from fenics_crack.fem.fronts import Front
 from fenics_crack.study.observer import make_tips_and_intensity_rows
 from fenics_crack.study.prepare import prepare
 

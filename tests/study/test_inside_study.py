@@ -546,6 +546,6 @@ def test_stress_intensity_is_zero_while_pairs_at_a_front_are_closed() -> None:
     (at_station,) = compute_crack_tip_histories(record, [station], np.zeros((3, 2)), None)  # type: ignore[arg-type, list-item]
     assert np.array_equal(at_station.K_I, [3.0, 0.0, 0.0]) and at_station.closed_front_error == 3.0
     record.row_products = motion[:, :2]
-    tip = Tip("the crack tip", 0, np.zeros(2), np.ones(2), 0.01, 0.001)
+    tip = Tip("the crack tip", 0, np.zeros(2), np.ones(2), 0.01, domain_radius=0.001)
     (at_plate_tip,) = compute_crack_tip_histories(record, [tip], np.zeros((2, 2)), None)  # type: ignore[arg-type]
     assert np.array_equal(at_plate_tip.K_I, motion[:, 0])

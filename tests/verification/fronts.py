@@ -12,7 +12,7 @@ from petsc4py import PETSc
 from study.test_fronts import solid
 
 import fenics_crack as fc
-from fenics_crack.fem.fronts import front_functionals
+from fenics_crack.fem.front_intensities import front_functionals
 
 WIDTH, HEIGHT, THICKNESS, YOUNG = 0.03, 0.09, 0.006, 2.1e11
 STRESS, MOVED = 1e6, 4e-3

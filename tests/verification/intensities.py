@@ -23,7 +23,7 @@ from study.test_fronts import STRESS, YOUNG, solid
 import fenics_crack as fc
 from fenics_crack.fatigue import growth
 from fenics_crack.fatigue.ellipse import EllipseSizePath, integrate_ellipse_growth
-from fenics_crack.fem.fronts import TETRAHEDRON_EDGES, front_functionals
+from fenics_crack.fem.front_intensities import TETRAHEDRON_EDGES, front_functionals
 from fenics_crack.study.prepare import prepare
 
 PENNY, BLOCK = 0.01, 0.1

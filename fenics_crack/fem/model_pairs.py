@@ -1,0 +1,470 @@
+"""Find the contact pairs of another program's model.
+
+Coincident nodes without connection in the stiffness become pairs.
+
+Models with solid cells
+-----------------------
+A facet is on a crack face if it belongs to one cell only, and coincides with another such facet
+with other nodes. Pairs are those of :mod:`fenics_crack.fem.build`:
+
+    g_i = 1 / w_i int psi_i (n . u_lower + n . u_upper) ds,      w_i = int psi_i ds,
+
+with psi_i linear, and 1 at a corner that exists twice. Facets are as flat as their corners. Each
+normal n points out of its own cell, so the lower face need not be known.
+
+Models without cells
+--------------------
+Pairs are nodes: g = n . (u_a - u_b) for two coincident nodes. A node connected to u_a only, by the
+stiffness, lies on the side of a. A node connected to both lies on the front. The normal n belongs
+to the plane through the neighbouring pairs, or to a line in a plane model or shell. It points from
+the side of a to the side of b.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sparse
+
+from fenics_crack.basics.errors import InputError
+from fenics_crack.fem.cracks import (
+    FACET_CORNERS_BY_CORNER_COUNT,
+    RELATIVE_POSITION_TOLERANCE,
+    count_equal_rows,
+    make_matrix_extending_pressures_to_front,
+)
+from fenics_crack.fem.model_files import Model
+from fenics_crack.model.nodes import Pairs, format_point
+
+FACETS_BY_CORNER_COUNT = {
+    4: [FACET_CORNERS_BY_CORNER_COUNT[4]], 8: [FACET_CORNERS_BY_CORNER_COUNT[8]],
+    6: [np.array([[0, 1, 2], [3, 4, 5]]), np.array([[0, 1, 4, 3], [1, 2, 5, 4], [2, 0, 3, 5]])],
+}  # fmt: skip
+"""Corners of a cell's facets, by the cell's number of corners: triangles, then quadrilaterals."""
+N_CORNERS_BY_VTK_TYPE = {10: 4, 24: 4, 13: 6, 26: 6, 12: 8, 25: 8}
+"""Number of corners of a cell, by VTK's cell type."""
+CELL_EDGES_BY_CORNER_COUNT = {
+    4: [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)],
+    6: [(0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)],
+    8: [*((i, (i + 1) % 4) for i in range(4)), *((4 + i, 4 + (i + 1) % 4) for i in range(4)),
+        *((i, 4 + i) for i in range(4))],
+}  # fmt: skip
+"""Edges between a cell's corners, in VTK's order of middle nodes."""
+
+
+def find_coincident_node_pairs(points: np.ndarray) -> np.ndarray:
+    """Return pairs of nodes at the same position, as indices: (n, 2) int.
+
+    The tolerance is 1e-6 of the model's largest extent.
+    """
+    from scipy.spatial import cKDTree  # slow to import, and only foreign models need it
+
+    tolerance = RELATIVE_POSITION_TOLERANCE * float(np.ptp(points, axis=0).max())
+    node_pairs = cKDTree(points).query_pairs(tolerance, output_type="ndarray")
+    return np.asarray(node_pairs[np.lexsort(node_pairs.T[::-1])])
+
+
+class _TwinNodes:
+    """Pairs of coincident nodes of a model that the stiffness does not connect.
+
+    Attributes
+    ----------
+    points : (n_nodes, 3) [m]
+        Positions of all nodes.
+    dofs : (n_nodes, 3) int
+        Row of each node along x, y, z in the matrices; -1 without a row.
+    n_dofs : int
+        Number of rows of the matrices.
+    first_nodes, second_nodes : (n_pairs,) int
+        Both nodes of each pair.
+    pair_index : (n_nodes,) int
+        Index of each node's pair; -1 for all other nodes.
+    place_numbers : (n_nodes,) int
+        Number of each node's position, equal for coincident nodes.
+    connectivity : (n_nodes, n_nodes) bool
+        True if the stiffness connects two nodes.
+    is_in_half_held_pair : (n_nodes,) bool
+        True for two coincident nodes of which a single one has dofs. The other node is clamped, or
+        tied by equations.
+    """
+
+    def __init__(self, model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix) -> None:
+        n_model_nodes, node_pairs = len(dofs), find_coincident_node_pairs(model.points)
+        self.points, self.dofs, self.n_dofs = model.points, dofs, stiffness.shape[0]
+        node_of_row = np.full(self.n_dofs, n_model_nodes)
+        node_of_row[dofs[dofs >= 0]] = np.nonzero(dofs >= 0)[0]
+        stiffness_coo = stiffness.tocoo()
+        node_links = node_of_row[stiffness_coo.row].astype(np.int64), node_of_row[stiffness_coo.col]
+        link_values_and_indices = np.ones(len(stiffness_coo.data), bool), node_links
+        self.connectivity = sparse.csr_matrix(
+            link_values_and_indices, (n_model_nodes + 1, n_model_nodes + 1)
+        )[:n_model_nodes, :n_model_nodes]
+        is_free_node = np.any(dofs >= 0, axis=1)
+        is_contact_pair = is_free_node[node_pairs].all(axis=1) & ~np.isin(
+            n_model_nodes * node_pairs[:, 0] + node_pairs[:, 1],
+            n_model_nodes * node_links[0] + node_links[1],
+        )
+        self.place_numbers = np.arange(n_model_nodes)
+        self.place_numbers[node_pairs[:, 1]] = node_pairs[:, 0]
+        self.is_in_half_held_pair = np.zeros(n_model_nodes, dtype=bool)
+        self.is_in_half_held_pair[
+            node_pairs[is_free_node[node_pairs[:, 0]] != is_free_node[node_pairs[:, 1]]]
+        ] = True
+        self.first_nodes, self.second_nodes = node_pairs[is_contact_pair].T
+        unique_paired_nodes, n_pairs_of_node = np.unique(
+            np.append(self.first_nodes, self.second_nodes), return_counts=True
+        )
+        if np.any(n_pairs_of_node > 1):
+            worst_node = unique_paired_nodes[np.argmax(n_pairs_of_node)]
+            place_text = format_point(model.points[worst_node], "g")
+            place_text += f", one of them is node {model.labels[worst_node]}"
+            requirement = (
+                "a model with two nodes at each place of a crack, as cracks neither branch"
+                " nor cross"
+            )
+            raise InputError("model", f"more than two nodes at {place_text}", requirement)
+        if not len(self.first_nodes):
+            problem_text = (
+                f"{len(node_pairs)} pairs of nodes at the same place, all connected or clamped"
+            )
+            raise InputError(
+                "model",
+                problem_text,
+                "a model with two nodes at each place of a crack, free and not connected",
+            )
+        self.pair_index = np.full(n_model_nodes, -1)
+        self.pair_index[self.first_nodes] = self.pair_index[self.second_nodes] = np.arange(
+            len(self.first_nodes)
+        )
+
+
+def find_gap_matrix_and_pairs(
+    model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix, *, has_rotations: bool
+) -> tuple[sparse.csr_matrix, Pairs]:
+    """Find a model's contact pairs, crack by crack, from front to mouth.
+
+    Parameters
+    ----------
+    model : Model
+        Model with n nodes.
+    dofs : (n, 3) int
+        Row of each node along x, y, z in the stiffness; -1 without a row.
+    stiffness : (n_dofs, n_dofs)
+        Stiffness; an entry connects two nodes.
+    has_rotations : bool
+        True if nodes have rotations, as in shells. Crack faces are then lines, not surfaces.
+
+    Returns
+    -------
+    gap : (n_dofs, n_pairs)
+        Matrix B from the displacement u to the gaps B^T u.
+    pairs : Pairs
+        Positions, areas (None without cells) and crack of each pair.
+
+    Raises
+    ------
+    InputError
+        There are no coincident nodes, three nodes coincide, or both nodes of a pair lie on the same
+        side.
+    """
+    twins = _TwinNodes(model, dofs, stiffness)
+    facets = _crack_face_facets(model, twins)
+    if facets:
+        gap, areas, twin_pair_index, front_nodes = _assemble_patch_gap_matrix(twins, facets)
+    else:
+        has_surface_cracks = not has_rotations and np.all(np.any(dofs >= 0, axis=0))
+        gap, front_nodes = _assemble_normal_gap_matrix(twins, 2 if has_surface_cracks else 1)
+        areas, twin_pair_index = None, np.arange(len(twins.first_nodes))
+    points = model.points[twins.first_nodes[twin_pair_index]]
+    crack_of_pair = _find_crack_of_each_pair(twins, twin_pair_index)
+    front_distances = np.zeros(len(twin_pair_index))
+    if len(front_nodes):
+        from scipy.spatial import cKDTree
+
+        front_distances = cKDTree(model.points[front_nodes]).query(points)[0]
+    pair_order = np.lexsort((front_distances, crack_of_pair))
+    crack_of_pair, front_distances = crack_of_pair[pair_order], front_distances[pair_order]
+    mouth_pairs = np.flatnonzero(np.append(np.diff(crack_of_pair), 1))
+    mouth_names = [
+        f"the mouth of crack {crack_number + 1}" if len(mouth_pairs) > 1 else "the mouth"
+        for crack_number in crack_of_pair[mouth_pairs]
+    ]
+    contact_pairs = Pairs(
+        points[pair_order], None if areas is None else areas[pair_order], crack_of_pair,
+        front_distances,
+        dict(zip(mouth_names, mouth_pairs.tolist(), strict=True)),
+    )  # fmt: skip
+    return gap[:, pair_order], contact_pairs
+
+
+def _find_crack_of_each_pair(twins: _TwinNodes, twin_pair_index: np.ndarray) -> np.ndarray:
+    """Return the crack number of each pair: (n_pairs,) int.
+
+    Pairs whose nodes the stiffness connects, on both faces, are on the same crack. Cracks are
+    numbered from 0, from bottom to top. ``twin_pair_index`` selects pairs of ``twins``.
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    # A first node may be on either face.
+    first_node_of_pair = twins.first_nodes[twin_pair_index]
+    second_node_of_pair = twins.second_nodes[twin_pair_index]
+    links_in_same_order = twins.connectivity[first_node_of_pair][:, first_node_of_pair].multiply(
+        twins.connectivity[second_node_of_pair][:, second_node_of_pair]
+    )
+    pair_links = links_in_same_order + twins.connectivity[first_node_of_pair][
+        :, second_node_of_pair
+    ].multiply(twins.connectivity[second_node_of_pair][:, first_node_of_pair])
+    n_cracks, unsorted_crack_of_pair = connected_components(pair_links)
+    x, y, z = np.transpose(
+        [
+            twins.points[first_node_of_pair[unsorted_crack_of_pair == unsorted_crack]].mean(axis=0)
+            for unsorted_crack in range(n_cracks)
+        ]
+    )
+    sorted_crack_number = np.lexsort((z, x, y)).argsort()
+    return np.asarray(sorted_crack_number[unsorted_crack_of_pair])
+
+
+# --- of facets ------------------------------------------------------------------------------------
+
+Facets = tuple[np.ndarray, np.ndarray]
+"""Facets of cells: nodes (m, 2 k), and centres of the facets' cells (m, 3) [m].
+
+The nodes are k corners, then the middle nodes of k edges, or -1 for cells of order 1.
+"""
+
+
+def _crack_face_facets(model: Model, twins: _TwinNodes) -> list[Facets]:
+    """Return the facets on crack faces: triangles, then quadrilaterals; empty without any.
+
+    A facet is on a crack face if a single cell has it, exactly two such facets coincide, and a
+    corner is in a pair. Facets with half-held pairs are left out.
+    """
+    facet_sets = []
+    for n_facet_corners in (3, 4):
+        facets_and_centres_of_kinds = [
+            _cell_facets_and_cell_centres(
+                model.points, cells, N_CORNERS_BY_VTK_TYPE[vtk_type], local_facets
+            )
+            for vtk_type, cells in model.cells_by_vtk_type.items()
+            for local_facets in FACETS_BY_CORNER_COUNT[N_CORNERS_BY_VTK_TYPE[vtk_type]]
+            if local_facets.shape[1] == n_facet_corners
+        ]
+        if not facets_and_centres_of_kinds:
+            continue
+        facet_nodes, cell_centres = (
+            np.concatenate(same_field_arrays)
+            for same_field_arrays in zip(*facets_and_centres_of_kinds, strict=True)
+        )
+        is_boundary = count_equal_rows(facet_nodes[:, :n_facet_corners]) == 1
+        is_on_crack = is_boundary.copy()
+        is_on_crack[is_boundary] = (
+            count_equal_rows(twins.place_numbers[facet_nodes[is_boundary, :n_facet_corners]]) == 2
+        )
+        is_on_crack &= np.any(twins.pair_index[facet_nodes[:, :n_facet_corners]] >= 0, axis=1)
+        is_on_crack &= ~np.any(twins.is_in_half_held_pair[facet_nodes] & (facet_nodes >= 0), axis=1)
+        if np.any(is_on_crack):
+            facet_sets.append((facet_nodes[is_on_crack], cell_centres[is_on_crack]))
+    return facet_sets
+
+
+def _cell_facets_and_cell_centres(
+    points: np.ndarray, cells: np.ndarray, n_corners: int, local_facets: np.ndarray
+) -> Facets:
+    """Return the facets of all cells of the same kind, with the cells' centres.
+
+    ``cells`` (n, k) are nodes, ``n_corners`` corners first. ``local_facets`` (m, n_facet_corners)
+    are the columns of each facet's corners in ``cells``.
+    """
+    n_facet_corners = local_facets.shape[1]
+    middle_column_by_edge = {
+        frozenset(edge): n_corners + edge_index
+        for edge_index, edge in enumerate(CELL_EDGES_BY_CORNER_COUNT[n_corners])
+    }
+    edge_ends = np.stack([local_facets, np.roll(local_facets, -1, axis=1)], axis=2)
+    facet_middle_columns = np.array(
+        [[middle_column_by_edge[frozenset(edge)] for edge in facet] for facet in edge_ends.tolist()]
+    )
+    facet_nodes = np.full((len(cells), len(local_facets), 2 * n_facet_corners), -1)
+    facet_nodes[..., :n_facet_corners] = cells[:, local_facets]
+    if cells.shape[1] > n_corners:
+        facet_nodes[..., n_facet_corners:] = cells[:, facet_middle_columns]
+    cell_centres_of_facets = np.repeat(
+        points[cells[:, :n_corners]].mean(axis=1), len(local_facets), axis=0
+    )
+    return facet_nodes.reshape(-1, 2 * n_facet_corners), cell_centres_of_facets
+
+
+def _facet_basis(n_corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Evaluate the basis functions of a facet with k corners at Gauss points.
+
+    k = ``n_corners`` is 3 or 4. The Gauss rule has 3 x 3 points.
+
+    Returns
+    -------
+    weighted_functions : (2, k, n_points)
+        Linear functions of the corners, then quadratic functions of the edge middles, both times
+        the Gauss weights.
+    linear : (k, n_points)
+        Linear functions of the corners.
+    slopes : (2, k, n_points)
+        Derivatives of the linear functions by the facet's two coordinates.
+    """
+    gauss_points, gauss_weights = (
+        0.5 * coordinates for coordinates in np.polynomial.legendre.leggauss(3)
+    )
+    r, s = (
+        coordinates.ravel() for coordinates in np.meshgrid(gauss_points + 0.5, gauss_points + 0.5)
+    )
+    point_weights = np.outer(gauss_weights, gauss_weights).ravel()
+    if n_corners == 3:
+        s, point_weights = s * (1.0 - r), point_weights * (1.0 - r)
+        linear_functions = np.array([1.0 - r - s, r, s])
+        linear_function_slopes = np.broadcast_to(
+            [[[-1.0], [1.0], [0.0]], [[-1.0], [0.0], [1.0]]], (2, 3, len(r))
+        )
+        edge_functions = 4.0 * linear_functions * np.roll(linear_functions, -1, axis=0)
+    else:
+        linear_functions = np.array([(1 - r) * (1 - s), r * (1 - s), r * s, (1 - r) * s])
+        linear_function_slopes = np.array([[s - 1, 1 - s, s, -s], [r - 1, -r, r, 1 - r]])
+        edge_end_functions = linear_functions, np.roll(linear_functions, -1, axis=0)
+        edge_functions = (
+            4.0
+            * edge_end_functions[0]
+            * edge_end_functions[1]
+            / (edge_end_functions[0] + edge_end_functions[1])
+        )
+    return (
+        point_weights * np.stack([linear_functions, edge_functions]),
+        linear_functions,
+        linear_function_slopes,
+    )
+
+
+def _assemble_patch_gap_matrix(
+    twins: _TwinNodes, facets: list[Facets]
+) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray, np.ndarray]:
+    """Assemble normal gaps from the facets of crack faces, averaged over patches.
+
+    Each pair of corner nodes has a patch: the facets with a nonzero linear pressure function.
+
+    Returns
+    -------
+    gap : (n_dofs, n)
+        Matrix B from the displacement u to the gaps B^T u.
+    areas : (n,) [m^2]
+        Areas of the patches.
+    twin_pair_index : (n,) int
+        Index in ``twins`` of the pair at each patch's centre.
+    front_nodes : (m,) int
+        Corner nodes on the crack fronts.
+    """
+    n_pairs = len(twins.first_nodes)
+    corner_nodes = [nodes[:, : nodes.shape[1] // 2] for nodes, _ in facets]
+    all_face_nodes = np.unique(np.concatenate([nodes.ravel() for nodes in corner_nodes]))
+    front_nodes = all_face_nodes[twins.pair_index[all_face_nodes] < 0]
+    patch_index = twins.pair_index.copy()
+    # Patches of front nodes go to their neighbours.
+    patch_index[front_nodes] = n_pairs + np.arange(len(front_nodes))
+    areas = np.zeros(n_pairs + len(front_nodes))
+    gap = sparse.csr_matrix((twins.n_dofs, len(areas)))
+    overlap_matrix = sparse.csr_matrix((len(areas), len(areas)))
+    for nodes, cell_centres in facets:
+        n_corners = nodes.shape[1] // 2
+        (linear, edge_functions), pressure_basis, slopes = _facet_basis(n_corners)
+        corner_points = twins.points[nodes[:, :n_corners]]
+        position_slope_1, position_slope_2 = np.einsum("akq,fkx->afqx", slopes, corner_points)
+        area_normals = np.cross(position_slope_1, position_slope_2)
+        is_inward = (
+            np.einsum("fqx,fx->f", area_normals, corner_points.mean(axis=1) - cell_centres) < 0.0
+        )
+        area_normals[is_inward] *= -1.0
+        surface_jacobians = np.linalg.norm(area_normals, axis=2)
+        corner_patches = patch_index[nodes[:, :n_corners]]
+        np.add.at(areas, corner_patches, 0.5 * np.einsum("kq,fq->fk", linear, surface_jacobians))
+        integrals = np.einsum("iq,jq,fq->fij", pressure_basis, linear, surface_jacobians)
+        patch_pairs = np.broadcast_arrays(corner_patches[:, :, None], corner_patches[:, None])
+        overlap_matrix += sparse.csr_matrix(
+            (integrals.ravel(), [patches.ravel() for patches in patch_pairs]), overlap_matrix.shape
+        )
+        # A quadratic corner function is the linear one less half of its two edge functions.
+        half_edge_functions = 0.5 * (edge_functions + np.roll(edge_functions, 1, axis=0))
+        is_quadratic = np.all(nodes[:, n_corners:] >= 0, axis=1)[:, None, None]
+        corner_integrals = np.einsum("iq,jq,fqx->fijx", pressure_basis, linear, area_normals)
+        corner_integrals -= (
+            np.einsum("iq,jq,fqx->fijx", pressure_basis, half_edge_functions, area_normals)
+            * is_quadratic[..., None]
+        )
+        edge_integrals = (
+            np.einsum("iq,jq,fqx->fijx", pressure_basis, edge_functions, area_normals)
+            * is_quadratic[..., None]
+        )
+        # Axes: facet, pressure, node, direction.
+        integrals = np.concatenate([corner_integrals, edge_integrals], axis=2)
+        rows = np.broadcast_to(twins.dofs[nodes][:, None], integrals.shape)
+        patch_columns = np.broadcast_to(corner_patches[:, :, None, None], integrals.shape)
+        is_kept_entry = (rows >= 0) & (integrals != 0.0)
+        gap += sparse.csr_matrix(
+            (integrals[is_kept_entry], (rows[is_kept_entry], patch_columns[is_kept_entry])),
+            gap.shape,
+        )
+    front_shares = make_matrix_extending_pressures_to_front(overlap_matrix[n_pairs:, :n_pairs])
+    areas = front_shares.T @ areas
+    twin_pair_index = np.flatnonzero(areas)
+    gap = (gap @ front_shares)[:, twin_pair_index] @ sparse.diags(1.0 / areas[twin_pair_index])
+    return gap.tocsr(), areas[twin_pair_index], twin_pair_index, front_nodes
+
+
+# --- of nodes -------------------------------------------------------------------------------------
+
+
+def _assemble_normal_gap_matrix(
+    twins: _TwinNodes, crack_dimension: int
+) -> tuple[sparse.csr_matrix, np.ndarray]:
+    """Assemble normal gaps between coincident nodes, for a model without cells.
+
+    ``crack_dimension`` is 2 if crack faces are surfaces, 1 if they are lines.
+
+    Returns
+    -------
+    gap : (n_dofs, n_pairs)
+        Matrix B from the displacement u to the gaps B^T u.
+    front_nodes : (m,) int
+        Nodes connected to both nodes of a pair: the crack fronts.
+    """
+    model_points = twins.points
+    gap_matrix = sparse.lil_matrix((twins.n_dofs, len(twins.first_nodes)))
+    front_nodes: list[np.ndarray] = []
+    model_extent = float(np.ptp(model_points, axis=0).max())
+    for pair_column, (a, b) in enumerate(zip(twins.first_nodes, twins.second_nodes, strict=True)):
+        linked_nodes_of_both = [twins.connectivity[pair_node].indices for pair_node in (a, b)]
+        front_nodes.append(np.intersect1d(*linked_nodes_of_both))
+        nearby_crack_nodes = np.unique(np.concatenate(linked_nodes_of_both))
+        nearby_crack_nodes = np.append(
+            nearby_crack_nodes[twins.pair_index[nearby_crack_nodes] >= 0], front_nodes[-1]
+        )
+        if len(np.unique(twins.place_numbers[nearby_crack_nodes])) <= crack_dimension:
+            nearby_crack_nodes = twins.first_nodes
+        centred_points = model_points[nearby_crack_nodes] - model_points[nearby_crack_nodes].mean(
+            axis=0
+        )
+        tangents = np.linalg.svd(centred_points, full_matrices=False)[2][:crack_dimension]
+        pair_normal = model_points[linked_nodes_of_both[1]].mean(axis=0) - model_points[
+            linked_nodes_of_both[0]
+        ].mean(axis=0)
+        pair_normal -= tangents.T @ (tangents @ pair_normal)
+        if np.linalg.norm(pair_normal) <= RELATIVE_POSITION_TOLERANCE * model_extent:
+            place_text = format_point(model_points[a], "g")
+            requirement = (
+                "a crack with material on both sides; or give a model file that has the elements"
+            )
+            raise InputError(
+                "model", f"two nodes at {place_text} that lie on the same side", requirement
+            )
+        pair_normal /= np.linalg.norm(pair_normal)
+        for pair_node, face_sign in ((a, 1.0), (b, -1.0)):
+            for dof, normal_component in zip(
+                twins.dofs[pair_node], face_sign * pair_normal, strict=True
+            ):
+                if dof >= 0 and abs(normal_component) > RELATIVE_POSITION_TOLERANCE:
+                    gap_matrix[dof, pair_column] = normal_component
+    return gap_matrix.tocsr(), np.unique(np.concatenate(front_nodes))
