@@ -32,7 +32,8 @@ from fenics_crack.model.modes import Modes
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
 from fenics_crack.scene.words import word_for_crack_faces
-from fenics_crack.study.plausibility import Remark, find_key_figures, remarks_on_scene
+from fenics_crack.study.key_figures import find_key_figures
+from fenics_crack.study.plausibility import Remark, remarks_on_scene
 from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study
 from fenics_crack.time.march import TimeHistory
 

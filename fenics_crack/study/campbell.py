@@ -65,11 +65,8 @@ from fenics_crack.model.rotation import (
 )
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.plausibility import (
-    describe_coriolis,
-    list_modal_damping_ratios,
-    remarks_on_scene,
-)
+from fenics_crack.study.key_figures import list_modal_damping_ratios
+from fenics_crack.study.plausibility import describe_coriolis, remarks_on_scene
 from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, scene_contact_law
 from fenics_crack.study.resonance import (
     N_SEARCH_MODES,

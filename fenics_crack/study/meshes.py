@@ -18,7 +18,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import prefix_stages
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.plausibility import mesh_extents
+from fenics_crack.study.key_figures import mesh_extents
 from fenics_crack.study.prepare import Study, prepare
 from fenics_crack.study.sharing import make_empty_coarser_structure_list
 

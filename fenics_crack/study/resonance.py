@@ -21,7 +21,13 @@ import numpy as np
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.causes import OPTIONAL_ERROR_CAUSES, REQUIRED_ERROR_CAUSES
 from fenics_crack.basics.errors import ConvergenceError
-from fenics_crack.basics.tables import describe_omitted_causes, format_error, format_quantity
+from fenics_crack.basics.tables import (
+    RAD_PER_S_PER_RPM,
+    RAD_PER_TURN,
+    describe_omitted_causes,
+    format_error,
+    format_quantity,
+)
 from fenics_crack.curves.stability import floquet
 from fenics_crack.model.contact import ContactLaw, friction_of
 from fenics_crack.model.modal import is_small
@@ -140,6 +146,40 @@ def order_crossing_speed(
         else -1.0
     )
     return math.sqrt(speed_squared) if speed_squared > 0.0 else math.nan
+
+
+FACTOR_AND_UNIT_BY_CURVE_PARAMETER = {
+    "omega": (1.0, "rad/s"), "frequency": (RAD_PER_TURN, "Hz"), "speed": (1.0, "rad/s"),
+    "rpm": (RAD_PER_S_PER_RPM, "rpm"),
+}  # fmt: skip
+"""Factor from a curve's parameter to [rad/s], and the parameter's unit, by parameter."""
+
+
+def curve_parameter_at_crossing(
+    scene: Scene, parameter: str, omega: float, slope: float, harmonic: float = 1.0
+) -> float:
+    """Return a curve's parameter at which a harmonic meets a natural frequency.
+
+    Parameters
+    ----------
+    parameter : "omega", "frequency", "speed" or "rpm"
+        Parameter of the curve.
+    omega : float [rad/s]
+        Natural frequency.
+    slope : float
+        S = d(omega^2) / d(W^2) over the rotor speed W.
+    harmonic : float
+        Multiple of the load frequency.
+
+    Returns
+    -------
+    float [rad/s]
+        Load frequency or rotor speed; nan if an engine order never meets the frequency.
+    """
+    engine_order = scene.excitation.order
+    if parameter in ("speed", "rpm") and engine_order is not None:
+        return order_crossing_speed(harmonic * engine_order, scene.speed, omega, slope)
+    return omega / harmonic
 
 
 def find_study_resonance(
