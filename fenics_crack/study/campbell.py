@@ -67,7 +67,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.key_figures import list_modal_damping_ratios
 from fenics_crack.study.plausibility import describe_coriolis, remarks_on_scene
-from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, scene_contact_law
+from fenics_crack.study.prepare import scene_contact_law
 from fenics_crack.study.resonance import (
     N_SEARCH_MODES,
     UNSOUGHT_RESONANCE,
@@ -622,16 +622,15 @@ def _find_modes_and_load_resonances(
         projection, n_modes_with_mass=max(projection.n_modes_with_mass, N_SEARCH_MODES)
     )
 
-    def find_resonance(speed: float) -> LoadResonance:
-        try:
-            return find_load_resonance(
-                scene, law, RunUpStructure(search_projection, speed), engine_order * speed, "speed"
-            )
-        except REFUSAL_EXCEPTIONS as error:
-            return LoadResonance(unknown=str(error))
-
-    crossings = diagram.crossings(engine_order, "real").tolist()
-    return tuple((int(mode_number), find_resonance(speed)) for mode_number, speed in crossings)
+    return tuple(
+        (
+            int(mode_number),
+            find_load_resonance(
+                scene, law, partial(RunUpStructure, search_projection, speed), engine_order * speed
+            ),
+        )
+        for mode_number, speed in diagram.crossings(engine_order, "real").tolist()
+    )
 
 
 def report_of_campbell(diagram: Campbell) -> Report:
