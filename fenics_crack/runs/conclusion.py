@@ -177,8 +177,6 @@ def _make_conclusion_of_modes(run: StudyWithResult) -> Conclusion:
     first_omega = float(run.result.omega[0])
     answer_text = (
         f"the first natural frequency with the crack open is {first_omega / RAD_PER_TURN:.5g} Hz "
-    )
-    answer_text += (
         f"({first_omega:.5g} rad/s)"
         f"{_error_clause(run, natural_frequency_name(run.scene, 'open', 1))}"
     )
@@ -252,17 +250,12 @@ def _list_crack_and_verdict_sentences(
             if solution.breathes
             else LINEAR_VIBRATION_TEXT
         )
-    tolerance = run.scene.harmonic_balance.tolerance or 0.0
-    min_reported_error = max(tolerance, MIN_REPORTED_FRICTION_CHANGE)
-    friction_error_estimate_by_name = (
-        {} if run.stated is None else run.stated.parts.get("friction", {})
-    )
-    friction_error_estimate = friction_error_estimate_by_name.get(
-        run.watched[0].column_name("amplitude")
-    )
+    friction_error_by_name = {} if run.stated is None else run.stated.parts.get("friction", {})
+    friction_error_estimate = friction_error_by_name.get(run.watched[0].column_name("amplitude"))
     if (
         friction_error_estimate is not None
-        and friction_error_estimate.gci > min_reported_error
+        and friction_error_estimate.gci
+        > max(run.scene.harmonic_balance.tolerance or 0.0, MIN_REPORTED_FRICTION_CHANGE)
         and not run.scene.has_friction
     ):
         sentences.append(
@@ -297,9 +290,8 @@ def _make_conclusion_of_curve(run: StudyWithResult) -> Conclusion:
     if peak.at_end and peak.index == len(response_curve) - 1 and not response_curve.complete:
         answer_text = (
             f"the response of the {run.watched_description} still rises where the curve ended, "
-            "with "
+            f"with {amplitude_text} half peak-to-peak at {location_text}"
         )
-        answer_text += f"{amplitude_text} half peak-to-peak at {location_text}"
     elif peak.at_end:
         answer_text += f", {RISING_AT_END_TEXT}, {location_text}{error_text}"
     else:

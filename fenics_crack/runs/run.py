@@ -235,7 +235,6 @@ class Run(StudyWithResult, Generic[ResultType]):
     records = ResultAttribute()
     report = ResultAttribute()
     reported = ResultAttribute()
-    residual = ResultAttribute()
     residual_compliance = ResultAttribute()
     resolution = ResultAttribute()
     row_force_coefficients = ResultAttribute()

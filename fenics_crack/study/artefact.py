@@ -487,13 +487,10 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
 
     def needs_mesh(changed_scene: Scene) -> bool:
         changed_dependencies = dependencies_of_structure(changed_scene, MPI.COMM_SELF)
-        has_other_loads = excitation_and_loads_without_amplitudes(
-            changed_dependencies[1]
-        ) != excitation_and_loads_without_amplitudes(file_dependencies[1])
-        return (
-            changed_dependencies[0] != file_dependencies[0]
-            or has_other_loads
-            or (bool(scene.structure) and changed_dependencies != file_dependencies)
+        return dependencies_without_amplitudes(
+            changed_dependencies
+        ) != dependencies_without_amplitudes(file_dependencies) or (
+            bool(scene.structure) and changed_dependencies != file_dependencies
         )
 
     if needs_mesh(scene):
@@ -519,18 +516,18 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
     return scene
 
 
-def excitation_and_loads_without_amplitudes(loads: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return a scene's loads without the amplitudes of the excitation.
+def dependencies_without_amplitudes(dependencies: tuple[Any, Any, Any]) -> tuple[Any, ...]:
+    """Return the mesh and the loads of a structure, without the amplitudes of the excitation.
 
-    ``loads`` comes from :func:`dependencies_of_load`. Removed are the keys force_mean, force_cos,
-    force_sin and harmonics.
+    ``dependencies`` come from :func:`dependencies_of_structure`. Removed are clearances, damping,
+    and the keys force_mean, force_cos, force_sin and harmonics.
     """
-    excitation_value_by_key, *other_loads = loads
+    mesh_dependencies, (excitation_value_by_key, *other_loads), _ = dependencies
     amplitude_keys = ("force_mean", "force_cos", "force_sin", "harmonics")
     kept_value_by_key = excitation_value_by_key and {
         key: value for key, value in excitation_value_by_key.items() if key not in amplitude_keys
     }
-    return kept_value_by_key, *other_loads
+    return mesh_dependencies, kept_value_by_key, *other_loads
 
 
 def _weight_matrix_between_scene_loads(file_scene: Scene, scene: Scene) -> np.ndarray:

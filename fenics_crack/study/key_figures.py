@@ -17,7 +17,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -158,15 +157,13 @@ def find_key_figures(study: Study) -> KeyFigures:
         peak_displacement = max(peak_displacement, float(watched_amplitudes.max(initial=0.0)))
         rotation_amplitudes = watched_amplitudes / clamp_distances
         peak_rotation = max(peak_rotation, float(rotation_amplitudes.max(initial=0.0)))
-        if structure.n_pairs:
-            peak_gap_motion = max(peak_gap_motion, float(open_crack_gap_amplitudes.max()))
-            is_closing = (
-                mean_load_gaps - face_compliance @ pressing_forces + closed_pairs_gap_amplitudes
-                >= 0.0
-            )
-            breathes = breathes or bool(
-                np.any(np.where(is_closed, pressing_forces <= contact_force_amplitudes, is_closing))
-            )
+        peak_gap_motion = max(peak_gap_motion, float(open_crack_gap_amplitudes.max(initial=0.0)))
+        is_closing = (
+            mean_load_gaps - face_compliance @ pressing_forces + closed_pairs_gap_amplitudes >= 0.0
+        )
+        breathes |= bool(
+            np.any(np.where(is_closed, pressing_forces <= contact_force_amplitudes, is_closing))
+        )
     face_stiffness = 1.0 / np.maximum(np.diagonal(face_compliance), 1e-300)
     pair_stiffness = (
         None if law is None or not np.all(np.isfinite(law.stiffness)) else law.stiffness
@@ -264,7 +261,7 @@ def _amplitude_bounds(
     watched_amplitudes : (n_watched,) [m]
         Watched displacements with open crack.
     open_crack_gap_amplitudes : (n_pairs,) [m]
-        Gaps with all pairs open. Without pairs (1,), zero, as the arrays below.
+        Gaps with all pairs open. This array and those below are (1,), zero, under a steady load.
     closed_pairs_gap_amplitudes, contact_force_amplitudes : (n_pairs,) [m], [N]
         Gaps and contact forces while the pairs in ``is_closed`` stay closed.
     """
@@ -286,21 +283,20 @@ def _amplitude_bounds(
             np.stack([displacement_amplitude.real, displacement_amplitude.imag]), watched_dofs
         )
         watched_amplitudes = watched_amplitudes + np.hypot(*real_and_imaginary_parts)
-        if structure.n_pairs:
-            gaps = static_gap + modal_amplitudes @ modal_gaps
-            dynamic_compliance = (
-                face_compliance + (modal_gaps.T * modal_receptance_increase) @ modal_gaps
-            )
-            contact_forces = np.zeros(structure.n_pairs, dtype=complex)
-            closed_compliance = dynamic_compliance[np.ix_(is_closed, is_closed)]
-            contact_forces[is_closed] = np.linalg.lstsq(
-                closed_compliance, gaps[is_closed], rcond=None
-            )[0]
-            open_crack_gap_amplitudes = open_crack_gap_amplitudes + np.abs(gaps)
-            contact_force_amplitudes = contact_force_amplitudes + np.abs(contact_forces)
-            closed_pairs_gap_amplitudes = closed_pairs_gap_amplitudes + np.abs(
-                gaps - dynamic_compliance @ contact_forces
-            )
+        gaps = static_gap + modal_amplitudes @ modal_gaps
+        dynamic_compliance = (
+            face_compliance + (modal_gaps.T * modal_receptance_increase) @ modal_gaps
+        )
+        contact_forces = np.zeros(structure.n_pairs, dtype=complex)
+        closed_compliance = dynamic_compliance[np.ix_(is_closed, is_closed)]
+        contact_forces[is_closed] = np.linalg.lstsq(closed_compliance, gaps[is_closed], rcond=None)[
+            0
+        ]
+        open_crack_gap_amplitudes = open_crack_gap_amplitudes + np.abs(gaps)
+        contact_force_amplitudes = contact_force_amplitudes + np.abs(contact_forces)
+        closed_pairs_gap_amplitudes = closed_pairs_gap_amplitudes + np.abs(
+            gaps - dynamic_compliance @ contact_forces
+        )
     return (
         watched_amplitudes,
         open_crack_gap_amplitudes,
@@ -359,10 +355,11 @@ def _slopes_of_squared_omegas(modes: Modes) -> np.ndarray:
     K_2, K_3 = rotation.displaced_shape_stiffness_terms
     for mode_index, mode_shape in enumerate(modes.shapes.T):
         sector_shapes = np.vstack(list(structure.iterate_sector_displacements(mode_shape[None]))).T
-        stiffness_products = multiply_columns(
-            rotation.rotation_stiffness, sector_shapes
-        ) + multiply_columns(K_2, sector_shapes)
-        stiffness_products += 2.0 * rotation.speed**2 * multiply_columns(K_3, sector_shapes)
+        stiffness_products = (
+            multiply_columns(rotation.rotation_stiffness, sector_shapes)
+            + multiply_columns(K_2, sector_shapes)
+            + 2.0 * rotation.speed**2 * multiply_columns(K_3, sector_shapes)
+        )
         slopes[mode_index] = structure.sum_over_ranks((sector_shapes * stiffness_products).sum())
     return slopes
 
@@ -540,18 +537,16 @@ def propose_curve_or_none(scene: Scene, key_figures: KeyFigures) -> Curve | None
     load. If the resonance is not known, it extends so far beyond the open and bonded frequencies of
     the mode nearest to the load. Ends are rounded outwards to three digits.
     """
-    excitation = scene.excitation
-    scene_curve_table = scene.curve
-    load_resonance = key_figures.load_resonance
-    is_speed_curve = excitation.order is not None and scene.disk is None
+    curve_table, load_resonance = scene.curve, key_figures.load_resonance
+    is_speed_curve = scene.excitation.order is not None and scene.disk is None
     parameter = "frequency" if scene.is_frequency_in_hertz else "omega"
     if is_speed_curve:
         parameter = "rpm" if scene.is_speed_in_rpm else "speed"
-    if scene_curve_table is not None:
-        parameter = scene_curve_table.parameter
+    if curve_table is not None:
+        parameter = curve_table.parameter
     if parameter not in FACTOR_AND_UNIT_BY_CURVE_PARAMETER:
         return None
-    mode_index = int(np.argmin(np.abs(key_figures.omega_bilinear - excitation.omega)))
+    mode_index = int(np.argmin(np.abs(key_figures.omega_bilinear - scene.excitation.omega)))
     open_omega = float(key_figures.omega_open[mode_index])
     bilinear_omega = float(key_figures.omega_bilinear[mode_index])
     # Three half-power bandwidths from the resonance the response is a sixth of the peak.
@@ -559,28 +554,26 @@ def propose_curve_or_none(scene: Scene, key_figures: KeyFigures) -> Curve | None
     if not (open_omega > 0.0 and bilinear_omega < 2.0 * open_omega and bandwidth_factor > 1.0):
         return None
     bonded_omega = 1.0 / (2.0 / bilinear_omega - 1.0 / open_omega)  # of the same mode
-    find_crossing_parameter = partial(
-        curve_parameter_at_crossing,
-        scene,
-        parameter,
-        slope=key_figures.squared_omega_slopes[mode_index],
-    )
-    lowest_resonance_parameter, highest_resonance_parameter, start, stop = map(
-        find_crossing_parameter,
-        (open_omega, bonded_omega, open_omega / bandwidth_factor, bonded_omega * bandwidth_factor),
+    slope = key_figures.squared_omega_slopes[mode_index]
+    lowest_resonance, highest_resonance, start, stop = (
+        curve_parameter_at_crossing(scene, parameter, omega, slope)
+        for omega in (
+            open_omega,
+            bonded_omega,
+            open_omega / bandwidth_factor,
+            bonded_omega * bandwidth_factor,
+        )
     )
     if not load_resonance.unknown and is_speed_curve == (parameter in ("speed", "rpm")):
-        lowest_resonance_parameter = highest_resonance_parameter = load_resonance.value
-        start = min(lowest_resonance_parameter, load_resonance.rest)
-        stop = max(highest_resonance_parameter, load_resonance.rest)
-        start, stop = start - 3.0 * load_resonance.width, stop + 3.0 * load_resonance.width
-    if (
-        scene_curve_table is not None
-        and min(scene_curve_table.parameter_and_range[1:]) <= highest_resonance_parameter
-        and max(scene_curve_table.parameter_and_range[1:]) >= lowest_resonance_parameter
-    ):
-        return None
-    if not 0.0 < start < stop < math.inf:
+        lowest_resonance = highest_resonance = load_resonance.value
+        start = min(lowest_resonance, load_resonance.rest) - 3.0 * load_resonance.width
+        stop = max(highest_resonance, load_resonance.rest) + 3.0 * load_resonance.width
+    is_met = (
+        curve_table is not None
+        and min(curve_table.parameter_and_range[1:]) <= highest_resonance
+        and max(curve_table.parameter_and_range[1:]) >= lowest_resonance
+    )
+    if is_met or not 0.0 < start < stop < math.inf:
         return None
     unit_factor = FACTOR_AND_UNIT_BY_CURVE_PARAMETER[parameter][0]
     return Curve(

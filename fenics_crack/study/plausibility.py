@@ -156,12 +156,12 @@ def _iterate_remarks(
             remark_text = rule.text_template.format(
                 checked_number, *further_values, kind=body_kind, faces=word_for_crack_faces(scene)
             )
-            for unit, unit_factor in rule.factor_by_unit.items():
-                if rule.lower_limit <= unit_factor * checked_number <= rule.upper_limit:
-                    remark_text += (
-                        f"; is it in {unit}? then give {unit_factor * float(np.max(value)):g}"  # type: ignore[call-overload]
-                    )
-                    break
+            unit_texts = (
+                f"; is it in {unit}? then give {unit_factor * float(np.max(value)):g}"  # type: ignore[call-overload]
+                for unit, unit_factor in rule.factor_by_unit.items()
+                if rule.lower_limit <= unit_factor * checked_number <= rule.upper_limit
+            )
+            remark_text += next(unit_texts, "")
             yield Remark(key, list(value) if isinstance(value, tuple) else value, remark_text)
 
 
@@ -278,9 +278,8 @@ def _blade_tip_speed(speed_value: float, scene: Scene, structure: Structure) -> 
         rotation_table is None
         or structure.nodes is None
         or speed_value != (rotation_table.rpm or rotation_table.speed)
+        or (rotation_table.hub_radius or 0.0) > MAX_PLAUSIBLE_SIDE
     ):
-        return None
-    if (rotation_table.hub_radius or 0.0) > MAX_PLAUSIBLE_SIDE:
         return None
     axis_point, axis_direction = (
         vector[: structure.nodes.points.shape[1]] for vector in scene.axis_point_and_direction
@@ -394,30 +393,26 @@ def _count_rigid_pairs_with_mass(_: str, scene: Scene, structure: Structure) -> 
     )
 
 
-def _make_frequency_unit_check(other_unit_factor: float) -> Callable[..., tuple[float, ...] | None]:
-    """Return a function that detects a load frequency in another unit.
+def _compare_frequency_in_other_unit(
+    other_unit_factor: float, _: float, scene: Scene, key_figures: KeyFigures
+) -> tuple[float, ...] | None:
+    """Return three frequencies if the load frequency seems to be in another unit, else None.
 
     The unit is doubtful if the load frequency is not within 10 % of a natural frequency, but
-    ``other_unit_factor`` times the load frequency is near the first one. The function then returns
-    the load frequency over the first natural frequency, and the latter in Hz and rad/s; else None.
+    ``other_unit_factor`` times the load frequency is near the first one. The three are the load
+    frequency over the first natural frequency, and the latter in Hz and rad/s.
     """
-
-    def compare_in_other_unit(
-        _: float, scene: Scene, key_figures: KeyFigures
-    ) -> tuple[float, ...] | None:
-        first_omega, omega = float(key_figures.omega_open[0]), scene.excitation.omega
-        natural_omegas = np.concatenate([key_figures.omega_open, key_figures.omega_tied])
-        first_omegas = natural_omegas[[0, len(key_figures.omega_open)]]
-        is_other_unit = not _is_near_natural_frequency(
-            omega, natural_omegas
-        ) and _is_near_natural_frequency(other_unit_factor * omega, first_omegas)
-        return (
-            (omega / first_omega, first_omega / RAD_PER_TURN, first_omega)
-            if is_other_unit and first_omega > 0.0
-            else None
-        )
-
-    return compare_in_other_unit
+    first_omega, omega = float(key_figures.omega_open[0]), scene.excitation.omega
+    natural_omegas = np.concatenate([key_figures.omega_open, key_figures.omega_tied])
+    first_omegas = natural_omegas[[0, len(key_figures.omega_open)]]
+    is_other_unit = not _is_near_natural_frequency(
+        omega, natural_omegas
+    ) and _is_near_natural_frequency(other_unit_factor * omega, first_omegas)
+    return (
+        (omega / first_omega, first_omega / RAD_PER_TURN, first_omega)
+        if is_other_unit and first_omega > 0.0
+        else None
+    )
 
 
 def _is_near_natural_frequency(omega: float, natural_omegas: np.ndarray) -> bool:
@@ -686,14 +681,14 @@ KEY_FIGURE_REMARK_RULES = (
         1.0,
         0.0,
         FIRST_FREQUENCY_TEXT_TEMPLATE + "Hz? then use excitation.frequency",
-        _make_frequency_unit_check(RAD_PER_TURN),
+        partial(_compare_frequency_in_other_unit, RAD_PER_TURN),
     ),
     RemarkRule(
         "excitation.frequency",
         1.0,
         0.0,
         FIRST_FREQUENCY_TEXT_TEMPLATE + "rad/s? then use excitation.omega",
-        _make_frequency_unit_check(1.0 / RAD_PER_TURN),
+        partial(_compare_frequency_in_other_unit, 1.0 / RAD_PER_TURN),
     ),
     RemarkRule(
         "curve.start",
