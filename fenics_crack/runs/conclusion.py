@@ -281,8 +281,11 @@ def _make_conclusion_of_curve(run: StudyWithResult) -> Conclusion:
     amplitude_text = format_quantity(peak.amplitude, "m")
     location_text = format_in_unit(curve_axis, peak.value)
     unknown_error_reason = explain_unknown_amplitude_error(run)
-    fallback_text = ", its error is not estimated"
-    error_text = "" if unknown_error_reason else _error_clause(run, fallback_text=fallback_text)
+    error_text = (
+        ""
+        if unknown_error_reason
+        else _error_clause(run, fallback_text=", its error is not estimated")
+    )
     answer_text = (
         f"the largest response of the {run.watched_description} is {amplitude_text} "
         "half peak-to-peak"
@@ -335,16 +338,12 @@ def _make_conclusion_of_history(run: StudyWithResult) -> Conclusion:
         )
         answer_text = (
             f"the {displacement_description} falls from {start_amplitude_text} to "
-            f"{end_amplitude_text} half peak-to-peak over "
+            f"{end_amplitude_text} half peak-to-peak over {history.periods} periods"
         )
-        early_end_texts = (
-            [] if history.periods >= integration_table.periods else ["the decay ended early"]
-        )
-        return Conclusion(
-            "integrated",
-            f"{answer_text}{history.periods} periods",
-            further_clauses=["free decay", *early_end_texts],
-        )
+        clauses = ["free decay"]
+        if history.periods < integration_table.periods:
+            clauses.append("the decay ended early")
+        return Conclusion("integrated", answer_text, further_clauses=clauses)
     has_settled = history.settled <= integration_table.settle
     amplitude_text = format_quantity(history.indicators(run.watched_dof).amplitude, "m")
     frequency_text = frequency_in_words(run.scene, run.scene.excitation.omega)

@@ -170,10 +170,6 @@ class PreparedStructure:
             [] if pairs.tangential_gap_matrix is None else [structure.with_tangents()]
         )
         structure_and_variants = [structure, *structures_with_tangents]
-        node_array_names = NODE_ARRAY_NAMES if nodes else ()
-        node_array_by_name = {
-            name: gather_rows(comm, getattr(nodes, name)) for name in node_array_names
-        }
         return cls(
             gap=GatheredCsrMatrix.gather(structure.gap, comm),
             tangential=GatheredCsrMatrix.gather(structure.tangential, comm),
@@ -181,7 +177,10 @@ class PreparedStructure:
             shares=GatheredCsrMatrix.gather(pairs.pressure_matrix, MPI.COMM_SELF),
             force=gather_rows(comm, structure.force.T).T, clearance=structure.clearance,
             watched=None if watched_row is None else gather_rows(comm, watched_row),
-            nodes=nodes and replace(nodes, mesh_dofs=None, vtk_type=vtk_type, **node_array_by_name),
+            nodes=nodes and replace(
+                nodes, mesh_dofs=None, vtk_type=vtk_type,
+                **{name: gather_rows(comm, getattr(nodes, name)) for name in NODE_ARRAY_NAMES},
+            ),
             pairs=replace(pairs, pressure_matrix=None, tangential_gap_matrix=None),
             clamp=clamp and replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T),
             receptances=tuple(
@@ -224,15 +223,16 @@ class PreparedStructure:
             pressure_matrix=self.shares
             and self.shares.to_matrix(len(np.atleast_1d(pairs.nodes)), n_pairs),
         )  # fmt: skip
-        node_array_names = NODE_ARRAY_NAMES if nodes else ()
-        node_array_by_name = {name: getattr(nodes, name)[local_slice] for name in node_array_names}
         structure = Structure(Body(
             mass_matrix, stiffness_matrix, gap=local_matrix(self.gap, n_pairs),
             force=self.force[:, local_slice],
             clearance=self.clearance if pairs.cracks is None else clearance_of(scene, pairs),
             damping=damping_rule_of(scene.given("damping")),
             tangential=local_matrix(self.tangential, n_pairs),
-            nodes=nodes and replace(nodes, **node_array_by_name), pairs=pairs,
+            nodes=nodes and replace(
+                nodes, **{name: getattr(nodes, name)[local_slice] for name in NODE_ARRAY_NAMES}
+            ),
+            pairs=pairs,
             watched=None if watched_row is None else watched_row[local_slice],
             clamp=clamp and replace(clamp, inertia=clamp.inertia[:, local_slice]), comm=comm,
         ))  # fmt: skip

@@ -469,9 +469,8 @@ class Campbell(SavedResult):
         """
         order = self.scene.excitation.order
         axis_of_speed = choose_speed_factor_name_unit(self.scene.is_speed_in_rpm)
-        modes_text = format_count(self.omega_open.shape[1], "mode")
         outcome_text = (
-            f"{modes_text} found between "
+            f"{format_count(self.omega_open.shape[1], 'mode')} found between "
             f"{format_in_unit(axis_of_speed, self.speed[0], self.speed[-1])}"
         )
         if order is None:
@@ -544,9 +543,8 @@ def campbell(
     )
     if not (is_rising and speed_array[0] >= 0.0 and np.isfinite(speed_array[-1])):
         raise InputError("speeds", speeds, "two or more finite numbers >= 0 that increase [rad/s]")
-    requested_scene = scene
-    scene = with_crack_length(scene.replace({"rotation.speed": float(speed_array[-1])}), comm)
-    top_structure = assemble_or_reuse_structure(scene, comm)
+    top_scene = with_crack_length(scene.replace({"rotation.speed": float(speed_array[-1])}), comm)
+    top_structure = assemble_or_reuse_structure(top_scene, comm)
     max_modes = count_bonded_modes(top_structure)
     if count is not None and count > max_modes:
         raise InputError("count", count, f"a whole number from 1 to {max_modes}")
@@ -581,7 +579,7 @@ def campbell(
     modes = Modes(projected_modes.omega, projection.basis @ projected_modes.shapes, top_structure)
     relative_coriolis_changes = relative_coriolis_shifts(modes, speed_array[-1] * rotation_axis)
     diagram = Campbell(
-        requested_scene,
+        scene,
         speed_array,
         omega_open,
         omega_tied,
@@ -648,8 +646,9 @@ def report_of_campbell(diagram: Campbell) -> Report:
     if coriolis_text := describe_coriolis(diagram.coriolis):
         speed_axis = choose_speed_factor_name_unit(scene.is_speed_in_rpm)
         notes.append(f"at {format_in_unit(speed_axis, diagram.speed[-1])} {coriolis_text}")
-    column_names = ["rpm" if scene.is_speed_in_rpm else "speed", "mode"]
-    column_names += [
+    column_names = [
+        "rpm" if scene.is_speed_in_rpm else "speed",
+        "mode",
         *(f"{frequency_prefix}_{kind}" for kind in diagram.kinds),
         *(["crack"] if diagram.cracked else []),
     ]

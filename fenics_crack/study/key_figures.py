@@ -426,10 +426,9 @@ def list_modal_damping_ratios(whole_structure: Structure, natural_omegas: np.nda
     """
     damping_rule = whole_structure.damping
     if isinstance(damping_rule, RayleighDamping):
-        doubled_omegas = 2.0 * natural_omegas
         return np.divide(
             damping_rule.rate(natural_omegas**2),
-            doubled_omegas,
+            2.0 * natural_omegas,
             out=np.zeros_like(natural_omegas),
             where=natural_omegas > 0.0,
         )
