@@ -17,7 +17,8 @@ from fenics_crack.model.contact import friction_of
 from fenics_crack.model.modes import damped_count_and_max_omega_or_none
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.plausibility import MAX_SMALL_ROTATION, distances_from_clamp
+from fenics_crack.study.key_figures import distances_from_clamp
+from fenics_crack.study.plausibility import MAX_SMALL_ROTATION
 
 MAX_TRUSTED_TRANSVERSE_SLIDING = 0.3
 """Maximum sliding across friction lines, over sliding along the lines, without a warning."""

@@ -29,15 +29,14 @@ from fenics_crack.model.modes import damped_count_and_max_omega_or_none
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene, list_requested_extra_quantities, missing_table_error
 from fenics_crack.scene.words import word_for_crack_faces
-from fenics_crack.study.plausibility import (
-    FACTOR_AND_UNIT_BY_CURVE_PARAMETER,
+from fenics_crack.study.key_figures import (
     KeyFigures,
     find_key_figures,
     highest_harmonic_omega,
     is_response_proportional_to_load,
     propose_curve_or_none,
-    remarks_on_scene,
 )
+from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.study.prepare import (
     Study,
     estimate_and_check_memory,
@@ -45,7 +44,7 @@ from fenics_crack.study.prepare import (
     prepare,
     release_freed_memory,
 )
-from fenics_crack.study.resonance import find_study_resonance
+from fenics_crack.study.resonance import FACTOR_AND_UNIT_BY_CURVE_PARAMETER, find_study_resonance
 from fenics_crack.study.sharing import STRUCTURE_FILES
 from fenics_crack.study.solve import candidate_mode_counts
 

@@ -332,8 +332,7 @@ def _small_problem_and_start_omega(
         if value is not None:
             check_number(key, value, 0.0, excludes_bound=True)
     if not is_small(problem.structure):
-        reduced_structure = reduce_structure(problem.structure, method="massless")
-        problem = replace(problem, structure=reduced_structure)
+        problem = replace(problem, structure=reduce_structure(problem.structure, method="massless"))
     return problem, problem.omega if near_omega is None else near_omega
 
 
@@ -423,11 +422,10 @@ def resonance_at(
         )
     omega, omega_per_value = resonance_point.omega, engine_order or 1.0
     width = resonance_point.half_power_width / omega_per_value / (1.0 - resonance_rate)
-    harmonic = resonance_point.exciting_harmonic.harmonic
     return Resonance(
         omega / omega_per_value,
         omega,
-        harmonic,
+        resonance_point.exciting_harmonic.harmonic,
         width,
         resonance_point.distance_to_peak_in_widths,
         resonance_point.solution,
@@ -485,10 +483,8 @@ def follow_resonance(
     >>> curve = fc.follow_resonance(fc.Problem(structure, 2000.0, contact), 0.1, 10.0)
     """
     check_range(problem, "resonance", start, end)
-    (problem, near), vary_load_factor = (
-        _small_problem_and_start_omega(problem, near, tolerance),
-        EQUATIONS_CLASS_BY_PARAMETER["resonance"].vary_problem,
-    )
+    problem, near = _small_problem_and_start_omega(problem, near, tolerance)
+    vary_load_factor = EQUATIONS_CLASS_BY_PARAMETER["resonance"].vary_problem
     if tolerance is not None:
         end_point = _refined_point_and_error(
             first_phase_resonance(vary_load_factor(problem, end), near), tolerance
@@ -505,19 +501,18 @@ def follow_resonance(
         system, make_first_path_point(system, system.start_unknown, 0.0, 0), StepLimits(**steps)
     )
     curve = run_to_end(growing_curve, progress, throw)
-    curve_unknowns_and_parameters = [
-        (curve_point.unknown, system.parameter(curve_point.value))
+    resonance_points = (
+        system.linearise(curve_point.unknown, system.parameter(curve_point.value))
         for curve_point in growing_curve.points
-    ]
+    )
     n_multimode_points = sum(
-        abs(system.linearise(*unknown_and_parameter).distance_to_peak_in_widths)
-        > MAX_DISTANCE_TO_PEAK
-        for unknown_and_parameter in curve_unknowns_and_parameters
+        abs(resonance_point.distance_to_peak_in_widths) > MAX_DISTANCE_TO_PEAK
+        for resonance_point in resonance_points
     )
     if n_multimode_points:
-        point_count_text = f"{n_multimode_points} of {format_count(len(curve), 'point')}"
         remark_text = (
-            f"at {point_count_text} several modes answer together: another response may be larger"
+            f"at {n_multimode_points} of {format_count(len(curve), 'point')} several modes answer "
+            "together: another response may be larger"
         )
         curve = replace(curve, status=f"{curve.status}; {remark_text}")
     return curve

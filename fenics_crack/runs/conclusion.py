@@ -32,7 +32,8 @@ from fenics_crack.model.modes import Modes
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
 from fenics_crack.scene.words import word_for_crack_faces
-from fenics_crack.study.plausibility import Remark, find_key_figures, remarks_on_scene
+from fenics_crack.study.key_figures import find_key_figures
+from fenics_crack.study.plausibility import Remark, remarks_on_scene
 from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study
 from fenics_crack.time.march import TimeHistory
 
@@ -176,8 +177,6 @@ def _make_conclusion_of_modes(run: StudyWithResult) -> Conclusion:
     first_omega = float(run.result.omega[0])
     answer_text = (
         f"the first natural frequency with the crack open is {first_omega / RAD_PER_TURN:.5g} Hz "
-    )
-    answer_text += (
         f"({first_omega:.5g} rad/s)"
         f"{_error_clause(run, natural_frequency_name(run.scene, 'open', 1))}"
     )
@@ -251,17 +250,12 @@ def _list_crack_and_verdict_sentences(
             if solution.breathes
             else LINEAR_VIBRATION_TEXT
         )
-    tolerance = run.scene.harmonic_balance.tolerance or 0.0
-    min_reported_error = max(tolerance, MIN_REPORTED_FRICTION_CHANGE)
-    friction_error_estimate_by_name = (
-        {} if run.stated is None else run.stated.parts.get("friction", {})
-    )
-    friction_error_estimate = friction_error_estimate_by_name.get(
-        run.watched[0].column_name("amplitude")
-    )
+    friction_error_by_name = {} if run.stated is None else run.stated.parts.get("friction", {})
+    friction_error_estimate = friction_error_by_name.get(run.watched[0].column_name("amplitude"))
     if (
         friction_error_estimate is not None
-        and friction_error_estimate.gci > min_reported_error
+        and friction_error_estimate.gci
+        > max(run.scene.harmonic_balance.tolerance or 0.0, MIN_REPORTED_FRICTION_CHANGE)
         and not run.scene.has_friction
     ):
         sentences.append(
@@ -287,8 +281,11 @@ def _make_conclusion_of_curve(run: StudyWithResult) -> Conclusion:
     amplitude_text = format_quantity(peak.amplitude, "m")
     location_text = format_in_unit(curve_axis, peak.value)
     unknown_error_reason = explain_unknown_amplitude_error(run)
-    fallback_text = ", its error is not estimated"
-    error_text = "" if unknown_error_reason else _error_clause(run, fallback_text=fallback_text)
+    error_text = (
+        ""
+        if unknown_error_reason
+        else _error_clause(run, fallback_text=", its error is not estimated")
+    )
     answer_text = (
         f"the largest response of the {run.watched_description} is {amplitude_text} "
         "half peak-to-peak"
@@ -296,9 +293,8 @@ def _make_conclusion_of_curve(run: StudyWithResult) -> Conclusion:
     if peak.at_end and peak.index == len(response_curve) - 1 and not response_curve.complete:
         answer_text = (
             f"the response of the {run.watched_description} still rises where the curve ended, "
-            "with "
+            f"with {amplitude_text} half peak-to-peak at {location_text}"
         )
-        answer_text += f"{amplitude_text} half peak-to-peak at {location_text}"
     elif peak.at_end:
         answer_text += f", {RISING_AT_END_TEXT}, {location_text}{error_text}"
     else:
@@ -342,16 +338,12 @@ def _make_conclusion_of_history(run: StudyWithResult) -> Conclusion:
         )
         answer_text = (
             f"the {displacement_description} falls from {start_amplitude_text} to "
-            f"{end_amplitude_text} half peak-to-peak over "
+            f"{end_amplitude_text} half peak-to-peak over {history.periods} periods"
         )
-        early_end_texts = (
-            [] if history.periods >= integration_table.periods else ["the decay ended early"]
-        )
-        return Conclusion(
-            "integrated",
-            f"{answer_text}{history.periods} periods",
-            further_clauses=["free decay", *early_end_texts],
-        )
+        clauses = ["free decay"]
+        if history.periods < integration_table.periods:
+            clauses.append("the decay ended early")
+        return Conclusion("integrated", answer_text, further_clauses=clauses)
     has_settled = history.settled <= integration_table.settle
     amplitude_text = format_quantity(history.indicators(run.watched_dof).amplitude, "m")
     frequency_text = frequency_in_words(run.scene, run.scene.excitation.omega)

@@ -188,9 +188,10 @@ def iterate_curve_studies(scene_or_study: Scene | Study, comm: MPI.Comm) -> Iter
         yield from iterate_studies_with_more_modes(unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS)
         return
     if scene.reduction is not None:
-        requirement_text = "'massless', or left out, for a curve over the rotor speed"
         scene.reduction.require(
-            scene.reduction.method in (None, "massless"), "method", requirement_text
+            scene.reduction.method in (None, "massless"),
+            "method",
+            "'massless', or left out, for a curve over the rotor speed",
         )
     estimate_and_check_memory(scene, unreduced_study.structure, is_run_up=True)
     if candidate_mode_counts(unreduced_study):

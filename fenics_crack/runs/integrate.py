@@ -98,21 +98,22 @@ def integrate(
         initial_motion_or_state = start_state if friction_of(law) is not None else start_state[:2]
     if integration_table.free:
         study = study_under_mean_load(study)
-    march_options: dict[str, Any] = {
-        "periods": integration_table.periods,
-        "settle": 0.0 if integration_table.free else integration_table.settle,
-        "record_periods": None
-        if integration_table.free
-        else min(N_RECORDED_PERIODS, integration_table.periods),
-        "initial": initial_motion_or_state,
-        "progress": progress,
-    }
     march_function, steps_per_period = _march_function_and_steps(
         study, method_name, integration_table.steps_per_period
     )
     begin_stage(f"integration, {method_name}")
     history = march_function(
-        study.structure, omega, law, steps_per_period=steps_per_period, **march_options
+        study.structure,
+        omega,
+        law,
+        steps_per_period=steps_per_period,
+        periods=integration_table.periods,
+        settle=0.0 if integration_table.free else integration_table.settle,
+        record_periods=None
+        if integration_table.free
+        else min(N_RECORDED_PERIODS, integration_table.periods),
+        initial=initial_motion_or_state,
+        progress=progress,
     )
     return Run(**vars(study), result=history)
 
@@ -136,11 +137,10 @@ def _march_function_and_steps(
     if method_name == "exponential":
         return integrate_exponential, steps_per_period or 512
     if steps_per_period is None:
-        omega = study.scene.excitation.omega
-        steps_per_period = 2 * stable_steps_per_period(
-            study.structure, omega, required_contact_law(study)
+        stable_steps = stable_steps_per_period(
+            study.structure, study.scene.excitation.omega, required_contact_law(study)
         )
-        steps_per_period = max(512, steps_per_period)
+        steps_per_period = max(512, 2 * stable_steps)
     return integrate_central_difference, steps_per_period
 
 
@@ -218,14 +218,18 @@ def _choose_method(study: Study, integration_table: Integration, law: ContactLaw
     if has_massless_faces and not is_closed_form:
         requirement_text = (
             "'events' or 'exponential' for crack faces without mass; or set reduction.method = "
+            "'free_interface'"
         )
-        requirement_text += "'free_interface'"
     elif is_closed_form and not is_small(structure):
-        requirement_text = f"'central_difference' with {structure.n_dofs} dofs; "
-        requirement_text += "or set reduction.method = 'massless'"
+        requirement_text = (
+            f"'central_difference' with {structure.n_dofs} dofs; "
+            "or set reduction.method = 'massless'"
+        )
     elif is_closed_form and is_rigid(law) and not has_massless_faces:
-        requirement_text = "'central_difference' with contact.law = 'unilateral'; "
-        requirement_text += "or set reduction.method = 'massless'"
+        requirement_text = (
+            "'central_difference' with contact.law = 'unilateral'; "
+            "or set reduction.method = 'massless'"
+        )
     if requirement_text:
         raise InputError("integration.method", method_name, requirement_text)
     if is_closed_form and not is_unilateral(law):

@@ -84,8 +84,10 @@ def make_run_from_file(
     except InputError as error:
         if error.key == "path":
             raise
-        difference_text = f"{error.key} must be {error.allowed}"
-        requirement_text = f"a result that fits this version: {difference_text}; compute it again"
+        requirement_text = (
+            f"a result that fits this version: {error.key} must be {error.allowed}; "
+            "compute it again"
+        )
         raise InputError("path", str(result_file.path), requirement_text) from None
     law = getattr(result, "contact", None)
     if friction_of(law) is not None:
@@ -106,8 +108,8 @@ def make_run_on_this_rank(result_file: StoredFile) -> Run[Result]:
 
 def study_under_mean_load(study: Study) -> Study:
     """Return a study with its mean load alone, for free decay."""
-    structure = structure_under_static_load(study.structure, 0.0)
-    return replace(study, structure=structure.watching(study.watched[0].dof))
+    structure = structure_under_static_load(study.structure, 0.0).watching(study.watched[0].dof)
+    return replace(study, structure=structure)
 
 
 def structure_under_static_load(structure: Structure, first_harmonic_fraction: float) -> Structure:

@@ -46,14 +46,14 @@ class Reaction(Tabular):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the columns "time", "force_x", ..., "moment_z", a row for every instant."""
-        values_by_column = {"time": self.time.tolist()}
         force_axis_names = AXES[: self.force.shape[1]]
         moment_axis_names = AXES[-self.moment.shape[1] :]
-        column_names = [f"force_{axis_name}" for axis_name in force_axis_names] + [
-            f"moment_{axis_name}" for axis_name in moment_axis_names
+        column_names = [
+            *(f"force_{axis_name}" for axis_name in force_axis_names),
+            *(f"moment_{axis_name}" for axis_name in moment_axis_names),
         ]
-        column_values = np.hstack([self.force, self.moment]).T.tolist()
-        return values_by_column | dict(zip(column_names, column_values, strict=True))
+        columns = np.hstack([self.force, self.moment]).T.tolist()
+        return {"time": self.time.tolist()} | dict(zip(column_names, columns, strict=True))
 
     def _unit_by_name(self) -> Mapping[str, str]:
         unit_by_prefix = {"time": "s", "force": "N", "moment": "N m"}

@@ -235,7 +235,6 @@ class Run(StudyWithResult, Generic[ResultType]):
     records = ResultAttribute()
     report = ResultAttribute()
     reported = ResultAttribute()
-    residual = ResultAttribute()
     residual_compliance = ResultAttribute()
     resolution = ResultAttribute()
     row_force_coefficients = ResultAttribute()
@@ -279,5 +278,8 @@ def check_run_has_motion(run: object) -> None:
     The result must be a periodic solution or a motion in time.
     """
     if not (isinstance(run, Run) and isinstance(run.result, PeriodicSolution | TimeHistory)):
-        requirement_text = "a Run, as fc.solve(scene) or fc.integrate(scene) returns"
-        raise InputError("run", type(getattr(run, "result", run)).__name__, requirement_text)
+        raise InputError(
+            "run",
+            type(getattr(run, "result", run)).__name__,
+            "a Run, as fc.solve(scene) or fc.integrate(scene) returns",
+        )

@@ -23,6 +23,7 @@ from fenics_crack.study.observer import (
     leading_crack_tip_index,
     make_tips_and_intensity_rows,
     station_indices_by_front,
+    tabulate_tip_values,
 )
 from fenics_crack.time.march import TimeHistory
 
@@ -82,11 +83,7 @@ class StressIntensity(Tabular):
         table ``[growth]`` adds delta_K_equivalent: a range from 0 that, once per load period, gives
         the same crack growth as all rainflow cycles of K_I.
         """
-        value_by_name_of_tips = [tip_history.value_by_name() for tip_history in self._tip_histories]
-        return {
-            name: np.array([value_by_name[name] for value_by_name in value_by_name_of_tips])
-            for name in value_by_name_of_tips[0]
-        }
+        return tabulate_tip_values(self._tip_histories)
 
     @property
     def largest(self) -> np.ndarray:

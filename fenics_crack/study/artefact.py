@@ -170,10 +170,6 @@ class PreparedStructure:
             [] if pairs.tangential_gap_matrix is None else [structure.with_tangents()]
         )
         structure_and_variants = [structure, *structures_with_tangents]
-        node_array_names = NODE_ARRAY_NAMES if nodes else ()
-        node_array_by_name = {
-            name: gather_rows(comm, getattr(nodes, name)) for name in node_array_names
-        }
         return cls(
             gap=GatheredCsrMatrix.gather(structure.gap, comm),
             tangential=GatheredCsrMatrix.gather(structure.tangential, comm),
@@ -181,7 +177,10 @@ class PreparedStructure:
             shares=GatheredCsrMatrix.gather(pairs.pressure_matrix, MPI.COMM_SELF),
             force=gather_rows(comm, structure.force.T).T, clearance=structure.clearance,
             watched=None if watched_row is None else gather_rows(comm, watched_row),
-            nodes=nodes and replace(nodes, mesh_dofs=None, vtk_type=vtk_type, **node_array_by_name),
+            nodes=nodes and replace(
+                nodes, mesh_dofs=None, vtk_type=vtk_type,
+                **{name: gather_rows(comm, getattr(nodes, name)) for name in NODE_ARRAY_NAMES},
+            ),
             pairs=replace(pairs, pressure_matrix=None, tangential_gap_matrix=None),
             clamp=clamp and replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T),
             receptances=tuple(
@@ -224,15 +223,16 @@ class PreparedStructure:
             pressure_matrix=self.shares
             and self.shares.to_matrix(len(np.atleast_1d(pairs.nodes)), n_pairs),
         )  # fmt: skip
-        node_array_names = NODE_ARRAY_NAMES if nodes else ()
-        node_array_by_name = {name: getattr(nodes, name)[local_slice] for name in node_array_names}
         structure = Structure(Body(
             mass_matrix, stiffness_matrix, gap=local_matrix(self.gap, n_pairs),
             force=self.force[:, local_slice],
             clearance=self.clearance if pairs.cracks is None else clearance_of(scene, pairs),
             damping=damping_rule_of(scene.given("damping")),
             tangential=local_matrix(self.tangential, n_pairs),
-            nodes=nodes and replace(nodes, **node_array_by_name), pairs=pairs,
+            nodes=nodes and replace(
+                nodes, **{name: getattr(nodes, name)[local_slice] for name in NODE_ARRAY_NAMES}
+            ),
+            pairs=pairs,
             watched=None if watched_row is None else watched_row[local_slice],
             clamp=clamp and replace(clamp, inertia=clamp.inertia[:, local_slice]), comm=comm,
         ))  # fmt: skip
@@ -487,13 +487,10 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
 
     def needs_mesh(changed_scene: Scene) -> bool:
         changed_dependencies = dependencies_of_structure(changed_scene, MPI.COMM_SELF)
-        has_other_loads = excitation_and_loads_without_amplitudes(
-            changed_dependencies[1]
-        ) != excitation_and_loads_without_amplitudes(file_dependencies[1])
-        return (
-            changed_dependencies[0] != file_dependencies[0]
-            or has_other_loads
-            or (bool(scene.structure) and changed_dependencies != file_dependencies)
+        return dependencies_without_amplitudes(
+            changed_dependencies
+        ) != dependencies_without_amplitudes(file_dependencies) or (
+            bool(scene.structure) and changed_dependencies != file_dependencies
         )
 
     if needs_mesh(scene):
@@ -519,18 +516,18 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
     return scene
 
 
-def excitation_and_loads_without_amplitudes(loads: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return a scene's loads without the amplitudes of the excitation.
+def dependencies_without_amplitudes(dependencies: tuple[Any, Any, Any]) -> tuple[Any, ...]:
+    """Return the mesh and the loads of a structure, without the amplitudes of the excitation.
 
-    ``loads`` comes from :func:`dependencies_of_load`. Removed are the keys force_mean, force_cos,
-    force_sin and harmonics.
+    ``dependencies`` come from :func:`dependencies_of_structure`. Removed are clearances, damping,
+    and the keys force_mean, force_cos, force_sin and harmonics.
     """
-    excitation_value_by_key, *other_loads = loads
+    mesh_dependencies, (excitation_value_by_key, *other_loads), _ = dependencies
     amplitude_keys = ("force_mean", "force_cos", "force_sin", "harmonics")
     kept_value_by_key = excitation_value_by_key and {
         key: value for key, value in excitation_value_by_key.items() if key not in amplitude_keys
     }
-    return kept_value_by_key, *other_loads
+    return mesh_dependencies, kept_value_by_key, *other_loads
 
 
 def _weight_matrix_between_scene_loads(file_scene: Scene, scene: Scene) -> np.ndarray:

@@ -21,6 +21,7 @@ w^2) at resonance under the load f. Two conditions must hold:
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
@@ -65,12 +66,9 @@ from fenics_crack.model.rotation import (
 )
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.plausibility import (
-    describe_coriolis,
-    list_modal_damping_ratios,
-    remarks_on_scene,
-)
-from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, scene_contact_law
+from fenics_crack.study.key_figures import list_modal_damping_ratios
+from fenics_crack.study.plausibility import describe_coriolis, remarks_on_scene
+from fenics_crack.study.prepare import scene_contact_law
 from fenics_crack.study.resonance import (
     N_SEARCH_MODES,
     UNSOUGHT_RESONANCE,
@@ -192,8 +190,15 @@ class Campbell(SavedResult):
 
         :attr:`kind` names the state.
         """
+        return self._select_omega(self.kind)
+
+    def _select_omega(self, kinds: np.ndarray) -> np.ndarray:
+        """Return natural frequencies of given kinds: (n, m) [rad/s].
+
+        ``kinds`` are (n, m) as :attr:`kind`, or (m,) for all speeds.
+        """
         omega_of_kinds = [getattr(self, f"omega_{kind}") for kind in STATE_TEXT_BY_KIND]
-        return np.select([self.kind == kind for kind in STATE_TEXT_BY_KIND], omega_of_kinds)
+        return np.select([kinds == kind for kind in STATE_TEXT_BY_KIND], omega_of_kinds)
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -285,14 +290,11 @@ class Campbell(SavedResult):
             for changed_mode, start_speed, kind in self.changes
             if changed_mode == mode
         ]
-        start_speeds_and_kinds = sorted([*speeds_and_kinds, *change_speeds_and_kinds])
-        kinds_begun_below_speed = [
-            kind for start_speed, kind in start_speeds_and_kinds if start_speed < speed
-        ]
-        kinds_begun_by_speed = [
-            kind for start_speed, kind in start_speeds_and_kinds if start_speed <= speed
-        ]
-        return [kinds_begun_by_speed[0], *kinds_begun_below_speed][-1], kinds_begun_by_speed[-1]
+        start_speeds, kinds = zip(
+            *sorted([*speeds_and_kinds, *change_speeds_and_kinds]), strict=True
+        )
+        kind_before = kinds[max(bisect_left(start_speeds, speed) - 1, 0)]
+        return kind_before, kinds[bisect_right(start_speeds, speed) - 1]
 
     def _omega_of_kind(self, mode: int, speed: float, kind: str) -> float:
         """Return a mode's natural frequency [rad/s] at a rotor speed.
@@ -397,12 +399,8 @@ class Campbell(SavedResult):
             Frequency that selects the mode.
         """
         nearest_kind = self.kind[int(np.abs(self.speed - speed).argmin())]
-        omega_of_kinds = [getattr(self, f"omega_{kind}") for kind in STATE_TEXT_BY_KIND]
-        omega_of_nearest_kind = np.select(
-            [nearest_kind == kind for kind in STATE_TEXT_BY_KIND], omega_of_kinds
-        )
         squares, squared_omega_slopes = self._interpolate_squares_and_slopes(
-            speed, omega_of_nearest_kind
+            speed, self._select_omega(nearest_kind)
         )
         mode_index = int(np.abs(np.sqrt(np.maximum(squares, 0.0)) - omega).argmin())
         return float(squared_omega_slopes[mode_index] * speed**2 / squares[mode_index])
@@ -413,12 +411,9 @@ class Campbell(SavedResult):
         ``speed`` is in rad/s. Squares of the frequencies are linear in the square of the speed,
         also beyond the diagram. Both arrays are (m,) [rad/s].
         """
-        squares_of_states = (
-            self._interpolate_squares_and_slopes(speed, omega)[0]
-            for omega in (self.omega_open, self.omega_tied)
-        )
         omega_open, omega_tied = (
-            np.sqrt(np.maximum(squares, 0.0)) for squares in squares_of_states
+            np.sqrt(np.maximum(self._interpolate_squares_and_slopes(speed, omega)[0], 0.0))
+            for omega in (self.omega_open, self.omega_tied)
         )
         return omega_open, omega_tied
 
@@ -472,13 +467,10 @@ class Campbell(SavedResult):
         It states the speeds at which the load's engine order meets modes; without an engine order
         only the number of modes.
         """
-        axis_of_speed, order = (
-            choose_speed_factor_name_unit(self.scene.is_speed_in_rpm),
-            self.scene.excitation.order,
-        )
-        modes_text = format_count(self.omega_open.shape[1], "mode")
+        order = self.scene.excitation.order
+        axis_of_speed = choose_speed_factor_name_unit(self.scene.is_speed_in_rpm)
         outcome_text = (
-            f"{modes_text} found between "
+            f"{format_count(self.omega_open.shape[1], 'mode')} found between "
             f"{format_in_unit(axis_of_speed, self.speed[0], self.speed[-1])}"
         )
         if order is None:
@@ -551,9 +543,8 @@ def campbell(
     )
     if not (is_rising and speed_array[0] >= 0.0 and np.isfinite(speed_array[-1])):
         raise InputError("speeds", speeds, "two or more finite numbers >= 0 that increase [rad/s]")
-    requested_scene = scene
-    scene = with_crack_length(scene.replace({"rotation.speed": float(speed_array[-1])}), comm)
-    top_structure = assemble_or_reuse_structure(scene, comm)
+    top_scene = with_crack_length(scene.replace({"rotation.speed": float(speed_array[-1])}), comm)
+    top_structure = assemble_or_reuse_structure(top_scene, comm)
     max_modes = count_bonded_modes(top_structure)
     if count is not None and count > max_modes:
         raise InputError("count", count, f"a whole number from 1 to {max_modes}")
@@ -588,7 +579,7 @@ def campbell(
     modes = Modes(projected_modes.omega, projection.basis @ projected_modes.shapes, top_structure)
     relative_coriolis_changes = relative_coriolis_shifts(modes, speed_array[-1] * rotation_axis)
     diagram = Campbell(
-        requested_scene,
+        scene,
         speed_array,
         omega_open,
         omega_tied,
@@ -625,16 +616,15 @@ def _find_modes_and_load_resonances(
         projection, n_modes_with_mass=max(projection.n_modes_with_mass, N_SEARCH_MODES)
     )
 
-    def find_resonance(speed: float) -> LoadResonance:
-        try:
-            return find_load_resonance(
-                scene, law, RunUpStructure(search_projection, speed), engine_order * speed, "speed"
-            )
-        except REFUSAL_EXCEPTIONS as error:
-            return LoadResonance(unknown=str(error))
-
-    crossings = diagram.crossings(engine_order, "real").tolist()
-    return tuple((int(mode_number), find_resonance(speed)) for mode_number, speed in crossings)
+    return tuple(
+        (
+            int(mode_number),
+            find_load_resonance(
+                scene, law, partial(RunUpStructure, search_projection, speed), engine_order * speed
+            ),
+        )
+        for mode_number, speed in diagram.crossings(engine_order, "real").tolist()
+    )
 
 
 def report_of_campbell(diagram: Campbell) -> Report:
@@ -656,8 +646,9 @@ def report_of_campbell(diagram: Campbell) -> Report:
     if coriolis_text := describe_coriolis(diagram.coriolis):
         speed_axis = choose_speed_factor_name_unit(scene.is_speed_in_rpm)
         notes.append(f"at {format_in_unit(speed_axis, diagram.speed[-1])} {coriolis_text}")
-    column_names = ["rpm" if scene.is_speed_in_rpm else "speed", "mode"]
-    column_names += [
+    column_names = [
+        "rpm" if scene.is_speed_in_rpm else "speed",
+        "mode",
         *(f"{frequency_prefix}_{kind}" for kind in diagram.kinds),
         *(["crack"] if diagram.cracked else []),
     ]
@@ -785,8 +776,6 @@ def _find_frequencies_and_margins(
         less the amplitude [N].
     """
     open_modes = solve_modes(structure, n_modes)
-    no_pairs_mask = np.zeros(structure.n_pairs, dtype=bool)
-    all_pairs_mask = np.ones(structure.n_pairs, dtype=bool)
     if not structure.n_pairs:
         return np.tile(open_modes.omega, (3, 1)), np.outer([1.0, -1.0, -1.0], np.ones(n_modes))
     clearance = np.broadcast_to(structure.clearance, structure.n_pairs)
@@ -797,19 +786,15 @@ def _find_frequencies_and_margins(
     pair_openings = np.where(
         is_pressed, 0.0, clearance - structure.apply_bt(static_displacement[None])[0]
     )
-    rest_states = np.where(
-        np.array([no_pairs_mask, all_pairs_mask, is_pressed]), pair_forces, pair_openings
-    )
-    held_states = zip(rest_states, (no_pairs_mask, all_pairs_mask, is_pressed), strict=True)
+    bonded_masks = np.array([np.zeros_like(is_pressed), np.ones_like(is_pressed), is_pressed])
+    rest_states = np.where(bonded_masks, pair_forces, pair_openings)
     frequencies_and_margins = [
         _find_held_frequencies_and_margins(
             open_modes, peak_amplitude_function, rest_state, is_bonded, n_bonded_modes
         )
-        for rest_state, is_bonded in held_states
+        for rest_state, is_bonded in zip(rest_states, bonded_masks, strict=True)
     ]
-    omega_of_states, hold_margins = (
-        np.array(state_rows) for state_rows in zip(*frequencies_and_margins, strict=True)
-    )
+    omega_of_states, hold_margins = np.moveaxis(frequencies_and_margins, 1, 0)
     if is_pressed.all() or not is_pressed.any():
         hold_margins[2] = -1.0  # not partly
     return omega_of_states, hold_margins
@@ -844,25 +829,22 @@ def _find_held_frequencies_and_margins(
         Smallest value over the pairs: opening or force at rest, less its amplitude at resonance.
     """
     modes, structure = open_modes, open_modes.structure
+    bonded_gap_rows = structure.gap[:, is_bonded]
+    bond_force_amplitudes = np.zeros((0, len(open_modes.omega)))
     if is_bonded.any():
-        bonded_gap_rows = structure.gap[:, is_bonded]
-        zero_clearance = np.zeros(int(is_bonded.sum()))
-        bonded_structure = Structure(
-            Body(
-                structure.mass,
-                structure.stiffness,
-                bonded_gap_rows,
-                structure.force,
-                zero_clearance,
-            )
+        body = Body(
+            structure.mass,
+            structure.stiffness,
+            bonded_gap_rows,
+            structure.force,
+            np.zeros(bonded_gap_rows.shape[1]),
         )
+        bonded_structure = Structure(body)
         bonded_modes = solve_modes(bonded_structure, n_bonded_modes, lips="tied")
         mode_indices = find_bonded_mode_indices(open_modes, bonded_modes)
         modes = Modes(
             bonded_modes.omega[mode_indices], bonded_modes.shapes[:, mode_indices], structure
         )
-    pair_amplitudes_per_mode = np.abs(structure.apply_bt(modes.shapes.T)).T
-    if is_bonded.any():
         stiffness_products, mass_products = (
             multiply_columns(stiffness_or_mass, modes.shapes)
             for stiffness_or_mass in (structure.stiffness, structure.mass)
@@ -870,11 +852,11 @@ def _find_held_frequencies_and_margins(
         unbalanced_forces = bonded_gap_rows.T @ (
             mass_products * modes.omega**2 - stiffness_products
         )
-        pair_amplitudes_per_mode[is_bonded] = np.abs(
-            np.linalg.lstsq(
-                (bonded_gap_rows.T @ bonded_gap_rows).toarray(), unbalanced_forces, rcond=None
-            )[0]
-        )
+        bond_force_amplitudes = np.abs(np.linalg.lstsq(
+            (bonded_gap_rows.T @ bonded_gap_rows).toarray(), unbalanced_forces, rcond=None
+        )[0])  # fmt: skip
+    pair_amplitudes = np.abs(structure.apply_bt(modes.shapes.T)).T
+    pair_amplitudes[is_bonded] = bond_force_amplitudes
     return modes.omega, (
-        rest_state[:, None] - peak_amplitude_function(modes) * pair_amplitudes_per_mode
+        rest_state[:, None] - peak_amplitude_function(modes) * pair_amplitudes
     ).min(axis=0)

@@ -18,7 +18,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import prefix_stages
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.plausibility import mesh_extents
+from fenics_crack.study.key_figures import mesh_extents
 from fenics_crack.study.prepare import Study, prepare
 from fenics_crack.study.sharing import make_empty_coarser_structure_list
 
@@ -55,10 +55,9 @@ def prepare_coarser_study_or_reason(study: Study) -> tuple[Study, tuple[int, int
     element_counts = count_elements(structure), count_elements(coarser_study.structure)
     if not element_counts[1] < element_counts[0]:
         return "a coarser mesh has as many elements: refine the mesh"
-    fine_and_coarser_structure = structure, coarser_study.structure
     fine_extents, coarser_extents = (
         np.array(mesh_extents(meshed_structure.whole))
-        for meshed_structure in fine_and_coarser_structure
+        for meshed_structure in (structure, coarser_study.structure)
     )
     coarser_element_length = (coarser_extents.prod() / element_counts[1]) ** (
         1.0 / len(coarser_extents)
@@ -68,7 +67,7 @@ def prepare_coarser_study_or_reason(study: Study) -> tuple[Study, tuple[int, int
         extents_text = " x ".join(f"{side_length:.4g}" for side_length in coarser_extents)
         return f"mesh.coarser is the mesh of another part, which measures {extents_text} m"
     if scene.mesh.layout == "file" and (
-        mismatch_text := _describe_crack_mismatch(*fine_and_coarser_structure)
+        mismatch_text := _describe_crack_mismatch(structure, coarser_study.structure)
     ):
         return mismatch_text
     return (
@@ -114,9 +113,13 @@ def _coarser_over_fine_element_length(
     solid is thick.
     """
     element_size, is_plane = scene.mesh.size, scene.dimension == 2
-    if scene.has_graded_lengths and element_size is not None and (scene.crack_by_name or is_plane):
-        if is_plane or element_size <= min(scene.geometry.sides, default=math.inf):
-            return coarser_scene.mesh.given("size") / element_size
+    if (
+        scene.has_graded_lengths
+        and element_size is not None
+        and (scene.crack_by_name or is_plane)
+        and (is_plane or element_size <= min(scene.geometry.sides, default=math.inf))
+    ):
+        return coarser_scene.mesh.given("size") / element_size
     return float((element_counts[0] / element_counts[1]) ** (1.0 / scene.dimension))
 
 

@@ -338,15 +338,12 @@ def estimate_closed_front_and_mesh_errors(
         list_requested_extra_quantities(coarser_study.scene)
     ):
         return {}, dict.fromkeys(quantity_names, math.inf)
-    intensities_by_front = _collect_intensities_by_front(study, motion)
-    coarser_intensities_by_front = _collect_intensities_by_front(coarser_study, coarser_motion)
-    if (
-        min(
-            len(relative_positions)
-            for relative_positions, *_ in coarser_intensities_by_front.values()
-        )
-        < MIN_FRONT_STATIONS
-    ):
+    intensities_by_front, closed_front_error = _collect_intensities_by_front(study, motion)
+    coarser_intensities_by_front, _ = _collect_intensities_by_front(coarser_study, coarser_motion)
+    n_fewest_stations = min(
+        len(relative_positions) for relative_positions, _ in coarser_intensities_by_front.values()
+    )
+    if n_fewest_stations < MIN_FRONT_STATIONS:
         return {}, dict.fromkeys(quantity_names, math.inf)
     difference_by_name = {}
     for quantity_name in quantity_names:
@@ -358,51 +355,49 @@ def estimate_closed_front_and_mesh_errors(
                 coarser_intensities_by_front[front_name][1][station_quantity_name],
             )
             - values_by_name[station_quantity_name]
-            for front_name, (relative_positions, values_by_name, _) in intensities_by_front.items()
+            for front_name, (relative_positions, values_by_name) in intensities_by_front.items()
         ]
-        difference_by_name[quantity_name] = max(
-            float(np.abs(differences_of_front).max())
-            for differences_of_front in differences_of_fronts
-        )
-    closed_front_error = max(
-        error_of_front for _, _, error_of_front in intensities_by_front.values()
-    )
+        difference_by_name[quantity_name] = float(np.abs(np.hstack(differences_of_fronts)).max())
     return dict.fromkeys(quantity_names, closed_front_error), difference_by_name
 
 
 def _collect_intensities_by_front(
     study: Study, motion: ObservedMotion
-) -> dict[str, tuple[np.ndarray, dict[str, np.ndarray], float]]:
+) -> tuple[dict[str, tuple[np.ndarray, dict[str, np.ndarray]]], float]:
     """Collect stress intensities along each crack front, by name (collective).
 
     Returns
     -------
-    dict of str to (relative_positions, values_by_name, closed_front_error)
-        Positions (n,) of the stations along the front, 0 to 1; each number at these stations (n,)
-        [Pa m^1/2]; and the largest correction of K_I by contact [Pa m^1/2].
+    intensities_by_front : dict of str to (relative_positions, values_by_name)
+        Positions (n,) of the stations along the front, 0 to 1; and each number at these stations
+        (n,) [Pa m^1/2].
+    closed_front_error : float [Pa m^1/2]
+        Largest correction of K_I by contact.
     """
     stations, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
     [record] = motion.yield_records_of_row_products(displacement_rows)
     tip_histories = compute_crack_tip_histories(record, stations, force_rows, study.scene.growth)
-    intensities_by_front, station_names = {}, [station.name for station in stations]
-    for front_name, station_indices in station_indices_by_front(station_names).items():
-        arc_lengths = np.array(
-            [stations[station_index].arc_length for station_index in station_indices]
+    arc_lengths = np.array([station.arc_length for station in stations])
+    values_by_name = tabulate_tip_values(tip_histories)
+    intensities_by_front = {
+        front_name: (
+            arc_lengths[station_indices] / (arc_lengths[station_indices[-1]] or 1.0),
+            {name: values[station_indices] for name, values in values_by_name.items()},
         )
-        station_histories = [tip_histories[station_index] for station_index in station_indices]
-        value_by_name_of_stations = [history.value_by_name() for history in station_histories]
-        values_by_name = {
-            name: np.array([value_by_name[name] for value_by_name in value_by_name_of_stations])
-            for name in value_by_name_of_stations[0]
-        }
-        closed_front_error = max(history.closed_front_error for history in station_histories)
-        front_length = arc_lengths[-1] or 1.0
-        intensities_by_front[front_name] = (
-            arc_lengths / front_length,
-            values_by_name,
-            closed_front_error,
-        )
-    return intensities_by_front
+        for front_name, station_indices in station_indices_by_front(
+            [station.name for station in stations]
+        ).items()
+    }
+    return intensities_by_front, max(history.closed_front_error for history in tip_histories)
+
+
+def tabulate_tip_values(tip_histories: Sequence[CrackTipHistory]) -> dict[str, np.ndarray]:
+    """Return each number of crack tips or stations by name: (n_tips,) [Pa m^1/2]."""
+    value_by_name_of_tips = [tip_history.value_by_name() for tip_history in tip_histories]
+    return {
+        name: np.array([value_by_name[name] for value_by_name in value_by_name_of_tips])
+        for name in value_by_name_of_tips[0]
+    }
 
 
 def station_indices_by_front(station_names: Sequence[str]) -> dict[str, list[int]]:

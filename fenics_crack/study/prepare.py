@@ -198,8 +198,7 @@ def _find_watched_displacements(
             if dof >= 0:
                 quantity_prefix = f"{point.key}.u{axis}"
                 words = scene.label_by_point_name[quantity_prefix]
-                watched_sector_index = structure.watched_sector_index
-                global_dof = structure.dof_of(watched_sector_index + 1, int(dof))
+                global_dof = structure.dof_of(structure.watched_sector_index + 1, int(dof))
                 watched_displacements.append(
                     WatchedDisplacement(quantity_prefix, words, global_dof, distance)
                 )
@@ -252,9 +251,11 @@ def reduce_study(study: Study, *, with_reference: bool = True) -> Study:
     if whole_structure.has_matrices:
         estimate_and_check_memory(scene, whole_structure)
     if (disk_table := scene.disk) is not None:
-        wheel = study.structure.whole
         structure = reduce_wheel(
-            wheel, disk_table.families, more=disk_table.modes, reference=with_reference
+            study.structure.whole,
+            disk_table.families,
+            more=disk_table.modes,
+            reference=with_reference,
         )
         return replace(study, structure=structure)
     reduction = modal_reduction_or_none(scene, whole_structure)
@@ -334,14 +335,16 @@ def estimate_and_check_memory(
         )
         size_text = f"{structure.n_dofs} degrees of freedom need {memory_text}"
         if scene.structure is not None:
-            mass_path = scene.structure.mass
             raise InputError(
-                "structure.mass", mass_path, f"the file of a smaller structure: {size_text}"
+                "structure.mass",
+                scene.structure.mass,
+                f"the file of a smaller structure: {size_text}",
             )
         mesh_key = {"grid": "columns", "file": "file"}.get(scene.mesh.layout, "size")
-        mesh_key_value = getattr(scene.mesh, mesh_key)
         raise InputError(
-            f"mesh.{mesh_key}", mesh_key_value, f"changed to a coarser mesh: {size_text}"
+            f"mesh.{mesh_key}",
+            getattr(scene.mesh, mesh_key),
+            f"changed to a coarser mesh: {size_text}",
         )
     return needed_bytes
 
@@ -545,26 +548,26 @@ def contact_law(contact: Contact, structure: Structure | None = None) -> Contact
     stiffness_per_area = contact.tangential_stiffness_per_area
     if stiffness_per_area is None:
         return CoulombFriction(law, contact.friction)
-    pair_areas = _required_pair_areas(
+    tangential_stiffness = _stiffness_of_pairs(
         "tangential_stiffness_per_area", stiffness_per_area, structure
     )
-    return CoulombFriction(law, contact.friction, stiffness_per_area * pair_areas)
+    return CoulombFriction(law, contact.friction, tangential_stiffness)
 
 
-def _required_pair_areas(
+def _stiffness_of_pairs(
     stiffness_key: str, stiffness_per_area: float, structure: Structure | None
 ) -> np.ndarray:
-    """Return the areas of a structure's contact pairs: (n_pairs,) [m^2].
+    """Return the stiffness of a structure's contact pairs: (n_pairs,) [N/m].
 
-    InputError if they are unknown; ``stiffness_key`` and ``stiffness_per_area`` [N/m^3] name the
-    key of ``[contact]`` and its value in the message.
+    It is ``stiffness_per_area`` [N/m^3] times the area of each pair. InputError if the areas are
+    unknown; ``stiffness_key`` is the key of ``[contact]`` in the message.
     """
     if structure is None or structure.pair_areas is None:
         requirement_text = (
             "used with a structure from a mesh: call contact_law(scene.contact, structure)"
         )
         raise InputError(f"contact.{stiffness_key}", stiffness_per_area, requirement_text)
-    return structure.pair_areas
+    return stiffness_per_area * structure.pair_areas
 
 
 def _make_normal_contact_law(contact_table: Contact, structure: Structure | None) -> ContactLaw:
@@ -576,9 +579,7 @@ def _make_normal_contact_law(contact_table: Contact, structure: Structure | None
         return UnilateralConstraint()
     pair_stiffness: float | np.ndarray | None = contact_table.stiffness
     if (stiffness_per_area := contact_table.stiffness_per_area) is not None:
-        pair_stiffness = stiffness_per_area * _required_pair_areas(
-            "stiffness_per_area", stiffness_per_area, structure
-        )
+        pair_stiffness = _stiffness_of_pairs("stiffness_per_area", stiffness_per_area, structure)
     assert pair_stiffness is not None
     if contact_table.law == "smoothed":
         assert contact_table.sharpness is not None

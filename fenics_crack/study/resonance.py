@@ -1,8 +1,9 @@
-"""Resonance of a scene at its own load, as all commands name it.
+"""Where a scene resonates under its load: one answer for all commands.
 
-It is the phase resonance of the mode nearest to the load frequency
-(:mod:`fenics_crack.curves.resonance`), with as many harmonics as the amplitude needs. Smooth
-contact laws have no such resonance. Friction is left out.
+:func:`find_load_resonance` answers it for a structure in few coordinates: the phase resonance next
+to a start frequency (:mod:`fenics_crack.curves.resonance`), with as many harmonics as the amplitude
+needs. ``check`` and the stated errors start from the mode nearest to the load frequency, Campbell
+diagrams from each crossing. Smooth contact laws have no such resonance. Friction is left out.
 
 An engine order n meets the resonance at the rotor speed W if n W is the resonance frequency at this
 speed. The search begins at an estimate, from the natural frequency w_0 at the speed W_0:
@@ -13,15 +14,22 @@ speed. The search begins at an estimate, from the natural frequency w_0 at the s
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.causes import OPTIONAL_ERROR_CAUSES, REQUIRED_ERROR_CAUSES
-from fenics_crack.basics.errors import ConvergenceError
-from fenics_crack.basics.tables import describe_omitted_causes, format_error, format_quantity
+from fenics_crack.basics.tables import (
+    RAD_PER_S_PER_RPM,
+    RAD_PER_TURN,
+    describe_omitted_causes,
+    format_error,
+    format_quantity,
+)
 from fenics_crack.curves.stability import floquet
 from fenics_crack.model.contact import ContactLaw, friction_of
 from fenics_crack.model.modal import is_small
@@ -142,6 +150,40 @@ def order_crossing_speed(
     return math.sqrt(speed_squared) if speed_squared > 0.0 else math.nan
 
 
+FACTOR_AND_UNIT_BY_CURVE_PARAMETER = {
+    "omega": (1.0, "rad/s"), "frequency": (RAD_PER_TURN, "Hz"), "speed": (1.0, "rad/s"),
+    "rpm": (RAD_PER_S_PER_RPM, "rpm"),
+}  # fmt: skip
+"""Factor from a curve's parameter to [rad/s], and the parameter's unit, by parameter."""
+
+
+def curve_parameter_at_crossing(
+    scene: Scene, parameter: str, omega: float, slope: float, harmonic: float = 1.0
+) -> float:
+    """Return a curve's parameter at which a harmonic meets a natural frequency.
+
+    Parameters
+    ----------
+    parameter : "omega", "frequency", "speed" or "rpm"
+        Parameter of the curve.
+    omega : float [rad/s]
+        Natural frequency.
+    slope : float
+        S = d(omega^2) / d(W^2) over the rotor speed W.
+    harmonic : float
+        Multiple of the load frequency.
+
+    Returns
+    -------
+    float [rad/s]
+        Load frequency or rotor speed; nan if an engine order never meets the frequency.
+    """
+    engine_order = scene.excitation.order
+    if parameter in ("speed", "rpm") and engine_order is not None:
+        return order_crossing_speed(harmonic * engine_order, scene.speed, omega, slope)
+    return omega / harmonic
+
+
 def find_study_resonance(
     study: Study, estimated_omegas: np.ndarray, squared_omega_slopes: np.ndarray
 ) -> LoadResonance:
@@ -161,58 +203,55 @@ def find_study_resonance(
     LoadResonance
         If no resonance is found, only the reason ``unknown``.
     """
-    scene, whole_structure, law = study.scene, study.structure, study.contact
+    scene, law = study.scene, study.contact
     if law is None:
         return LoadResonance(unknown="there is no crack")
+    mode_index = int(np.argmin(np.abs(estimated_omegas - scene.excitation.omega)))
+    start_omega, crossing_speed = float(estimated_omegas[mode_index]), None
     engine_order = scene.excitation.order
-    reduction = modal_reduction_or_none(scene, whole_structure)
+    if engine_order is not None and study.structure.rotation is not None and scene.disk is None:
+        crossing_speed = order_crossing_speed(
+            engine_order, scene.speed, start_omega, squared_omega_slopes[mode_index]
+        )
+        if math.isnan(crossing_speed):
+            return LoadResonance(unknown=f"engine order {engine_order} does not meet this mode")
+        start_omega = engine_order * crossing_speed
+    make_structure = partial(_make_search_structure, study, crossing_speed)
+    return find_load_resonance(
+        scene, law, make_structure, start_omega, with_small_load_resonance=True
+    )
+
+
+def _make_search_structure(study: Study, crossing_speed: float | None) -> Structure:
+    """Reduce a study's structure to few modes, in which a resonance is sought (collective).
+
+    ``crossing_speed`` [rad/s] is the rotor speed at which an engine order meets the mode; the
+    reduced structure then follows the speed. None without an engine order.
+    """
+    whole_structure = study.structure
+    reduction = modal_reduction_or_none(study.scene, whole_structure)
     n_modes = min(
         N_SEARCH_MODES, whole_structure.n_dofs if reduction is None else reduction.n_modes
     )
-    mode_index = int(np.argmin(np.abs(estimated_omegas - scene.excitation.omega)))
-    estimated_omega = float(estimated_omegas[mode_index])
-    try:
-        if engine_order is not None and whole_structure.rotation is not None and scene.disk is None:
-            crossing_speed = order_crossing_speed(
-                engine_order, scene.speed, estimated_omega, squared_omega_slopes[mode_index]
-            )
-            if math.isnan(crossing_speed):
-                raise ConvergenceError(f"engine order {engine_order} does not meet this mode")
-            run_up_structure = RunUpStructure(
-                RitzProjection.of_range(whole_structure, crossing_speed, crossing_speed, n_modes),
-                crossing_speed,
-            )
-            return find_load_resonance(
-                scene,
-                law,
-                run_up_structure,
-                engine_order * crossing_speed,
-                "speed",
-                with_small_load_resonance=True,
-            )
-        if scene.disk is not None or (reduction is None and is_small(whole_structure)):
-            structure = reduce_study(study, with_reference=False).structure
-        else:
-            structure = reduce_structure(
-                whole_structure, modes=n_modes, method="massless", reference=False
-            )
-        return find_load_resonance(
-            scene, law, structure, estimated_omega, with_small_load_resonance=True
+    if crossing_speed is not None:
+        projection = RitzProjection.of_range(
+            whole_structure, crossing_speed, crossing_speed, n_modes
         )
-    except REFUSAL_EXCEPTIONS as error:
-        return LoadResonance(unknown=str(error))
+        return RunUpStructure(projection, crossing_speed)
+    if study.scene.disk is not None or (reduction is None and is_small(whole_structure)):
+        return reduce_study(study, with_reference=False).structure
+    return reduce_structure(whole_structure, modes=n_modes, method="massless", reference=False)
 
 
 def find_load_resonance(
     scene: Scene,
     law: ContactLaw,
-    structure: Structure,
+    make_structure: Callable[[], Structure],
     start_omega: float,
-    parameter: str = "omega",
     *,
     with_small_load_resonance: bool = False,
 ) -> LoadResonance:
-    """Find a small structure's resonance under a scene's load, without friction.
+    """Find where a structure resonates under a scene's load, without friction (collective).
 
     Parameters
     ----------
@@ -220,19 +259,19 @@ def find_load_resonance(
         Source of harmonics and samples.
     law : ContactLaw
         Contact law; its friction, if any, is left out.
-    structure : Structure
-        Structure with its load, small enough to compute all of its modes.
+    make_structure : callable
+        Makes the structure with its load, small enough to compute all of its modes. For a
+        :class:`RunUpStructure` the rotor speed follows the resonance, at a fixed ratio to the load
+        frequency (:func:`fenics_crack.resonance_at`).
     start_omega : float [rad/s]
         Load frequency at which the search begins.
-    parameter : "omega" or "speed"
-        Quantity that follows the resonance, as in :func:`fenics_crack.resonance_at`.
     with_small_load_resonance : bool
         Find the resonance under a small load, too.
 
-    Raises
-    ------
-    InputError, ConvergenceError, LinAlgError
-        There is no resonance, or it is not found.
+    Returns
+    -------
+    LoadResonance
+        If no resonance is found, or the structure cannot be made, only the reason ``unknown``.
     """
     from fenics_crack.curves.resonance import (  # where one is sought
         problem_at_small_load,
@@ -241,14 +280,24 @@ def find_load_resonance(
 
     balance_table, friction_law = scene.harmonic_balance, friction_of(law)
     law = law if friction_law is None else friction_law.law
-    problem = Problem(structure, start_omega, law, balance_table.harmonics, balance_table.samples)
-    resonance = resonance_at(problem, parameter=parameter, tolerance=RELATIVE_AMPLITUDE_TOLERANCE)
-    small_load_value = resonance.value if with_small_load_resonance else math.nan
-    # Only a mean load or a clearance holds pairs under a small load.
-    if with_small_load_resonance and (np.any(structure.force[0]) or np.any(structure.clearance)):
-        small_load_value = resonance_at(
-            problem_at_small_load(problem), resonance.omega, parameter
-        ).value
+    small_load_value = math.nan
+    try:
+        structure = make_structure()
+        parameter = "speed" if isinstance(structure, RunUpStructure) else "omega"
+        problem = Problem(
+            structure, start_omega, law, balance_table.harmonics, balance_table.samples
+        )
+        resonance = resonance_at(
+            problem, parameter=parameter, tolerance=RELATIVE_AMPLITUDE_TOLERANCE
+        )
+        if with_small_load_resonance:
+            small_load_value = resonance.value
+            # Only a mean load or a clearance holds pairs under a small load.
+            if np.any(structure.force[0]) or np.any(structure.clearance):
+                small_problem = problem_at_small_load(problem)
+                small_load_value = resonance_at(small_problem, resonance.omega, parameter).value
+    except REFUSAL_EXCEPTIONS as error:
+        return LoadResonance(unknown=str(error))
     if resonance.several:
         return LoadResonance(
             resonance.value, resonance.width, small_load_value, unknown=SEVERAL_MODES_TEXT
@@ -256,7 +305,7 @@ def find_load_resonance(
     solution, verdict = resonance.solution, "undecided"
     with suppress(*REFUSAL_EXCEPTIONS):
         verdict = floquet(solution.structure, solution).verdict
-    amplitude = solution.amplitude()
     return LoadResonance(
-        resonance.value, resonance.width, small_load_value, amplitude, resonance.error, verdict
-    )
+        resonance.value, resonance.width, small_load_value, solution.amplitude(),
+        resonance.error, verdict,
+    )  # fmt: skip

@@ -25,7 +25,7 @@ from fenics_crack.study.artefact import (
     GatheredCsrMatrix,
     PreparedFileContent,
     PreparedStructure,
-    excitation_and_loads_without_amplitudes,
+    dependencies_without_amplitudes,
     weight_matrix_of_load_rows,
 )
 from fenics_crack.study.sharing import (
@@ -39,17 +39,13 @@ MAX_DATASET_BYTES = 500 * 10**6
 """Maximum size of all arrays in a structure file [byte]; a larger structure is not kept."""
 
 
-def digest_of_dependencies(dependencies: tuple[Any, ...]) -> str:
+def digest_of_dependencies(dependencies: tuple[Any, Any, Any]) -> str:
     """Return a SHA-256 digest, equal for scenes with the same structure.
 
     ``dependencies`` come from :func:`dependencies_of_structure`. Load amplitudes, clearances and
     damping do not count; the files of program and libraries do.
     """
-    digest_inputs = (
-        dependencies[0],
-        excitation_and_loads_without_amplitudes(dependencies[1]),
-        program_fingerprint_text(),
-    )
+    digest_inputs = dependencies_without_amplitudes(dependencies), program_fingerprint_text()
     return hashlib.sha256(repr(digest_inputs).encode()).hexdigest()
 
 

@@ -135,11 +135,9 @@ def _solve_to_tolerance(unreduced_study: Study) -> tuple[Study, PeriodicSolution
 
     Return the study reduced to the number of modes used, and the solution.
     """
-    scene = unreduced_study.scene
-    balance_table = unreduced_study.scene.harmonic_balance
-    reduced_studies = list[Study]()
-    law = unreduced_study.contact
+    scene, law = unreduced_study.scene, unreduced_study.contact
     assert law is not None
+    reduced_studies = list[Study]()
 
     def iterate_structures() -> Iterator[Structure]:
         for study in iterate_studies_with_more_modes(unreduced_study):
@@ -147,11 +145,11 @@ def _solve_to_tolerance(unreduced_study: Study) -> tuple[Study, PeriodicSolution
             yield study.structure
 
     problem = Problem(
-        unreduced_study.structure, scene.excitation.omega, law, balance_table.harmonics
+        unreduced_study.structure, scene.excitation.omega, law, scene.harmonic_balance.harmonics
     )
     solution = solve_to_tolerance(
         Solver(problem, throw=False),
-        balance_table.given("tolerance"),
+        scene.harmonic_balance.given("tolerance"),
         structures=iterate_structures(),
         modes_key=scene.modes_key,
     )

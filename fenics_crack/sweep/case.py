@@ -33,8 +33,8 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import dof_selection_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import FORCE_KEYS
+from fenics_crack.study.key_figures import list_modal_damping_ratios
 from fenics_crack.study.observer import make_requested_rows_and_readers
-from fenics_crack.study.plausibility import list_modal_damping_ratios
 from fenics_crack.study.prepare import (
     REFUSAL_EXCEPTIONS,
     Study,

@@ -49,7 +49,8 @@ from fenics_crack.monitoring.scene_timing import (
     find_probed_displacement_and_reversal,
     find_tip_factor_by_dof,
 )
-from fenics_crack.study.plausibility import find_key_figures, remarks_on_scene
+from fenics_crack.study.key_figures import find_key_figures
+from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.sweep.plan import Plan
 
 MESHES = ROOT / "meshes"

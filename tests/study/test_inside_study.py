@@ -27,17 +27,17 @@ from fenics_crack.fem import blocks
 from fenics_crack.fem.interaction_integral import Tip
 from fenics_crack.model.factor import Factor, make_matrix_from_local_rows
 from fenics_crack.study import prepare
-from fenics_crack.study.meshes import refine_scene_or_none
-from fenics_crack.study.observer import compute_crack_tip_histories
-from fenics_crack.study.plausibility import (
+from fenics_crack.study.key_figures import (
     KeyFigures,
     _round_to_three_digits,
     find_key_figures,
     highest_harmonic_omega,
     is_response_proportional_to_load,
     lowest_and_highest_load_omega,
-    remarks_on_scene,
 )
+from fenics_crack.study.meshes import refine_scene_or_none
+from fenics_crack.study.observer import compute_crack_tip_histories
+from fenics_crack.study.plausibility import remarks_on_scene
 
 PAPER = fc.Scene.load(DEMOS / "paper_plate.toml").replace({"damping.ratio": 0.01})
 GRID = PAPER.replace({"mesh.columns": 6, "mesh.rows": 6})

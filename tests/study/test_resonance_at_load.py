@@ -11,7 +11,7 @@ from rotating import cracked
 from surroundings import RunCommand
 
 import fenics_crack as fc
-from fenics_crack.study.plausibility import find_key_figures, propose_curve_or_none
+from fenics_crack.study.key_figures import find_key_figures, propose_curve_or_none
 from fenics_crack.study.resonance import (
     SEVERAL_MODES_TEXT,
     LoadResonance,

@@ -39,7 +39,7 @@ from fenics_crack.monitoring.identification.nuisance import (
     compute_deviations_from_equivalent_crack,
 )
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.plausibility import is_response_proportional_to_load
+from fenics_crack.study.key_figures import is_response_proportional_to_load
 from fenics_crack.sweep.file import KEPT_MODE_NUMBERS
 
 # --- displacements at probes ----------------------------------------------------------------------
