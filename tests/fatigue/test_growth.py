@@ -26,7 +26,7 @@ from scipy.signal import find_peaks
 from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.fatigue.growth import LengthPath
+from fenics_crack.fatigue.lengths import LengthPath
 
 STRESS = 1e7
 SLOW = 30.0
