@@ -23,9 +23,8 @@ import numpy as np
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.basics.observables import Place, observable_names
 from fenics_crack.basics.tables import format_count
-from fenics_crack.fatigue.lengths import SWEEP_COLUMN_NAMES, GrowthEnd
+from fenics_crack.fatigue.lengths import SWEEP_COLUMN_NAMES, GrowthEnd, find_nearest_mode_number
 from fenics_crack.scene.tables import Growth as Law
-from fenics_crack.sweep.file import KEPT_MODE_NUMBERS
 from fenics_crack.sweep.result import SweepResult
 
 N_ELLIPSE_SIZES_PER_AXIS = 5
@@ -317,12 +316,7 @@ def tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
         raise ConvergenceError(
             f"{_ellipse_in_words(sweep_result, case_index)} was not solved: {failure_text}"
         )
-    bilinear_omega_of_modes = [
-        sweep_result[f"omega_bilinear_{mode}"][0, 0] for mode in KEPT_MODE_NUMBERS
-    ]
-    nearest_mode_number = KEPT_MODE_NUMBERS[
-        int(np.nanargmin(np.abs(bilinear_omega_of_modes - sweep_result["omega"][0, 0])))
-    ]
+    nearest_mode_number = find_nearest_mode_number(sweep_result, sweep_result["omega"][0, 0])
     sweep_name_by_column = {
         f"omega_{crack_state}": f"omega_{crack_state}_{nearest_mode_number}"
         for crack_state in ("open", "bilinear")

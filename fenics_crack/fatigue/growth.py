@@ -50,12 +50,14 @@ from fenics_crack.fatigue.ellipse import (
     tabulate_ellipses,
 )
 from fenics_crack.fatigue.lengths import (
+    LINEAR_COLUMN_NAMES,
     LOGARITHMIC_COLUMN_NAMES,
     GrowthEnd,
     LengthPath,
     compute_growth_rates,
     estimate_life_error_by_threshold,
     integrate_cycles_to_end,
+    list_failed_lengths_and_reasons,
     solve_lengths_to_tolerance,
     sweep_crack_sizes,
 )
@@ -374,10 +376,14 @@ def grow(
     )
     lengths, cycles, end_reason = integrate_cycles_to_end(length_path, law)
     half_life_length = float(np.interp(0.5 * cycles[-1], cycles, lengths))
+    load_omega = length_path.interpolate_column("omega", np.array([half_life_length]))[0]
+    if law.drive == "spectrum":
+        nearest_length_index = np.abs(length_path.lengths - half_life_length).argmin()
+        load_omega = length_path.leading_omega[nearest_length_index]
     vibration_error, omission_remarks = on_root(
         comm,
         lambda: _estimate_range_error_and_remarks(
-            scene_without_sweep, length_path, half_life_length
+            scene_without_sweep, "delta_K_equivalent", float(load_omega), half_life_length
         ),
     )
     growth_rates = compute_growth_rates(length_path, law, lengths)
@@ -389,47 +395,38 @@ def grow(
     )
     values_by_column = {
         column_name: length_path.interpolate_column(column_name, lengths)
-        for column_name in length_path.column_by_name
+        for column_name in (*LOGARITHMIC_COLUMN_NAMES, *LINEAR_COLUMN_NAMES)
     }
     for column_name in LOGARITHMIC_COLUMN_NAMES:
         values_by_column[column_name][values_by_column[column_name] <= SMALLEST_NORMAL] = 0.0
     growth_rates[-1] *= end_reason != "arrested"
-    elapsed_times = _accumulate_integral_over_cycles(
-        RAD_PER_TURN / values_by_column["omega"], cycles
+    growth_remarks = _collect_growth_remarks(
+        law, length_path, jump_lengths, values_by_column, lengths, vibration_error, end_reason
     )
     return Growth(
         scene,
         lengths,
-        cycles,
-        elapsed_times,
         rate=growth_rates,
         end=end_reason,
         solved=length_path.lengths,
         errors=error_by_cause,
-        remarks=(
-            *_collect_growth_remarks(
-                scene,
-                length_path,
-                jump_lengths,
-                values_by_column,
-                lengths,
-                vibration_error,
-                end_reason,
-            ),
-            *omission_remarks,
-        ),
-        **_get_values_by_growth_field(values_by_column),
+        remarks=(*growth_remarks, *omission_remarks),
+        **_get_values_by_growth_field(values_by_column, cycles),
     )
 
 
 def _get_values_by_growth_field(
-    values_by_column: Mapping[str, np.ndarray],
-) -> dict[str, np.ndarray]:
-    """Rename columns to the field names of :class:`Growth`."""
-    return {
+    values_by_column: Mapping[str, np.ndarray], cycles: np.ndarray
+) -> dict[str, Any]:
+    """Return fields of :class:`Growth` that follow from columns over load cycles (n,)."""
+    values_by_field = {
         field_name: values_by_column[column_name]
         for field_name, column_name in COLUMN_NAME_BY_GROWTH_FIELD.items()
     }
+    elapsed_times = _accumulate_integral_over_cycles(
+        RAD_PER_TURN / values_by_field["omega"], cycles
+    )
+    return values_by_field | {"cycles": cycles, "time": elapsed_times}
 
 
 def _accumulate_integral_over_cycles(values: np.ndarray, cycles: np.ndarray) -> np.ndarray:
@@ -486,49 +483,51 @@ def _validate_growth_scene(scene: Scene) -> Scene:
     """
     refuse_for_reason(reason_without_stress_intensity(scene), "command", "grow")
     law, crack = scene.given("growth"), scene.given("crack")
-    if scene.mesh.layout != "graded":
-        allowed_text = "'graded' with [growth], since each crack length needs a new mesh"
-        raise InputError("mesh.layout", scene.mesh.layout, allowed_text)
-    if crack.front == "straight":
-        allowed_text = (
-            "'elliptical' with [growth], since a rectangle changes its shape as it grows; or "
-            "leave out crack.depth for a crack through the solid"
-        )
-        raise InputError("crack.front", crack.front, allowed_text)
-    is_elliptical = crack.is_elliptical
+    scene.mesh.require(
+        scene.mesh.layout == "graded",
+        "layout",
+        "'graded' with [growth], since each crack length needs a new mesh",
+    )
+    crack.require(
+        crack.front != "straight",
+        "front",
+        "'elliptical' with [growth], since a rectangle changes its shape as it grows; or "
+        "leave out crack.depth for a crack through the solid",
+    )
     if scene.cracks:
         allowed_text = "left out with [growth]: only one crack can grow, the one of [crack]"
         raise InputError("cracks", format_count(len(scene.cracks), "table"), allowed_text)
-    if crack.edge is None and crack.point is None and not is_elliptical:
-        allowed_text = "left out with [growth]: give crack.edge, since only one tip can grow"
-        raise InputError("crack.center", crack.center, allowed_text)
-    if law.drive == "spectrum" and scene.excitation.order is not None:
-        allowed_text = (
-            "'frequency' with excitation.order, since the rotor speed sets the load frequency"
-        )
-        raise InputError("growth.drive", law.drive, allowed_text)
-    if law.drive == "spectrum" and is_elliptical:
-        allowed_text = (
-            "'frequency' or 'resonance' with crack.front = 'elliptical': each shape is solved "
-            "at one load frequency"
-        )
-        raise InputError("growth.drive", law.drive, allowed_text)
-    if law.drive == "resonance" and not can_seek_resonance(scene):
-        raise InputError(
-            "growth.drive",
-            law.drive,
-            f"'frequency' {SCENES_WITHOUT_PEAK_TEXT}, where no resonance is sought",
-        )
-    size_key, limit_key = ("depth", "thickness") if is_elliptical else ("length", "width")
-    allowed_text = "given with [growth]: the size of the crack [m] at which growth begins"
-    start_size = crack.given(size_key, allowed_text)
+    crack.require(
+        crack.edge is not None or crack.point is not None or crack.is_elliptical,
+        "center",
+        "left out with [growth]: give crack.edge, since only one tip can grow",
+    )
+    law.require(
+        law.drive != "spectrum" or scene.excitation.order is None,
+        "drive",
+        "'frequency' with excitation.order, since the rotor speed sets the load frequency",
+    )
+    law.require(
+        law.drive != "spectrum" or not crack.is_elliptical,
+        "drive",
+        "'frequency' or 'resonance' with crack.front = 'elliptical': each shape is solved "
+        "at one load frequency",
+    )
+    law.require(
+        law.drive != "resonance" or can_seek_resonance(scene),
+        "drive",
+        f"'frequency' {SCENES_WITHOUT_PEAK_TEXT}, where no resonance is sought",
+    )
+    size_key, limit_key = ("depth", "thickness") if crack.is_elliptical else ("length", "width")
+    start_size = crack.given(
+        size_key, "given with [growth]: the size of the crack [m] at which growth begins"
+    )
     size_limit = getattr(scene.geometry, limit_key) or math.inf
-    if not start_size < law.until < size_limit:
-        allowed_text = (
-            f"between crack.{size_key} = {start_size:g} m and geometry.{limit_key} = "
-            f"{size_limit:g} m"
-        )
-        raise InputError("growth.until", law.until, allowed_text)
+    law.require(
+        start_size < law.until < size_limit,
+        "until",
+        f"between crack.{size_key} = {start_size:g} m and geometry.{limit_key} = {size_limit:g} m",
+    )
     return scene
 
 
@@ -545,47 +544,49 @@ def _grow_ellipse(
         scene = scene.replace({"reduction.method": "massless", "reduction.modes": N_ELLIPSE_MODES})
     n_surface_ends = 1 if crack.edge else 2
     allowed_length = on_root(comm, lambda: _find_allowed_ellipse_length(scene))
-    if allowed_length <= 0.0:
-        allowed_text = "inside a face with [growth]: at an edge, one end of the crack is outside"
-        raise InputError("crack.point", crack.point, allowed_text)
-    if crack.given("length") >= allowed_length:
-        allowed_text = f"below {allowed_length:g} m with [growth], to stay away from the sides"
-        raise InputError("crack.length", crack.length, allowed_text)
+    crack.require(
+        allowed_length > 0.0,
+        "point",
+        "inside a face with [growth]: at an edge, one end of the crack is outside",
+    )
+    crack.require(
+        crack.given("length") < allowed_length,
+        "length",
+        f"below {allowed_length:g} m with [growth], to stay away from the sides",
+    )
     sizes_by_key = {
         "crack.depth": np.geomspace(crack.given("depth"), law.until, N_ELLIPSE_SIZES_PER_AXIS),
         "crack.length": np.geomspace(
             crack.given("length"), allowed_length, N_ELLIPSE_SIZES_PER_AXIS
         ),
     }
-    sweep_path = None if folder is None else folder / "growth_1.h5"
-    sweep_result = sweep_crack_sizes(scene, sizes_by_key, sweep_path, comm, progress=progress)
+    sweep_result = sweep_crack_sizes(scene, sizes_by_key, folder, comm, progress=progress)
     ellipse_table = tabulate_ellipses(sweep_result)
     ellipse_path = integrate_ellipse_growth(ellipse_table, law, n_surface_ends)
-    half_life_row_index = int(np.searchsorted(ellipse_path.cycles, 0.5 * ellipse_path.cycles[-1]))
-    vibration_error, omission_remarks = on_root(
-        comm,
-        lambda: _estimate_ellipse_range_error_and_remarks(
-            scene, ellipse_table, ellipse_path, half_life_row_index
-        ),
-    )
-    interpolation_error = estimate_ellipse_life_error(
-        ellipse_table, ellipse_path, law, n_surface_ends
-    )
-    error_by_cause = _collect_life_error_by_cause(
-        law,
-        ellipse_path.growth_per_cycle.sum(axis=1),
-        ellipse_path.cycles,
-        vibration_error,
-        interpolation_error,
-    )
+    cycles = ellipse_path.cycles
     values_by_column = {
         column_name: ellipse_table.interpolate_column(
             column_name, ellipse_path.depth, ellipse_path.length_along_face
         )
         for column_name in ellipse_table.column_by_name
     }
-    elapsed_times = _accumulate_integral_over_cycles(
-        RAD_PER_TURN / values_by_column["omega"], ellipse_path.cycles
+    half_life_index = int(np.searchsorted(cycles, 0.5 * cycles[-1]))
+    fastest_direction = int(ellipse_path.growth_per_cycle[half_life_index].argmax())
+    vibration_error, omission_remarks = on_root(
+        comm,
+        lambda: _estimate_range_error_and_remarks(
+            scene,
+            EQUIVALENT_RANGE_COLUMN_NAMES[fastest_direction],
+            float(values_by_column["omega"][half_life_index]),
+            float(ellipse_path.length_along_face[half_life_index]),
+            float(ellipse_path.depth[half_life_index]),
+        ),
+    )
+    interpolation_error = estimate_ellipse_life_error(
+        ellipse_table, ellipse_path, law, n_surface_ends
+    )
+    error_by_cause = _collect_life_error_by_cause(
+        law, ellipse_path.growth_per_cycle.sum(axis=1), cycles, vibration_error, interpolation_error
     )
     remark_texts = _collect_ellipse_remarks(
         sweep_result, ellipse_table, ellipse_path, values_by_column, law
@@ -597,15 +598,13 @@ def _grow_ellipse(
     return Growth(
         scene,
         ellipse_path.length_along_face,
-        ellipse_path.cycles,
-        elapsed_times,
         rate=ellipse_path.growth_per_cycle[:, 1],
         end=ellipse_path.end_reason,
         solved=depth_length_grid[sweep_result.converged],
         errors=error_by_cause,
         remarks=(*remark_texts, *omission_remarks),
         depth=ellipse_path.depth,
-        **_get_values_by_growth_field(values_by_column),
+        **_get_values_by_growth_field(values_by_column, cycles),
     )
 
 
@@ -674,35 +673,6 @@ def _find_allowed_ellipse_length(scene: Scene) -> float:
     return min(allowed_length, crack.given("length") * (law.until / crack.given("depth")) ** 3)
 
 
-def _estimate_ellipse_range_error_and_remarks(
-    scene: Scene, ellipse_table: EllipseTable, ellipse_path: EllipseSizePath, path_row_index: int
-) -> tuple[float, list[str]]:
-    """Estimate the error of the range of K_I for a growing half-ellipse.
-
-    ``path_row_index`` is the size in ``ellipse_path``. The equivalent range at the deepest point or
-    at the ends counts, whichever grow faster.
-
-    Returns
-    -------
-    float
-        Relative error by mesh, modes and harmonics; nan if unknown.
-    list of str
-        A remark on causes without an estimate; empty if all have one.
-    """
-    depth_and_length = (
-        ellipse_path.depth[path_row_index : path_row_index + 1],
-        ellipse_path.length_along_face[path_row_index : path_row_index + 1],
-    )
-    omega = float(ellipse_table.interpolate_column("omega", *depth_and_length)[0])
-    resized_scene = _make_scene_with_crack_size(
-        scene, omega, float(depth_and_length[1][0]), float(depth_and_length[0][0])
-    )
-    return _estimate_quantity_error_and_remarks(
-        resized_scene,
-        EQUIVALENT_RANGE_COLUMN_NAMES[int(ellipse_path.growth_per_cycle[path_row_index].argmax())],
-    )
-
-
 def _make_scene_with_crack_size(
     scene: Scene, omega: float, length: float, depth: float | None = None
 ) -> Scene:
@@ -730,34 +700,13 @@ def _make_scene_with_crack_size(
 
 
 def _estimate_range_error_and_remarks(
-    scene: Scene, length_path: LengthPath, length: float
+    scene: Scene, quantity_name: str, omega: float, length: float, depth: float | None = None
 ) -> tuple[float, list[str]]:
-    """Estimate the error of the equivalent range of K_I at a length.
+    """Solve a crack size, and estimate the relative error of a range of K_I.
 
-    The equivalent range, from 0 once in a load period, gives the same crack growth. The length is
-    in m. For a spectrum, the load with most growth at the nearest solved length counts.
-
-    Returns
-    -------
-    float
-        Relative error by mesh, modes and harmonics; nan if unknown.
-    list of str
-        A remark on causes without an estimate; empty if all have one.
-    """
-    omega = float(length_path.interpolate_column("omega", np.array([length]))[0])
-    if scene.given("growth").drive == "spectrum":
-        omega = float(length_path.leading_omega[np.abs(length_path.lengths - length).argmin()])
-    return _estimate_quantity_error_and_remarks(
-        _make_scene_with_crack_size(scene, omega, length), "delta_K_equivalent"
-    )
-
-
-def _estimate_quantity_error_and_remarks(
-    scene: Scene, quantity_name: str
-) -> tuple[float, list[str]]:
-    """Solve a scene, and estimate the relative error of a quantity.
-
-    The cause "friction" is left out.
+    The cause "friction" is left out. ``quantity_name`` is an equivalent range, from 0 once in a
+    load period with the same crack growth; other parameters are as in
+    :func:`_make_scene_with_crack_size`.
 
     Returns
     -------
@@ -766,7 +715,7 @@ def _estimate_quantity_error_and_remarks(
     list of str
         A remark on causes without an estimate; empty if all have one.
     """
-    solved_run = solve(scene, MPI.COMM_SELF)
+    solved_run = solve(_make_scene_with_crack_size(scene, omega, length, depth), MPI.COMM_SELF)
     cause_names = [cause_name for cause_name in STATED_CAUSES if cause_name != "friction"]
     is_at_peak = scene.given("growth").drive == "resonance"
     error_statement = estimate_solution_errors(
@@ -781,7 +730,7 @@ def _estimate_quantity_error_and_remarks(
 
 
 def _collect_growth_remarks(
-    scene: Scene,
+    law: Law,
     length_path: LengthPath,
     jump_lengths: list[float],
     values_by_column: Mapping[str, np.ndarray],
@@ -793,8 +742,8 @@ def _collect_growth_remarks(
 
     Parameters
     ----------
-    scene : Scene
-        Scene with ``[growth]``.
+    law : Growth
+        Table ``[growth]``.
     length_path : LengthPath
         Solved lengths.
     jump_lengths : list of float [m]
@@ -809,7 +758,6 @@ def _collect_growth_remarks(
     remark_texts = _list_crack_turning_remarks(
         values_by_column["K_max"], values_by_column["K_II_max"], lengths
     )
-    law = scene.given("growth")
     doubtful_length_lists = (length_path.not_stable_lengths, jump_lengths)
     not_stable_lengths, jump_lengths = (
         [
@@ -830,7 +778,9 @@ def _collect_growth_remarks(
         )
     remark_texts += [
         f"a crack of {doubtful_length:.4g} m was not solved: {failure_text}"
-        for doubtful_length, failure_text in length_path.failed_lengths_and_reasons
+        for doubtful_length, failure_text in list_failed_lengths_and_reasons(
+            length_path.sweep_results
+        )
     ]
     # A crack that is arrested on its way has been at its threshold, however well that is known.
     is_near_threshold = (

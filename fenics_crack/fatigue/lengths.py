@@ -7,7 +7,8 @@ follow. Each round is a sweep: ranks share its cases, and a killed run continues
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -40,8 +41,6 @@ LOGARITHMIC_COLUMN_NAMES = ("driving", "K_max", "delta_K_effective", "response")
 """
 LINEAR_COLUMN_NAMES = ("omega", "omega_open", "omega_bilinear", "K_min", "K_II_max")
 """Columns with a spline of the values themselves."""
-EMPTY_COLUMN_BY_NAME = dict.fromkeys((*LOGARITHMIC_COLUMN_NAMES, *LINEAR_COLUMN_NAMES), np.zeros(0))
-"""Columns of a :class:`LengthPath` without lengths, by name: (0,) each."""
 SWEEP_COLUMN_NAMES = (
     "K_max",
     "delta_K_effective",
@@ -62,30 +61,65 @@ class LengthPath:
         Solved lengths in ascending order.
     column_by_name : dict of str to (k,)
         Columns :data:`LOGARITHMIC_COLUMN_NAMES` and :data:`LINEAR_COLUMN_NAMES`.
-    sweep_results : tuple of SweepResult
+    sweep_results : sequence of SweepResult
         Sweeps with the solutions.
     leading_omega : (k,) [rad/s]
         Load frequency with most of the growth at each length.
-    mode_number : int or None
-        Number, from 1, of the mode with the natural frequencies in the columns. Its bilinear
-        frequency is nearest to the leading load at the first length. None without lengths.
     """
 
     lengths: np.ndarray
     column_by_name: dict[str, np.ndarray]
-    sweep_results: tuple[SweepResult, ...]
-    leading_omega: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    mode_number: int | None = None
+    sweep_results: Sequence[SweepResult]
+    leading_omega: np.ndarray
 
-    @property
-    def failed_lengths_and_reasons(self) -> list[tuple[float, str]]:
-        """Return each length [m] that could not be solved, with the reason."""
-        failure_text_by_length = {
-            sweep_result.axes[0].values[case_index[0]]: failure_text
-            for sweep_result in self.sweep_results
-            for case_index, failure_text in sweep_result.failed_indices_and_reasons
-        }
-        return list(failure_text_by_length.items())
+    @classmethod
+    def from_sweeps(cls, sweep_results: Sequence[SweepResult], law: Law) -> LengthPath:
+        """Return the path of all lengths that sweeps have solved.
+
+        A length counts if all loads of the spectrum are solved there. The natural frequencies
+        belong to one mode: at the first length, its bilinear frequency is nearest to the leading
+        load.
+
+        Parameters
+        ----------
+        sweep_results : sequence of SweepResult
+            Sweeps over the crack length, and the load frequency for a spectrum. The first sweep
+            has no failed case, and begins with the shortest length.
+        law : Growth
+            Table ``[growth]``.
+        """
+        is_solved_by_sweep = [
+            sweep_result.converged.reshape(len(sweep_result.axes[0].values), -1).all(axis=1)
+            for sweep_result in sweep_results
+        ]
+        lengths = np.concatenate(
+            [
+                np.array(sweep_result.axes[0].values)[is_solved]
+                for sweep_result, is_solved in zip(sweep_results, is_solved_by_sweep, strict=True)
+            ]
+        )
+        length_order = np.argsort(lengths)
+
+        def get_level_values(column_name: str) -> np.ndarray:
+            """Return a column at all lengths, ascending, and at each load: (k, levels)."""
+            values_of_sweeps = [
+                sweep_result[column_name].reshape(len(is_solved), -1)[is_solved]
+                for sweep_result, is_solved in zip(sweep_results, is_solved_by_sweep, strict=True)
+            ]
+            return np.concatenate(values_of_sweeps)[length_order]
+
+        level_values_by_column = {name: get_level_values(name) for name in SWEEP_COLUMN_NAMES}
+        level_values_by_column["response"] = np.nan_to_num(
+            level_values_by_column["response"]
+        )  # nan where nothing moves
+        level_cycles = np.ones(1) if law.frequencies is None else np.array(law.cycles)
+        column_by_name, leading_omega = _reduce_load_levels_to_columns(
+            level_values_by_column, law, level_cycles
+        )
+        mode_number = find_nearest_mode_number(sweep_results[0], leading_omega[0])
+        for column_name in ("omega_open", "omega_bilinear"):
+            column_by_name[column_name] = get_level_values(f"{column_name}_{mode_number}")[:, 0]
+        return cls(lengths[length_order], column_by_name, sweep_results, leading_omega)
 
     @property
     def not_stable_lengths(self) -> list[float]:
@@ -118,65 +152,35 @@ class LengthPath:
         column_spline = CubicSpline(self.lengths, np.log(np.maximum(column, column_floor)))
         return np.asarray(np.exp(column_spline(lengths)))
 
-    def with_sweep(
-        self, sweep_result: SweepResult, law: Law, level_cycles: np.ndarray
-    ) -> LengthPath:
-        """Return the path with the solved lengths of another sweep.
-
-        A length counts if all loads of the spectrum are solved there.
-
-        Parameters
-        ----------
-        sweep_result : SweepResult
-            Sweep over the crack length, and the load frequency for a spectrum.
-        law : Growth
-            Table ``[growth]``.
-        level_cycles : (levels,)
-            Load cycles at each frequency of the spectrum; (1,) without a spectrum.
-        """
-        sweep_lengths = np.array(sweep_result.axes[0].values)
-        is_solved = sweep_result.converged.reshape(len(sweep_lengths), -1).all(axis=1)
-
-        def get_solved_level_values(column_name: str) -> np.ndarray:
-            return sweep_result[column_name].reshape(len(sweep_lengths), -1)[is_solved]
-
-        path_lengths = np.append(self.lengths, sweep_lengths[is_solved])
-        sorted_length_indices = np.argsort(path_lengths)
-        level_values_by_column = {
-            column_name: get_solved_level_values(column_name) for column_name in SWEEP_COLUMN_NAMES
-        }
-        level_values_by_column["response"] = np.nan_to_num(
-            level_values_by_column["response"]
-        )  # nan where nothing moves
-        new_column_by_name, new_leading_omega = _reduce_load_levels_to_columns(
-            level_values_by_column, law, level_cycles
+    def with_every_second_length(self) -> LengthPath:
+        """Return a coarser path, to estimate the interpolation error."""
+        column_by_name = {name: column[::2] for name, column in self.column_by_name.items()}
+        return LengthPath(
+            self.lengths[::2], column_by_name, self.sweep_results, self.leading_omega[::2]
         )
-        mode_number = self.mode_number  # that of the first length, whichever is nearest later on
-        if mode_number is None and is_solved.any():
-            bilinear_omega_of_modes = [
-                get_solved_level_values(f"omega_bilinear_{candidate_mode_number}")[0, 0]
-                for candidate_mode_number in KEPT_MODE_NUMBERS
-            ]
-            mode_number = KEPT_MODE_NUMBERS[
-                int(np.nanargmin(np.abs(bilinear_omega_of_modes - new_leading_omega[0])))
-            ]
-        if mode_number is not None:
-            for column_name in ("omega_open", "omega_bilinear"):
-                new_column_by_name[column_name] = get_solved_level_values(
-                    f"{column_name}_{mode_number}"
-                )[:, 0]
-        column_by_name = {
-            column_name: np.append(column, new_column_by_name[column_name])[sorted_length_indices]
-            for column_name, column in self.column_by_name.items()
-        }
-        return replace(
-            self,
-            lengths=path_lengths[sorted_length_indices],
-            column_by_name=column_by_name,
-            leading_omega=np.append(self.leading_omega, new_leading_omega)[sorted_length_indices],
-            sweep_results=(*self.sweep_results, sweep_result),
-            mode_number=mode_number,
-        )
+
+
+def find_nearest_mode_number(sweep_result: SweepResult, omega: float) -> int:
+    """Return the number, from 1, of the mode nearest to a load at a sweep's first case.
+
+    The mode's bilinear frequency counts; ``omega`` [rad/s] is the load frequency.
+    """
+    bilinear_omega_of_modes = np.array(
+        [sweep_result[f"omega_bilinear_{mode_number}"].flat[0] for mode_number in KEPT_MODE_NUMBERS]
+    )
+    return KEPT_MODE_NUMBERS[int(np.nanargmin(np.abs(bilinear_omega_of_modes - omega)))]
+
+
+def list_failed_lengths_and_reasons(
+    sweep_results: Sequence[SweepResult],
+) -> list[tuple[float, str]]:
+    """Return each length [m] that could not be solved, with the reason."""
+    failure_text_by_length = {
+        sweep_result.axes[0].values[case_index[0]]: failure_text
+        for sweep_result in sweep_results
+        for case_index, failure_text in sweep_result.failed_indices_and_reasons
+    }
+    return list(failure_text_by_length.items())
 
 
 def _reduce_load_levels_to_columns(
@@ -268,33 +272,28 @@ def solve_lengths_to_tolerance(
         Ctrl-C was pressed.
     """
     law = scene.given("growth")
-    first_length, last_length = scene.given("crack").length, law.until
-    level_omega, level_cycles = _get_level_omega_and_cycles(law)
     # Five are the fewest of which a spline through every other one can be made.
-    next_lengths = np.linspace(first_length, last_length, 5)
-    life_error = np.inf
-    interval_errors = np.zeros(0)
-    length_path = LengthPath(np.zeros(0), EMPTY_COLUMN_BY_NAME, ())
+    next_lengths = np.linspace(scene.given("crack").length, law.until, 5)
+    sweep_results: tuple[SweepResult, ...] = ()
     for round_number in range(1, 7):  # 129 lengths are as close as meshes are similar
-        sweep_path = None if folder is None else folder / f"growth_{round_number}.h5"
-        sizes_by_key = {"crack.length": next_lengths} | (
-            {"excitation.omega": level_omega} if len(level_omega) else {}
+        values_by_key = {"crack.length": next_lengths}
+        if law.frequencies is not None:
+            values_by_key["excitation.omega"] = RAD_PER_TURN * np.array(law.frequencies)
+        sweep_results += (
+            sweep_crack_sizes(
+                scene, values_by_key, folder, comm, round_number=round_number, progress=progress
+            ),
         )
-        sweep_result = sweep_crack_sizes(scene, sizes_by_key, sweep_path, comm, progress=progress)
-        previous_path = length_path
-        length_path = length_path.with_sweep(sweep_result, law, level_cycles)
+        failed_lengths_and_reasons = list_failed_lengths_and_reasons(sweep_results)
+        if round_number == 1 and failed_lengths_and_reasons:
+            failed_length, failure_text = failed_lengths_and_reasons[0]
+            raise ConvergenceError(
+                f"a crack of {failed_length:.4g} m was not solved: {failure_text}"
+            )
+        length_path = LengthPath.from_sweeps(sweep_results, law)
         if round_number == 1:
-            if length_path.failed_lengths_and_reasons:
-                failed_length, failure_text = length_path.failed_lengths_and_reasons[0]
-                raise ConvergenceError(
-                    f"a crack of {failed_length:.4g} m was not solved: {failure_text}"
-                )
-            coarse_column_by_name = {
-                column_name: column[::2]
-                for column_name, column in length_path.column_by_name.items()
-            }
-            previous_path = LengthPath(length_path.lengths[::2], coarse_column_by_name, ())
-            interval_errors = np.zeros(len(length_path.lengths) // 2)
+            previous_path = length_path.with_every_second_length()
+            interval_errors = np.zeros(len(previous_path.lengths) - 1)
         interval_errors = _estimate_interval_log_range_errors(
             previous_path, length_path, interval_errors
         )
@@ -315,14 +314,11 @@ def solve_lengths_to_tolerance(
         next_lengths = (0.5 * (length_path.lengths[1:] + length_path.lengths[:-1]))[
             has_large_life_error | (interval_errors > MAX_ALLOWED_LOG_RANGE_ERROR)
         ]
-        next_lengths = next_lengths[
-            ~np.isin(
-                next_lengths,
-                [failed_length for failed_length, _ in length_path.failed_lengths_and_reasons],
-            )
-        ]
+        failed_lengths = [failed_length for failed_length, _ in failed_lengths_and_reasons]
+        next_lengths = next_lengths[~np.isin(next_lengths, failed_lengths)]
         if not len(next_lengths):
             break
+        previous_path = length_path
     indices_steepest_first = np.argsort(-interval_errors / np.diff(length_path.lengths))
     jump_lengths = length_path.lengths[:-1][
         indices_steepest_first[
@@ -332,23 +328,13 @@ def solve_lengths_to_tolerance(
     return length_path, life_error, jump_lengths.tolist()
 
 
-def _get_level_omega_and_cycles(law: Law) -> tuple[np.ndarray, np.ndarray]:
-    """Return load frequencies (levels,) [rad/s] and cycles of a spectrum.
-
-    A level is one load frequency of ``[growth]``. Without a spectrum: no frequencies (0,), and
-    cycles (1,) of 1.
-    """
-    if law.frequencies is None:
-        return np.zeros(0), np.ones(1)
-    return RAD_PER_TURN * np.array(law.frequencies), np.array(law.cycles)
-
-
 def sweep_crack_sizes(
     scene: Scene,
     values_by_key: dict[str, np.ndarray],
-    sweep_path: Path | None,
+    folder: Path | None,
     comm: MPI.Comm,
     *,
+    round_number: int = 1,
     progress: bool = False,
 ) -> SweepResult:
     """Solve a scene at crack sizes and at the loads of a spectrum (collective).
@@ -357,30 +343,31 @@ def sweep_crack_sizes(
     ----------
     values_by_key : dict of str to array
         Values for the axes of the sweep: "crack.length", "crack.depth", "excitation.omega".
-    sweep_path : path or None
-        File of the sweep, which is continued if it exists; None keeps nothing.
+    folder : path or None
+        Folder for growth_n.h5, which is continued if it exists; None keeps nothing.
+    round_number : int
+        The number n in the file name.
 
     Raises
     ------
     StoppedError
         Ctrl-C was pressed.
     """
-    is_at_resonance = scene.given("growth").drive == "resonance"
-    value_list_by_key = {
-        sweep_key: swept_sizes.tolist() for sweep_key, swept_sizes in values_by_key.items()
-    }
-    sweep_value_by_key = {"sweep.over": value_list_by_key, "sweep.at_resonance": is_at_resonance}
     observable_places = (
         (Place.TIPS, Place.ELLIPSE) if "crack.depth" in values_by_key else (Place.TIPS,)
     )
-    quantity_names = observable_names(
-        *observable_places, excluded_flags=ObservableFlag.REQUIRES_SOLID
+    swept_scene = scene.replace(
+        {
+            "sweep.over": {key: values.tolist() for key, values in values_by_key.items()},
+            "sweep.at_resonance": scene.given("growth").drive == "resonance",
+            "output.quantities": observable_names(
+                *observable_places, excluded_flags=ObservableFlag.REQUIRES_SOLID
+            ),
+        }
     )
+    sweep_path = None if folder is None else folder / f"growth_{round_number}.h5"
     with StopRequest() as stop_request:
-        sweep_result = run_sweep(
-            scene.replace({**sweep_value_by_key, "output.quantities": quantity_names}),
-            sweep_path, comm, progress=progress, judged=False,
-        )  # fmt: skip
+        sweep_result = run_sweep(swept_scene, sweep_path, comm, progress=progress, judged=False)
     if stop_request.is_requested(comm):
         raise StoppedError("growth was stopped; run the same command again to continue it")
     return sweep_result
@@ -489,11 +476,9 @@ def estimate_life_error_by_threshold(
     if not (is_threshold_relevant and 0.0 < range_error < 1.0):
         return 0.0
     law_with_raised_threshold = replace(law, threshold=law.threshold / (1.0 - range_error))
-    path_with_raised_threshold = LengthPath(np.zeros(0), EMPTY_COLUMN_BY_NAME, ())
-    for sweep_result in length_path.sweep_results:
-        path_with_raised_threshold = path_with_raised_threshold.with_sweep(
-            sweep_result, law_with_raised_threshold, _get_level_omega_and_cycles(law)[1]
-        )
+    path_with_raised_threshold = LengthPath.from_sweeps(
+        length_path.sweep_results, law_with_raised_threshold
+    )
     middle_lengths = 0.5 * (lengths[1:] + lengths[:-1])
     driving_range_ratios = length_path.interpolate_column(
         "driving", middle_lengths
