@@ -189,9 +189,15 @@ def _write_engine_order(
     text_options
         Options of matplotlib's ``annotate``.
     """
-    text_options |= {"textcoords": "offset points", "fontsize": 8, "color": COLOURS_BY_NAME["grey"]}
     panel.annotate(
-        f"{engine_order:g}", position, xytext=point_offset, annotation_clip=False, **text_options
+        f"{engine_order:g}",
+        position,
+        xytext=point_offset,
+        textcoords="offset points",
+        annotation_clip=False,
+        fontsize=8,
+        color=COLOURS_BY_NAME["grey"],
+        **text_options,
     )
 
 
@@ -235,22 +241,22 @@ def _draw_displacements(panel: Axes, arrivals: ArrivalTimes, in_rpm: bool) -> No
     speed_factor, *speed_name_and_unit = choose_speed_factor_name_unit(in_rpm)
     is_steady, revolutions = arrivals.steady, arrivals.first + np.arange(len(arrivals))
     abscissa = revolutions if is_steady else speed_factor * arrivals.speed
-    marker_size = 3.0 if len(arrivals) > 100 else 4.5
-    colours = distinct_colours(len(arrivals.probes))
-    probes_with_styles = zip(
-        arrivals.displacement.T, arrivals.probes, colours, cycle("osD^vPX"), strict=False
-    )
-    for probe_displacements, probe_angle, colour, marker in probes_with_styles:
-        label = f"probe at {np.degrees(probe_angle):.4g}°"
+    for probe_displacements, probe_angle, colour, marker in zip(
+        arrivals.displacement.T,
+        arrivals.probes,
+        distinct_colours(len(arrivals.probes)),
+        cycle("osD^vPX"),
+        strict=False,
+    ):
         panel.plot(
             abscissa,
             probe_displacements,
             marker,
             color=colour,
-            ms=marker_size,
+            ms=3.0 if len(arrivals) > 100 else 4.5,
             mew=0,
             alpha=0.8,
-            label=label,
+            label=f"probe at {np.degrees(probe_angle):.4g}°",
         )
     panel.set_xlabel("revolution" if is_steady else heading_with_unit(*speed_name_and_unit))
     label_axis(panel.yaxis, "blade tip displacement", "m")
@@ -291,23 +297,23 @@ def draw_tip_fit(
     time_panel, order_panel = picture = Picture(2, size=(7.0, 7.0), **picture_options)
     n_load_periods = max(1, round(1.0 / fit.multiples[0]))  # in a response period
     load_periods = np.linspace(0.0, n_load_periods, 500)
-    fitted_displacement = fit.displacement(2.0 * np.pi * load_periods / fit.order)
     has_arrived = np.isfinite(arrivals.time)
     arrival_periods = (
         fit.order * fit.phases(arrivals)[has_arrived] / (2.0 * np.pi)
     ) % n_load_periods
-    marker_options: dict[str, Any] = {
-        "color": COLOURS_BY_NAME["blue"],
-        "ms": 3.5,
-        "mew": 0,
-        "alpha": 0.4,
-    }
     time_panel.plot(
-        arrival_periods, arrivals.displacement[has_arrived], "o", **marker_options, label="arrivals"
+        arrival_periods,
+        arrivals.displacement[has_arrived],
+        "o",
+        color=COLOURS_BY_NAME["blue"],
+        ms=3.5,
+        mew=0,
+        alpha=0.4,
+        label="arrivals",
     )
     time_panel.plot(
         load_periods,
-        fitted_displacement,
+        fit.displacement(2.0 * np.pi * load_periods / fit.order),
         color=COLOURS_BY_NAME["orange"],
         lw=1.6,
         label=f"fit, order {fit.order:.6g}",
@@ -326,13 +332,7 @@ def _draw_candidates(axes: Axes, candidates: Candidates, best_order: float) -> N
 
     Marked are the best order, orders that fit as well, and orders that the probes cannot measure.
     """
-    axis_bottom = 0.5 * float(
-        np.nanmin(candidates.residuals[candidates.residuals > 0.0], initial=np.inf)
-    )
-    if np.isfinite(axis_bottom):
-        axes.set_yscale("log")
-    else:
-        axis_bottom = 0.0
+    axis_bottom = _set_log_scale(axes, candidates.residuals)
     is_best = candidates.orders == best_order
     categories_by_label = {
         "other orders": (~is_best & ~candidates.equivalent & ~candidates.hidden, "o", "grey"),
@@ -366,26 +366,33 @@ def _draw_candidates(axes: Axes, candidates: Candidates, best_order: float) -> N
     label_axis(axes.yaxis, "rms residual of the fit", "m")
 
 
+def _set_log_scale(axes: Axes, values: np.ndarray) -> float:
+    """Make the vertical axis logarithmic if some values are positive.
+
+    Returns half the smallest positive value for the lower end of the axis; 0 without one.
+    """
+    positive_values = values[(values > 0.0) & np.isfinite(values)]
+    if not len(positive_values):
+        return 0.0
+    axes.set_yscale("log")
+    return 0.5 * float(positive_values.min())
+
+
 def _draw_fitted_harmonics(axes: Axes, fit: TipFit) -> None:
     """Draw the amplitudes of a fit's harmonics with their standard errors."""
     multiples, amplitudes, standard_errors = fit.multiples, fit.amplitudes, fit.amplitude_errors
     amplitudes_and_errors = np.append(amplitudes, standard_errors)
-    axis_bottom = 0.5 * float(
-        np.min(amplitudes_and_errors, where=amplitudes_and_errors > 0.0, initial=np.inf)
-    )
-    if np.isfinite(axis_bottom):
-        axes.set_yscale("log")
-        axes.set_ylim(
-            axis_bottom,
-            2.0 * amplitudes_and_errors.max(where=amplitudes_and_errors > 0.0, initial=axis_bottom),
-        )
-    bar_options: dict[str, Any] = {"color": COLOURS_BY_NAME["orange"], "ms": 5.0, "capsize": 4.0}
+    axis_bottom = _set_log_scale(axes, amplitudes_and_errors)
+    if axis_bottom > 0.0:
+        axes.set_ylim(axis_bottom, 2.0 * np.nanmax(amplitudes_and_errors))
     axes.errorbar(
         multiples,
         amplitudes,
         standard_errors,
         fmt="o",
-        **bar_options,
+        color=COLOURS_BY_NAME["orange"],
+        ms=5.0,
+        capsize=4.0,
         label="fit, with standard errors",
     )
     axes.set(xticks=multiples, xlim=(0.0, multiples[-1] + 0.5))
@@ -421,16 +428,17 @@ def draw_tip_track(
     [panel] = picture = Picture(**picture_options)
     frequency_factor, frequency_name, unit = choose_frequency_factor_name_unit(in_hertz)
     frequencies = frequency_factor * track.omega
-    multiples_with_amplitudes = zip(
-        track.multiples, track.amplitudes.T, track.amplitude_errors.T, strict=True
-    )
-    for (multiple, amplitudes, standard_errors), colour in zip(
-        multiples_with_amplitudes, cycle(COLOURS_BY_NAME.values()), strict=False
+    for multiple, amplitudes, standard_errors, colour in zip(
+        track.multiples,
+        track.amplitudes.T,
+        track.amplitude_errors.T,
+        cycle(COLOURS_BY_NAME.values()),
+        strict=False,
     ):
         label = f"{multiple:g}x the load's frequency"
         panel.plot(frequencies, amplitudes, ".-", color=colour, lw=0.8, ms=3.0, label=label)
-        upper_edge = amplitudes + standard_errors
         lower_edge = np.maximum(amplitudes - standard_errors, 0.0)
+        upper_edge = amplitudes + standard_errors
         panel.fill_between(frequencies, lower_edge, upper_edge, color=colour, alpha=0.25, lw=0)
     panel.set_xlabel(heading_with_unit(frequency_name, unit))
     label_axis(panel.yaxis, "amplitude of the blade tip", "m")
@@ -474,17 +482,24 @@ def draw_passages(
     """
     record_panel, passage_panel = picture = Picture(2, size=(7.0, 7.0), **picture_options)
     _draw_displacements(record_panel, arrivals, in_rpm=True)
-    coordinate_systems = "data", "axes fraction"
     for passage_index, passage in enumerate(passages):
-        label = "_" * bool(passage_index) + "resonance, with its engine order"
-        line_options: dict[str, Any] = {"color": COLOURS_BY_NAME["grey"], "lw": 0.7, "ls": "--"}
+        rotor_speed = passage.speed / RAD_PER_S_PER_RPM
         record_panel.axvline(
-            passage.speed / RAD_PER_S_PER_RPM, **line_options, zorder=0, label=label
+            rotor_speed,
+            color=COLOURS_BY_NAME["grey"],
+            lw=0.7,
+            ls="--",
+            zorder=0,
+            label="_" * bool(passage_index) + "resonance, with its engine order",
         )
-        text_position = (passage.speed / RAD_PER_S_PER_RPM, 1.0)
-        text_offset = (0, 2 + 9 * (passage_index % 2))
-        text_options = {"ha": "center", "xycoords": coordinate_systems}
-        _write_engine_order(record_panel, passage.order, text_position, text_offset, **text_options)
+        _write_engine_order(
+            record_panel,
+            passage.order,
+            (rotor_speed, 1.0),
+            (0, 2 + 9 * (passage_index % 2)),
+            ha="center",
+            xycoords=("data", "axes fraction"),
+        )
     if passages:
         _draw_passage_fit(passage_panel, passages[0], arrivals)
     else:
@@ -511,12 +526,14 @@ def _draw_passage_fit(axes: Axes, passage: PassageFit, arrivals: ArrivalTimes) -
         measured_and_fitted_runs, cycle(COLOURS_BY_NAME.values()), strict=False
     ):
         direction = "up" if speeds[-1] > speeds[0] else "down"
-        marker_options: dict[str, Any] = {"color": colour, "ms": 3.0, "mew": 0, "alpha": 0.6}
         axes.plot(
             speeds / RAD_PER_S_PER_RPM,
             measured_displacements[:, probe_index],
             "o",
-            **marker_options,
+            color=colour,
+            ms=3.0,
+            mew=0,
+            alpha=0.6,
             label=f"arrivals, {direction}",
         )
         axes.plot(
@@ -528,7 +545,8 @@ def _draw_passage_fit(axes: Axes, passage: PassageFit, arrivals: ArrivalTimes) -
         )
     axes.set_xlabel("rotor speed [rpm]")
     label_axis(axes.yaxis, "blade tip displacement", "m")
-    probe_angle = np.degrees(arrivals.probes[probe_index])
-    title = f"order {passage.order:g}, {passage.omega / RAD_PER_TURN:.5g} Hz, "
-    title += f"probe at {probe_angle:.4g}°"
-    axes.set_title(title, fontsize="medium")
+    axes.set_title(
+        f"order {passage.order:g}, {passage.omega / RAD_PER_TURN:.5g} Hz, "
+        f"probe at {np.degrees(arrivals.probes[probe_index]):.4g}°",
+        fontsize="medium",
+    )

@@ -112,8 +112,14 @@ def draw_posterior(
         grid_axes, log_density = (x_values, y_values), _log_density(density.T)
         if log_density.max() <= log_levels[0]:
             continue
-        contour_options: dict[str, Any] = {"linewidths": [0.6, 1.2, 1.8], "linestyles": "solid"}
-        panel.contour(*grid_axes, log_density, levels=log_levels, colors=colour, **contour_options)
+        panel.contour(
+            *grid_axes,
+            log_density,
+            levels=log_levels,
+            colors=colour,
+            linewidths=[0.6, 1.2, 1.8],
+            linestyles="solid",
+        )
         for level in log_levels:
             panel.contourf(
                 *grid_axes, log_density, levels=[level, np.inf], alpha=0.2, colors=colour
@@ -122,8 +128,9 @@ def draw_posterior(
         panel.plot([], [], color=colour, lw=1.8, label=label)
         x_indices, y_indices = np.nonzero(log_density.T > log_levels[0])
         shown_points.append(np.column_stack([x_values[x_indices], y_values[y_indices]]))
-    cross_options = {"color": "black", "ms": 10, "mew": 1.5, "clip_on": False}
-    panel.plot(*shown_points[0].T, "+", label="estimate", **cross_options)
+    panel.plot(
+        *shown_points[0].T, "+", label="estimate", color="black", ms=10, mew=1.5, clip_on=False
+    )
     branch_axes = next(iter(posterior.branch_by_words.values())).axes
     _set_limits(panel, np.concatenate(shown_points), (branch_axes[x_index], branch_axes[y_index]))
     label_axis(panel.xaxis, key_in_words(x), unit_of_key(x))
@@ -161,9 +168,13 @@ def _draw_density(panel: Axes, identification: Identification, key: str) -> None
             label=branch_name or "probability",
         )
         is_inside = (unknown_values >= interval_start) & (unknown_values <= interval_end)
-        band_options = {"color": colour, "alpha": 0.2, "lw": 0.0, "label": "95 %"}
         panel.fill_between(
-            unknown_values[is_inside], density[is_inside] / largest_density, **band_options
+            unknown_values[is_inside],
+            density[is_inside] / largest_density,
+            color=colour,
+            alpha=0.2,
+            lw=0.0,
+            label="95 %",
         )
     panel.axvline(identification.estimate[key], color="black", ls="--", label="estimate")
     panel.set_ylim(bottom=0.0)
@@ -252,9 +263,8 @@ def draw_verification(found: Verification, **picture_options: Unpack[PictureOpti
     >>> found = fc.verify(scene)  # doctest: +SKIP
     >>> figure = fc.draw_verification(found, path="verification.png")  # doctest: +SKIP
     """
-    figure_size = 13.0, max(4.2, 1.8 + 0.3 * len(found.values))
     convergence_panel, contribution_panel = picture = Picture(
-        2, n_columns=2, size=figure_size, **picture_options
+        2, n_columns=2, size=(13.0, max(4.2, 1.8 + 0.3 * len(found.values))), **picture_options
     )
     first_cause = next(iter(found.causes), "")
     styles_by_quantity = _choose_line_styles(found, first_cause) if first_cause else {}
@@ -299,9 +309,11 @@ def _draw_differences_from_extrapolation(
     panel.set_xticks([], minor=True)
     label_axis(panel.yaxis, "difference from the extrapolated value", "%")
     count_in_scene = verification.counts[cause][0]
-    size_label = f"element size over that of the scene ({count_in_scene} elements)"
-    inverse_number_label = f"{count_in_scene} {cause} of the scene over the number used"
-    panel.set_xlabel(size_label if cause == "mesh" else inverse_number_label)
+    panel.set_xlabel(
+        f"element size over that of the scene ({count_in_scene} elements)"
+        if cause == "mesh"
+        else f"{count_in_scene} {cause} of the scene over the number used"
+    )
 
 
 def _choose_line_styles(verification: Verification, cause: str) -> StylesByQuantity:
@@ -358,12 +370,12 @@ def _draw_contributions(
                     error_percent, row_position, "o", ms=7, color=colours[cause], mfc=fill_colour
                 )
         if quantity_name in styles_by_quantity:
-            placement_options = {"transform": axis_transform, "clip_on": False}
             panel.plot(
                 [-0.06, -0.035, -0.01],
                 3 * [row_position],
                 markevery=[1],
-                **placement_options,
+                transform=axis_transform,
+                clip_on=False,
                 **styles_by_quantity[quantity_name],
             )
         if verification.causes:
@@ -441,47 +453,42 @@ def draw_growth(
     --------
     >>> figure = fc.draw_growth(fc.grow(growing), path="growth.png")  # doctest: +SKIP
     """
-    figure_size, solved_lengths = (7.0, 8.6), np.zeros(0)
-    if found.depth is None:
-        solved_lengths = found.solved[found.solved <= found.length[-1]]
-    picture = Picture(3, size=figure_size, sharex=True, **picture_options)
+    picture = Picture(3, size=(7.0, 8.6), sharex=True, **picture_options)
     length_panel, frequency_panel, intensity_panel = picture.panels
-    solved_cycles = np.interp(solved_lengths, found.length, found.cycles)
     frequency_factor, _, unit = choose_frequency_factor_name_unit(in_hertz)
-    lines_by_label = {
-        "length": (length_panel, found.length, "blue", "-"),
-        "load": (frequency_panel, frequency_factor * found.omega, "black", "-"),
-        "natural, breathing crack": (
+    for label, panel, curve_values, colour, style in (
+        ("length", length_panel, found.length, "blue", "-"),
+        ("load", frequency_panel, frequency_factor * found.omega, "black", "-"),
+        (
+            "natural, breathing crack",
             frequency_panel,
             frequency_factor * found.omega_bilinear,
             "orange",
             "-",
         ),
-        "natural, open crack": (
+        (
+            "natural, open crack",
             frequency_panel,
             frequency_factor * found.omega_open,
             "green",
             "--",
         ),
-        r"effective range of $K_\mathrm{I}$": (intensity_panel, found.effective, "blue", "-"),
-        r"$K_\mathrm{max}$": (intensity_panel, found.largest, "pink", ":"),
-    }
-    if found.depth is not None:
-        lines_by_label["depth"] = length_panel, found.depth, "orange", "-"
-    for label, (panel, curve_values, colour, style) in lines_by_label.items():
-        line_options = {"color": COLOURS_BY_NAME.get(colour, colour), "ls": style}
-        panel.plot(found.cycles, curve_values, label=label, **line_options)
-    if len(solved_lengths):
-        length_panel.plot(
-            solved_cycles,
-            solved_lengths,
-            "o",
-            color=COLOURS_BY_NAME["blue"],
-            ms=4.0,
-            label="solved",
+        (r"effective range of $K_\mathrm{I}$", intensity_panel, found.effective, "blue", "-"),
+        (r"$K_\mathrm{max}$", intensity_panel, found.largest, "pink", ":"),
+        ("depth", length_panel, found.depth, "orange", "-"),
+    ):
+        if curve_values is not None:
+            plot_colour = COLOURS_BY_NAME.get(colour, colour)
+            panel.plot(found.cycles, curve_values, label=label, color=plot_colour, ls=style)
+    if found.depth is None:
+        solved_lengths = found.solved[found.solved <= found.length[-1]]
+        solved_cycles, solved_ranges = (
+            np.interp(solved_lengths, found.length, column)
+            for column in (found.cycles, found.effective)
         )
-    solved_ranges = np.interp(solved_lengths, found.length, found.effective)
-    intensity_panel.plot(solved_cycles, solved_ranges, "o", color=COLOURS_BY_NAME["blue"], ms=4.0)
+        dot_options = {"color": COLOURS_BY_NAME["blue"], "ms": 4.0}
+        length_panel.plot(solved_cycles, solved_lengths, "o", label="solved", **dot_options)
+        intensity_panel.plot(solved_cycles, solved_ranges, "o", **dot_options)
     if found.effective.max() > 0.0:
         intensity_panel.set_yscale("log")
     label_axis(length_panel.yaxis, "crack", "m")
