@@ -244,19 +244,23 @@ class NodalDiameters(SavedResult):
 
         "engine_orders" has the lowest engine orders with this nodal diameter.
         """
-        column_by_name: dict[str, Any] = {"nodal_diameter": list(range(len(self.omega)))}
-        for family_number, family_omega in enumerate(self.omega.T, 1):
-            column_by_name[f"frequency_{family_number}"] = (family_omega / (2.0 * np.pi)).tolist()
-        return column_by_name | {
-            "engine_orders": [
-                self._describe_lowest_orders(diameter) for diameter in range(len(self.omega))
-            ]
+        nodal_diameters = list(range(len(self.omega)))
+        frequencies_by_column = {
+            f"frequency_{family_number}": (family_omega / (2.0 * np.pi)).tolist()
+            for family_number, family_omega in enumerate(self.omega.T, 1)
         }
-
-    def _describe_lowest_orders(self, diameter: int) -> str:
-        """List the lowest engine orders with a nodal diameter: "3 5 11"."""
-        lowest_orders = sorted({diameter, self.sectors - diameter, self.sectors + diameter} - {0})
-        return " ".join(map(str, lowest_orders))
+        lowest_orders_texts = [
+            " ".join(
+                str(engine_order)
+                for engine_order in sorted({n, self.sectors - n, self.sectors + n} - {0})
+            )
+            for n in nodal_diameters
+        ]
+        return {
+            "nodal_diameter": nodal_diameters,
+            **frequencies_by_column,
+            "engine_orders": lowest_orders_texts,
+        }
 
     def _unit_by_name(self) -> dict[str, str]:
         return {
@@ -373,16 +377,12 @@ class Amplification(SavedResult):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result's columns by name, with a row for each pattern."""
-        seeds = range(self.seed, self.seed + len(self.factor))
         return {
-            "seed": list(seeds),
+            "seed": list(range(self.seed, self.seed + len(self.factor))),
             "factor": self.factor.tolist(),
             "frequency": (self.omega / (2.0 * np.pi)).tolist(),
             "blade": self.blade.tolist(),
         }
-
-    def _unit_by_name(self) -> dict[str, str]:
-        return {"frequency": "Hz"}
 
     def build_conclusion(self) -> Conclusion:
         """Return the printed summary: 95th percentile, largest factor, bound."""
@@ -444,12 +444,14 @@ def amplification(
     check_count("seed", seed, 0)
     check_number("deviation", deviation, 0.0)
     scene.given("disk")
-    value_by_changed_key = {
-        "disk.mistuning": None,
-        "disk.deviation": float(deviation),
-        "disk.seed": seed,
-    }
-    uncracked_scene = scene.replace({"disk.cracked": [], **value_by_changed_key})
+    uncracked_scene = scene.replace(
+        {
+            "disk.cracked": [],
+            "disk.mistuning": None,
+            "disk.deviation": float(deviation),
+            "disk.seed": seed,
+        }
+    )
     wheel = wheel_of(assemble_structure(uncracked_scene, comm))
     find_peak = _make_peak_finder(wheel, scene.excitation.omega)
     tuned_amplitude, tuned_omega, _ = find_peak(np.zeros(wheel.sector.n_sectors))
@@ -463,14 +465,16 @@ def amplification(
     _, peak_amplitudes, peak_omegas, blade_numbers = map(
         np.array, zip(*pattern_result_rows, strict=True)
     )
-    amplification_fields = (
+    return Amplification(
+        scene,
         peak_amplitudes / tuned_amplitude,
         peak_omegas,
         blade_numbers,
         tuned_amplitude,
         tuned_omega,
+        float(deviation),
+        seed,
     )
-    return Amplification(scene, *amplification_fields, float(deviation), seed)
 
 
 def report_of_amplification(amplification_result: Amplification) -> Report:

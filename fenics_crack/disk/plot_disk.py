@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import count, cycle
 from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
@@ -99,13 +100,14 @@ def _write_blade_numbers(panel: Axes, wheel: Wheel) -> None:
             sector_middle / np.linalg.norm(sector_middle)
         )
         colour, weight = ("orange", "bold") if sector_index in wheel.cracked else ("grey", "normal")
-        text_options = {
-            "color": COLOURS_BY_NAME[colour],
-            "weight": weight,
-            "ha": "center",
-            "va": "center",
-        }
-        panel.text(*text_position, str(sector_index + 1), **text_options)
+        panel.text(
+            *text_position,
+            str(sector_index + 1),
+            color=COLOURS_BY_NAME[colour],
+            weight=weight,
+            ha="center",
+            va="center",
+        )
         panel.update_datalim([text_position])
 
 
@@ -218,8 +220,8 @@ def draw_nodal_diameters(
     [panel] = picture = Picture(**picture_options)
     frequencies = found.omega[:, :families] / RAD_PER_TURN
     diameters = np.arange(len(frequencies))
-    for (family_number, family_frequencies), colour in zip(
-        enumerate(frequencies.T, 1), [*COLOURS_BY_NAME.values()] * 99, strict=False
+    for family_number, family_frequencies, colour in zip(
+        count(1), frequencies.T, cycle(COLOURS_BY_NAME.values()), strict=False
     ):
         panel.plot(
             diameters,
@@ -230,14 +232,15 @@ def draw_nodal_diameters(
             lw=0.8,
             label=f"family {family_number}",
         )
-    ring_options = {"color": "black", "mfc": "none", "label": f"excited by order {found.order}"}
     excited_frequencies = frequencies[found.excited]
     panel.plot(
         np.full(len(excited_frequencies), found.excited),
         excited_frequencies,
         "o",
         ms=10,
-        **ring_options,
+        color="black",
+        mfc="none",
+        label=f"excited by order {found.order}",
     )
     upper_limit = 1.08 * float(frequencies.max())
     if (speed := found.scene.speed) > 0.0:
@@ -246,7 +249,6 @@ def draw_nodal_diameters(
         excited_diameters = [
             excited_diameter(engine_order, found.sectors) for engine_order in engine_orders
         ]
-        label = f"engine orders at {speed / RAD_PER_S_PER_RPM:.4g} rpm"
         panel.plot(
             excited_diameters,
             rotation_frequency * engine_orders,
@@ -254,7 +256,7 @@ def draw_nodal_diameters(
             color="#8f8f8f",
             ms=4,
             lw=0.6,
-            label=label,
+            label=f"engine orders at {speed / RAD_PER_S_PER_RPM:.4g} rpm",
         )
     panel.set(xlabel="nodal diameter", ylabel="natural frequency [Hz]", ylim=(0.0, upper_limit))
     panel.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -285,12 +287,13 @@ def draw_amplification(found: Amplification, **picture_options: Unpack[PictureOp
     """
     [panel] = picture = Picture(**picture_options)
     n_patterns = len(found.factor)
-    histogram_options = {
-        "weights": np.full(n_patterns, 100.0 / n_patterns),
-        "color": COLOURS_BY_NAME["blue"],
-        "alpha": 0.6,
-    }
-    panel.hist(found.factor, max(8, int(np.sqrt(n_patterns))), **histogram_options)
+    panel.hist(
+        found.factor,
+        max(8, int(np.sqrt(n_patterns))),
+        weights=np.full(n_patterns, 100.0 / n_patterns),
+        color=COLOURS_BY_NAME["blue"],
+        alpha=0.6,
+    )
     panel.set(xlabel="amplification factor", ylabel=f"share of {n_patterns} patterns [%]")
     panel.axvline(found.bound, color=COLOURS_BY_NAME["pink"], ls="--", label="Whitehead's bound")
     percentile_95 = found.percentile(95.0)

@@ -372,15 +372,14 @@ def _draw_legend(axes: Axes) -> None:
         if is_only_panel:
             axes.figure.set_figheight(axes.figure.get_figheight() + 0.17 * n_extra_rows)
         has_tick_labels = axes.xaxis.get_major_ticks()[0].label1.get_visible()
-        legend_options = {
-            "loc": "upper center",
-            "ncol": n_columns,
-            "frameon": False,
-            "bbox_to_anchor": (0.5, 0.0),
-            "borderaxespad": 4.2 if has_tick_labels else 0.8,  # [em]
-        }
         axes.legend(
-            list(handles_by_label.values()), list(handles_by_label), **legend_options
+            list(handles_by_label.values()),
+            list(handles_by_label),
+            loc="upper center",
+            ncol=n_columns,
+            frameon=False,
+            bbox_to_anchor=(0.5, 0.0),
+            borderaxespad=4.2 if has_tick_labels else 0.8,  # [em]
         ).set_gid(str(n_text_rows))
     elif handles_by_label:
         axes.legend(list(handles_by_label.values()), list(handles_by_label), loc="best")

@@ -151,8 +151,9 @@ def find_sharp_edge_nodes(mesh: NodalMesh) -> np.ndarray:
     """
     boundary_surface = make_surface(mesh.points, mesh.boundary_sides)
     boundary_surface["node"] = np.arange(len(mesh.points))
-    other_kinds = dict.fromkeys(("boundary_edges", "non_manifold_edges", "manifold_edges"), False)
-    sharp_edges = boundary_surface.extract_feature_edges(feature_angle=25.0, **other_kinds)
+    sharp_edges = boundary_surface.extract_feature_edges(
+        feature_angle=25.0, boundary_edges=False, non_manifold_edges=False, manifold_edges=False
+    )
     return np.asarray(sharp_edges["node"])[sharp_edges.lines.reshape(-1, 3)[:, 1:]]
 
 
@@ -419,12 +420,13 @@ def write_fronts(found: StressIntensity, path: str | Path) -> None:
             for edge in itertools.pairwise(stations)
         ]
         grid = _make_grid(found.points, np.array(front_edges, dtype=int).reshape(-1, 2), VTK_LINE)
-        for name, values in {
+        values_by_name = {
             **found.numbers,
             "K_I while closed": found.closed_front_errors,
-        }.items():
+            "ahead": found.growth_directions,
+        }
+        for name, values in values_by_name.items():
             grid.point_data[name] = values
-        grid.point_data["ahead"] = found.growth_directions
         write_file_whole(path, _format_vtu(grid))
 
     on_root(found.comm, write_file)
@@ -635,39 +637,43 @@ def write_period(
     --------
     >>> magnification = fc.write_period(solution, "crack.pvd", frames=4)
     """
-    begin_stage(Path(path).name)
-    fields = PeriodFields(solution, frames, magnification, material)
     collection_path = Path(path)
+    begin_stage(collection_path.name)
+    fields = PeriodFields(solution, frames, magnification, material)
 
     def write_files() -> None:
         check_inner_folder(collection_path.with_name(collection_path.stem))
         frame_names = [
             f"{collection_path.stem}/frame_{frame:04d}.vtu" for frame in range(len(fields.time))
         ]
-        collection_lines = ['<VTKFile type="Collection" version="0.1">', "  <Collection>"]
-        for instant, frame_name in zip(fields.time, frame_names, strict=True):
-            collection_lines.append(
-                f'    <DataSet timestep="{instant:.12g}" file={quoteattr(frame_name)}/>'
-            )
-        collection_text = "\n".join([*collection_lines, "  </Collection>", "</VTKFile>", ""])
+        data_set_lines = [
+            f'    <DataSet timestep="{instant:.12g}" file={quoteattr(frame_name)}/>'
+            for instant, frame_name in zip(fields.time, frame_names, strict=True)
+        ]
+        collection_text = "\n".join(
+            [
+                '<VTKFile type="Collection" version="0.1">',
+                "  <Collection>",
+                *data_set_lines,
+                "  </Collection>",
+                "</VTKFile>",
+                "",
+            ]
+        )
         colour_name, colour_unit = fields.colour_name_and_unit
         script_path = collection_path.with_name(f"{collection_path.stem}_paraview.py")
-        path_texts = {
-            "script": script_path.name,
-            "folder": str(collection_path.parent.resolve()),
-            "pvd": collection_path.name,
-        }
-        view_settings = {
-            "field": colour_name,
-            "title": f"{colour_name} [{colour_unit}]",
-            "end": fields.colour_scale_end,
-            "mode": f"{fields.mesh.dimension}D",
-            "camera": VIEW_COMMANDS_BY_DIMENSION[fields.mesh.dimension],
-            "caption": f"displacement x {fields.magnification:.3g}",
-            "factor": fields.magnification,
-        }
-        script_template = read_packaged_text("draw/paraview_state.txt")
-        script_text = script_template.format(**path_texts, **view_settings)
+        script_text = read_packaged_text("draw/paraview_state.txt").format(
+            script=script_path.name,
+            folder=str(collection_path.parent.resolve()),
+            pvd=collection_path.name,
+            field=colour_name,
+            title=f"{colour_name} [{colour_unit}]",
+            end=fields.colour_scale_end,
+            mode=f"{fields.mesh.dimension}D",
+            camera=VIEW_COMMANDS_BY_DIMENSION[fields.mesh.dimension],
+            caption=f"displacement x {fields.magnification:.3g}",
+            factor=fields.magnification,
+        )
         first_files = [(collection_path, collection_text), (script_path, script_text)]
         frame_files = (
             (collection_path.parent / frame_name, _format_vtu(fields.make_frame_grid(frame)))

@@ -192,7 +192,9 @@ class Growth(SavedResult):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the table's columns by name, with an entry for each length."""
+        repeats = self.repeats
         values_by_column = {
+            **({} if repeats is None else {"repeats": repeats}),
             "cycles": self.cycles,
             "time": self.time,
             "crack_length": self.length,
@@ -208,8 +210,6 @@ class Growth(SavedResult):
             "delta_K_effective": self.effective,
             "K_II_max": self.sliding,
         }
-        if self.repeats is not None:
-            values_by_column = {"repeats": self.repeats} | values_by_column
         return add_frequency_entries(
             {column_name: column.tolist() for column_name, column in values_by_column.items()}
         )
@@ -231,18 +231,14 @@ class Growth(SavedResult):
         certainty_text = (
             f"the life is known within a factor of {self.factor:.3g} with 68 % probability"
         )
-        certainty_text += (
-            f" (standard deviations of its logarithm: {', '.join(cause_texts)})"
-            if cause_texts
-            else ""
-        )
-        frequency_text = (
-            f"the breathing crack's natural frequency falls by {self.frequency_drop[-1]:.2%}"
-        )
+        if cause_texts:
+            certainty_text += f" (standard deviations of its logarithm: {', '.join(cause_texts)})"
         return Conclusion(
             f"the crack grows {growth_text}: {END_TEXT_BY_REASON[self.end]}",
             certainty_text,
-            further_clauses=[frequency_text],
+            further_clauses=[
+                f"the breathing crack's natural frequency falls by {self.frequency_drop[-1]:.2%}"
+            ],
         )
 
     def _size_in_words(self, row_index: int) -> str:
@@ -419,23 +415,14 @@ def _get_values_by_growth_field(
     values_by_column: Mapping[str, np.ndarray], cycles: np.ndarray
 ) -> dict[str, Any]:
     """Return fields of :class:`Growth` that follow from columns over load cycles (n,)."""
+    from scipy.integrate import cumulative_trapezoid  # takes a while, and is needed here alone
+
     values_by_field = {
         field_name: values_by_column[column_name]
         for field_name, column_name in COLUMN_NAME_BY_GROWTH_FIELD.items()
     }
-    elapsed_times = _accumulate_integral_over_cycles(
-        RAD_PER_TURN / values_by_field["omega"], cycles
-    )
+    elapsed_times = cumulative_trapezoid(RAD_PER_TURN / values_by_field["omega"], cycles, initial=0)
     return values_by_field | {"cycles": cycles, "time": elapsed_times}
-
-
-def _accumulate_integral_over_cycles(values: np.ndarray, cycles: np.ndarray) -> np.ndarray:
-    """Integrate values over load cycles, by the trapezoidal rule.
-
-    ``values`` and ``cycles`` have shape (n,). The integrals (n,) run from the first cycle to each;
-    the first is 0.
-    """
-    return np.append(0.0, np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(cycles)))
 
 
 def _collect_life_error_by_cause(
@@ -461,13 +448,13 @@ def _collect_life_error_by_cause(
     interpolation_error : float
         Relative error of the cycles.
     """
+    from scipy.integrate import trapezoid  # takes a while, and is needed here alone
+
     log_driving_ranges = np.log(np.maximum(growth_rates, SMALLEST_NORMAL) / law.rate) / law.exponent
-    mean_log_range = float(_accumulate_integral_over_cycles(log_driving_ranges, cycles)[-1]) / max(
-        float(cycles[-1]), SMALLEST_NORMAL
-    )
+    mean_log_range = trapezoid(log_driving_ranges, cycles) / max(cycles[-1], SMALLEST_NORMAL)
     return {
         "rate": law.rate_deviation,
-        "exponent": law.exponent_deviation * abs(mean_log_range),
+        "exponent": law.exponent_deviation * abs(float(mean_log_range)),
         "vibration": law.exponent * vibration_error,
         "interpolation": interpolation_error,
     }
