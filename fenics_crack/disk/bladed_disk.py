@@ -194,9 +194,13 @@ def blades(found: Any, dof: int | None = None) -> Blades:
     amplitudes, first_harmonics, second_ratios, omegas = map(
         np.array, zip(*blade_result_rows, strict=True)
     )
-    cracked_blades = tuple(sector_index + 1 for sector_index in wheel.cracked)
     return Blades(
-        amplitudes, first_harmonics, second_ratios, omegas, wheel.mistuning, cracked_blades
+        amplitudes,
+        first_harmonics,
+        second_ratios,
+        omegas,
+        wheel.mistuning,
+        cracked=tuple(sector_index + 1 for sector_index in wheel.cracked),
     )
 
 
@@ -249,18 +253,16 @@ class NodalDiameters(SavedResult):
             f"frequency_{family_number}": (family_omega / (2.0 * np.pi)).tolist()
             for family_number, family_omega in enumerate(self.omega.T, 1)
         }
-        lowest_orders_texts = [
-            " ".join(
-                str(engine_order)
-                for engine_order in sorted({n, self.sectors - n, self.sectors + n} - {0})
-            )
-            for n in nodal_diameters
-        ]
         return {
             "nodal_diameter": nodal_diameters,
             **frequencies_by_column,
-            "engine_orders": lowest_orders_texts,
+            "engine_orders": [self._describe_lowest_orders(n) for n in nodal_diameters],
         }
+
+    def _describe_lowest_orders(self, diameter: int) -> str:
+        """List the lowest engine orders with a nodal diameter: "3 5 11"."""
+        lowest_orders = sorted({diameter, self.sectors - diameter, self.sectors + diameter} - {0})
+        return " ".join(map(str, lowest_orders))
 
     def _unit_by_name(self) -> dict[str, str]:
         return {
@@ -386,8 +388,10 @@ class Amplification(SavedResult):
 
     def build_conclusion(self) -> Conclusion:
         """Return the printed summary: 95th percentile, largest factor, bound."""
-        answer = f"95 % of the amplification factors are at most {self.percentile(95.0):.4g}"
-        answer += f", the largest is {self.factor.max():.4g}; Whitehead's bound is {self.bound:.4g}"
+        answer = (
+            f"95 % of the amplification factors are at most {self.percentile(95.0):.4g}, "
+            f"the largest is {self.factor.max():.4g}; Whitehead's bound is {self.bound:.4g}"
+        )
         return Conclusion(f"{format_count(len(self.factor), 'pattern')} solved", answer)
 
     def _repr_text(self) -> str:
@@ -483,18 +487,19 @@ def report_of_amplification(amplification_result: Amplification) -> Report:
     The full table with a row for each pattern is written, but not printed.
     """
     percents = (5.0, 25.0, 50.0, 75.0, 95.0, 99.0, 100.0)
-    table_rows = [[percent, amplification_result.percentile(percent)] for percent in percents]
+    percentile_table = Table(
+        ["share of patterns [%]", "amplification factor"],
+        [[percent, amplification_result.percentile(percent)] for percent in percents],
+    )
     tuned_peak_text = (
         f"{format_quantity(amplification_result.tuned, 'm')} at "
         f"{amplification_result.tuned_omega / RAD_PER_TURN:.6g} Hz"
     )
-    percentile_table = Table(["share of patterns [%]", "amplification factor"], table_rows)
-    notes = [f"largest amplitude of the tuned bladed disk without cracks: {tuned_peak_text}"]
     return Report(
         amplification_result.table(),
         amplification_result.build_conclusion(),
         printed_table=percentile_table,
-        notes=notes,
+        notes=[f"largest amplitude of the tuned bladed disk without cracks: {tuned_peak_text}"],
     )
 
 

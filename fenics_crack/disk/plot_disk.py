@@ -171,13 +171,12 @@ def draw_blades(
     ]
     for blade_index, colour, label_suffix in highlighted_blades_and_styles:
         peak_text = format_quantity(float(peak_amplitudes[blade_index]), "m")
-        label = f"blade {blade_index + 1}{label_suffix}, up to {peak_text}"
         panel.plot(
             unit_factor * curve.values,
             blade_amplitudes[blade_index],
             color=COLOURS_BY_NAME[colour],
             lw=1.5,
-            label=label,
+            label=f"blade {blade_index + 1}{label_suffix}, up to {peak_text}",
         )
     n_grey_blades = len(uncracked_blades) - 1
     if n_grey_blades > 0:
@@ -297,8 +296,12 @@ def draw_amplification(found: Amplification, **picture_options: Unpack[PictureOp
     panel.set(xlabel="amplification factor", ylabel=f"share of {n_patterns} patterns [%]")
     panel.axvline(found.bound, color=COLOURS_BY_NAME["pink"], ls="--", label="Whitehead's bound")
     percentile_95 = found.percentile(95.0)
-    label = f"95 % of patterns below {percentile_95:.3g}"
-    panel.axvline(percentile_95, color=COLOURS_BY_NAME["grey"], ls=":", label=label)
+    panel.axvline(
+        percentile_95,
+        color=COLOURS_BY_NAME["grey"],
+        ls=":",
+        label=f"95 % of patterns below {percentile_95:.3g}",
+    )
     sorted_factors = np.sort(found.factor)
     share_axes = panel.twinx()
     share_axes.plot(

@@ -203,8 +203,9 @@ def draw_contact_map(
     structure, law = solution.structure, solution.contact
     pair_points = structure.pair_points
     if pair_points is None or len(pair_points) < 2:
-        requirement = "two or more contact pairs of a structure from a mesh"
-        raise InputError("pairs", structure.n_pairs, requirement)
+        raise InputError(
+            "pairs", structure.n_pairs, "two or more contact pairs of a structure from a mesh"
+        )
     time = np.linspace(0.0, solution.period, instants + 1)
     contact_values, label, unit = solution.contact_force(time), "contact force of a pair", "N"
     has_pressure = law is not None and (is_rigid(law) or np.ndim(law.stiffness) > 0)
@@ -847,18 +848,11 @@ def draw_friction_loops(
         drawn_pairs.tolist(), distinct_colours(len(drawn_pairs)), strict=True
     ):
         place_name = solution.structure.describe_pair(pair_index).removeprefix("of ")
+        pair_gaps, pair_forces = tangential_gaps[:, pair_index], friction_forces[:, pair_index]
         label = f"{place_name}: {format_quantity(float(losses[pair_index]), 'J')}"
-        panel.plot(
-            tangential_gaps[:, pair_index],
-            friction_forces[:, pair_index],
-            color=colour,
-            lw=1.1,
-            label=label,
-        )
-        slipping_gaps = np.where(
-            is_pair_slipping[:, pair_index], tangential_gaps[:, pair_index], np.nan
-        )
-        panel.plot(slipping_gaps, friction_forces[:, pair_index], color=colour, lw=3.2)
+        panel.plot(pair_gaps, pair_forces, color=colour, lw=1.1, label=label)
+        slipping_gaps = np.where(is_pair_slipping[:, pair_index], pair_gaps, np.nan)
+        panel.plot(slipping_gaps, pair_forces, color=colour, lw=3.2)
     panel.axhline(0.0, color="black", lw=0.6)
     label_axis(panel.xaxis, "tangential gap", "m")
     label_axis(panel.yaxis, "friction force", "N")

@@ -193,9 +193,8 @@ def _mark_peak(
         )
     )
     if curve.parameter == "omega":
-        displacement_coefficients = curve.coefficients_at(dof)
         damping = damping_by_half_power_width(
-            curve.values, displacement_coefficients, curve.subharmonic, peak.index
+            curve.values, curve.coefficients_at(dof), curve.subharmonic, peak.index
         )
         label += f",\nhalf-power damping {format_percent(damping)}" if np.isfinite(damping) else ""
     axes.plot(
@@ -329,11 +328,13 @@ def _label_parameter_axis(axes: Axes, curve: ResponseCurve, in_hertz: bool) -> N
             )
         if not axes.child_axes:
             frequency_per_speed = engine_order * frequency_factor / unit_factor
-            axis_conversions = (
-                lambda speed: frequency_per_speed * speed,
-                lambda frequency: frequency / frequency_per_speed,
+            top_axis = axes.secondary_xaxis(
+                "top",
+                functions=(
+                    lambda speed: frequency_per_speed * speed,
+                    lambda frequency: frequency / frequency_per_speed,
+                ),
             )
-            top_axis = axes.secondary_xaxis("top", functions=axis_conversions)
             top_axis.set_xlabel(frequency_label)
     if unit == "m":
         label_axis(axes.xaxis, parameter_name, unit)

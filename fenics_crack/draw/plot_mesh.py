@@ -69,8 +69,10 @@ def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -
     aspect_ratio = float(
         np.clip(np.divide(*np.maximum(np.ptp(mesh.points, axis=0), 1e-300)), 0.4, 2.5)
     )
-    figure_size = (min(7.0, 3.6 + 2.0 * aspect_ratio), min(6.8, 1.6 + 3.6 / aspect_ratio))
-    [panel] = picture = Picture(size=figure_size, **picture_options)
+    [panel] = picture = Picture(
+        size=(min(7.0, 3.6 + 2.0 * aspect_ratio), min(6.8, 1.6 + 3.6 / aspect_ratio)),
+        **picture_options,
+    )
     clamped_edges = mesh.boundary_sides[mesh.is_clamped[mesh.boundary_sides].all(axis=1)]
     for edges, colour, line_width, label in (
         (mesh.edges, "#9a9a9a", 0.4, ""),

@@ -435,8 +435,15 @@ def draw_tip_track(
         cycle(COLOURS_BY_NAME.values()),
         strict=False,
     ):
-        label = f"{multiple:g}x the load's frequency"
-        panel.plot(frequencies, amplitudes, ".-", color=colour, lw=0.8, ms=3.0, label=label)
+        panel.plot(
+            frequencies,
+            amplitudes,
+            ".-",
+            color=colour,
+            lw=0.8,
+            ms=3.0,
+            label=f"{multiple:g}x the load's frequency",
+        )
         lower_edge = np.maximum(amplitudes - standard_errors, 0.0)
         upper_edge = amplitudes + standard_errors
         panel.fill_between(frequencies, lower_edge, upper_edge, color=colour, alpha=0.25, lw=0)

@@ -124,8 +124,13 @@ def draw_posterior(
             panel.contourf(
                 *grid_axes, log_density, levels=[level, np.inf], alpha=0.2, colors=colour
             )
-        label = f"50, 95 and 99.9 %{', ' if branch_name else ''}{branch_name}"
-        panel.plot([], [], color=colour, lw=1.8, label=label)
+        panel.plot(
+            [],
+            [],
+            color=colour,
+            lw=1.8,
+            label=f"50, 95 and 99.9 %{', ' if branch_name else ''}{branch_name}",
+        )
         x_indices, y_indices = np.nonzero(log_density.T > log_levels[0])
         shown_points.append(np.column_stack([x_values[x_indices], y_values[y_indices]]))
     panel.plot(
@@ -418,8 +423,10 @@ def _describe_quantity(verification: Verification, name: str) -> str:
     )
     if point_name:
         quantity_text += f", {verification.scene.label_by_point_name.get(point_name, point_name)}"
-    value_text = format_quantity(verification.values[name], verification.units[name])
-    return f"{fill(quantity_text, MAX_LETTERS_PER_LINE)}, {value_text}"
+    return (
+        f"{fill(quantity_text, MAX_LETTERS_PER_LINE)}, "
+        f"{format_quantity(verification.values[name], verification.units[name])}"
+    )
 
 
 def draw_growth(
@@ -478,8 +485,13 @@ def draw_growth(
         ("depth", length_panel, found.depth, "orange", "-"),
     ):
         if curve_values is not None:
-            plot_colour = COLOURS_BY_NAME.get(colour, colour)
-            panel.plot(found.cycles, curve_values, label=label, color=plot_colour, ls=style)
+            panel.plot(
+                found.cycles,
+                curve_values,
+                label=label,
+                color=COLOURS_BY_NAME.get(colour, colour),
+                ls=style,
+            )
     if found.depth is None:
         solved_lengths = found.solved[found.solved <= found.length[-1]]
         solved_cycles, solved_ranges = (

@@ -318,13 +318,15 @@ def stress_at(
     mesh, stress_points = NodalMesh(structure), floats_or_nan(points)
     has_valid_shape = stress_points.ndim == 2 and stress_points.shape[1] == mesh.dimension
     if not (has_valid_shape and stress_points.size and np.all(np.isfinite(stress_points))):
-        requirement_text = f"one or more rows of {mesh.dimension} finite numbers [m]"
-        raise InputError("points", points, requirement_text)
+        raise InputError(
+            "points", points, f"one or more rows of {mesh.dimension} finite numbers [m]"
+        )
     if isinstance(result, TimeHistory):
         time = result.time
         if len(result.recorded_dofs) < structure.n_local:
-            recorded_dofs = result.recorded_dofs.tolist()
-            raise InputError("dofs", recorded_dofs, "None, to record all displacements")
+            raise InputError(
+                "dofs", result.recorded_dofs.tolist(), "None, to record all displacements"
+            )
         displacement = structure.expand(result.recorded)
     else:
         time = np.linspace(0.0, result.period, 128, endpoint=False)
@@ -375,8 +377,9 @@ def write_modes(modes: Modes, path: str | Path) -> None:
             zip(modes.omega, nodal_shapes, strict=True), 1
         ):
             magnification = magnification_to_tenth(shape, mesh.size)
-            field_name = f"mode {mode_number}: {omega:.1f} rad/s"
-            grid.point_data[field_name] = pad_to_space(magnification * shape)
+            grid.point_data[f"mode {mode_number}: {omega:.1f} rad/s"] = pad_to_space(
+                magnification * shape
+            )
             grid.field_data[f"magnification of mode {mode_number}"] = [magnification]
         write_file_whole(path, _format_vtu(grid))
 

@@ -42,13 +42,8 @@ With the effective range delta K of K_I, the rate rises linearly from 0 at growt
 growth law at 1.01 times the threshold. The fraction is below the errors of K. With a jump instead,
 a shape that grows along the threshold, as deep cracks in bending do, needs endless steps.
 """
-DEEPEST_COLUMN_NAME_FORMAT, SURFACE_COLUMN_NAME_FORMAT = "delta_K_{}_deepest", "delta_K_{}_surface"
-EQUIVALENT_RANGE_COLUMN_NAMES = tuple(
-    name.format("equivalent") for name in (DEEPEST_COLUMN_NAME_FORMAT, SURFACE_COLUMN_NAME_FORMAT)
-)
-EFFECTIVE_RANGE_COLUMN_NAMES = tuple(
-    name.format("effective") for name in (DEEPEST_COLUMN_NAME_FORMAT, SURFACE_COLUMN_NAME_FORMAT)
-)
+EQUIVALENT_RANGE_COLUMN_NAMES = ("delta_K_equivalent_deepest", "delta_K_equivalent_surface")
+EFFECTIVE_RANGE_COLUMN_NAMES = ("delta_K_effective_deepest", "delta_K_effective_surface")
 
 
 @dataclass(frozen=True)
@@ -84,11 +79,10 @@ class EllipseTable:
         depth_degree, length_degree = (
             min(3, len(log_sizes) - 1) for log_sizes in log_depths_and_lengths
         )
-        stress_and_other_divisors = np.sqrt(self.depths)[:, None], 1.0
         return {
             column_name: RectBivariateSpline(
                 *log_depths_and_lengths,
-                column / stress_and_other_divisors[not _is_stress_intensity_column(column_name)],
+                column / _compute_depth_factors(column_name, self.depths)[:, None],
                 kx=depth_degree,
                 ky=length_degree,
             )
@@ -103,14 +97,9 @@ class EllipseTable:
         Return (n,) in the unit of the column. Negative interpolated ranges ("delta_K...") become 0.
         """
         column_values = self._spline_by_column[column_name].ev(np.log(depths), np.log(lengths))
-        column_values = (
-            column_values.clip(0.0) if column_name.startswith("delta_K") else column_values
-        )
-        return np.asarray(
-            column_values * np.sqrt(depths)
-            if _is_stress_intensity_column(column_name)
-            else column_values
-        )
+        if column_name.startswith("delta_K"):
+            column_values = column_values.clip(0.0)
+        return np.asarray(column_values * _compute_depth_factors(column_name, depths))
 
     def with_every_second_size(self) -> EllipseTable:
         """Return a coarser table with every second depth and length.
@@ -123,12 +112,14 @@ class EllipseTable:
         return EllipseTable(self.depths[::2], self.lengths[::2], coarse_column_by_name)
 
 
-def _is_stress_intensity_column(column_name: str) -> bool:
-    """Return True if a column has stress intensities, or their ranges.
+def _compute_depth_factors(column_name: str, depths: np.ndarray) -> np.ndarray:
+    """Return how a column scales with depths (n,) [m]: (n,).
 
-    Stress intensities scale with sqrt(depth), and are interpolated after division by this root.
+    Stress intensities and their ranges scale with sqrt(depth), and are interpolated after division
+    by this root; other columns have factors of 1.
     """
-    return column_name.startswith(("K", "delta_K"))
+    is_stress_intensity = column_name.startswith(("K", "delta_K"))
+    return np.sqrt(depths) if is_stress_intensity else np.ones_like(depths)
 
 
 class EllipseSizePath(NamedTuple):
@@ -232,7 +223,7 @@ def integrate_ellipse_growth(
             else np.zeros(3)
         )
 
-    event_function_by_reason = {
+    event_function_by_reason: dict[GrowthEnd, Any] = {
         "reached": lambda _s, depth_length_cycles: (
             depth_length_cycles[0] - ellipse_table.depths[-1]
         ),
@@ -247,7 +238,7 @@ def integrate_ellipse_growth(
         ),
     }
     for event_function in event_function_by_reason.values():
-        event_function.terminal = True  # type: ignore[attr-defined]
+        event_function.terminal = True
     start_depth_length_cycles = np.array([ellipse_table.depths[0], ellipse_table.lengths[0], 0.0])
     growth_sum_bound = np.ptp(ellipse_table.depths) + np.ptp(ellipse_table.lengths)
     ode_solution = solve_ivp(
@@ -255,18 +246,17 @@ def integrate_ellipse_growth(
         rtol=1e-8, atol=1e-12, max_step=growth_sum_bound / N_PATH_ROWS,
         events=list(event_function_by_reason.values()), dense_output=True,
     )  # fmt: skip
-    met_reasons = [
-        reason
-        for reason, event_growth_sums in zip(
-            event_function_by_reason, ode_solution.t_events, strict=True
-        )
-        if len(event_growth_sums)
-    ]
-    end_reason: GrowthEnd = met_reasons[0] if met_reasons else "arrested"  # type: ignore[assignment]
-    if (
-        float(ellipse_table.interpolate_column("K_max", *start_depth_length_cycles[:2, None])[0])
-        >= toughness
-    ):
+    end_reason: GrowthEnd = next(
+        (
+            reason
+            for reason, event_growth_sums in zip(
+                event_function_by_reason, ode_solution.t_events, strict=True
+            )
+            if len(event_growth_sums)
+        ),
+        "arrested",
+    )
+    if event_function_by_reason["broken"](0.0, start_depth_length_cycles) >= 0.0:
         end_reason, last_growth_sum = "broken", 0.0
     else:
         last_growth_sum = (
@@ -321,10 +311,9 @@ def tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
         f"omega_{crack_state}": f"omega_{crack_state}_{nearest_mode_number}"
         for crack_state in ("open", "bilinear")
     }
-    column_names = (*SWEEP_COLUMN_NAMES, *observable_names(Place.ELLIPSE))
     column_by_name = {
         column_name: sweep_result[sweep_name_by_column.get(column_name, column_name)].copy()
-        for column_name in column_names
+        for column_name in (*SWEEP_COLUMN_NAMES, *observable_names(Place.ELLIPSE))
     }
     column_by_name["response"] = np.nan_to_num(
         column_by_name["response"]
@@ -382,7 +371,7 @@ def list_failed_ellipse_remarks(
         return []
     case_index, failure_text = sweep_result.failed_indices_and_reasons[0]
     count_text = format_count(len(sweep_result.failed_indices_and_reasons), "shape")
-    ellipse_text = _ellipse_in_words(sweep_result, case_index)
     return [
-        f"{count_text} not solved, but away from the growth, such as {ellipse_text}: {failure_text}"
+        f"{count_text} not solved, but away from the growth, such as "
+        f"{_ellipse_in_words(sweep_result, case_index)}: {failure_text}"
     ]

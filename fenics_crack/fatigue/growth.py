@@ -54,9 +54,6 @@ from fenics_crack.fatigue.lengths import (
     LOGARITHMIC_COLUMN_NAMES,
     GrowthEnd,
     LengthPath,
-    compute_growth_rates,
-    estimate_life_error_by_threshold,
-    integrate_cycles_to_end,
     list_failed_lengths_and_reasons,
     solve_lengths_to_tolerance,
     sweep_crack_sizes,
@@ -370,24 +367,21 @@ def grow(
     length_path, interpolation_error, jump_lengths = solve_lengths_to_tolerance(
         scene_without_sweep, folder_path, comm, progress=progress
     )
-    lengths, cycles, end_reason = integrate_cycles_to_end(length_path, law)
+    lengths, cycles, end_reason = length_path.integrate_cycles_to_end()
     half_life_length = float(np.interp(0.5 * cycles[-1], cycles, lengths))
-    load_omega = length_path.interpolate_column("omega", np.array([half_life_length]))[0]
-    if law.drive == "spectrum":
-        nearest_length_index = np.abs(length_path.lengths - half_life_length).argmin()
-        load_omega = length_path.leading_omega[nearest_length_index]
+    load_omega = length_path.find_load_omega(half_life_length)
     vibration_error, omission_remarks = on_root(
         comm,
         lambda: _estimate_range_error_and_remarks(
-            scene_without_sweep, "delta_K_equivalent", float(load_omega), half_life_length
+            scene_without_sweep, "delta_K_equivalent", load_omega, half_life_length
         ),
     )
-    growth_rates = compute_growth_rates(length_path, law, lengths)
+    growth_rates = length_path.compute_growth_rates(lengths)
     error_by_cause = _collect_life_error_by_cause(
         law, growth_rates, cycles, vibration_error, interpolation_error
     )
-    error_by_cause["vibration"] += estimate_life_error_by_threshold(
-        length_path, law, lengths, cycles, vibration_error
+    error_by_cause["vibration"] += length_path.estimate_life_error_by_threshold(
+        lengths, cycles, vibration_error
     )
     values_by_column = {
         column_name: length_path.interpolate_column(column_name, lengths)
@@ -397,7 +391,7 @@ def grow(
         values_by_column[column_name][values_by_column[column_name] <= SMALLEST_NORMAL] = 0.0
     growth_rates[-1] *= end_reason != "arrested"
     growth_remarks = _collect_growth_remarks(
-        law, length_path, jump_lengths, values_by_column, lengths, vibration_error, end_reason
+        length_path, jump_lengths, values_by_column, lengths, vibration_error, end_reason
     )
     return Growth(
         scene,
@@ -414,7 +408,7 @@ def grow(
 def _get_values_by_growth_field(
     values_by_column: Mapping[str, np.ndarray], cycles: np.ndarray
 ) -> dict[str, Any]:
-    """Return fields of :class:`Growth` that follow from columns over load cycles (n,)."""
+    """Return fields of :class:`Growth` from columns over load cycles (n,)."""
     from scipy.integrate import cumulative_trapezoid  # takes a while, and is needed here alone
 
     values_by_field = {
@@ -482,8 +476,11 @@ def _validate_growth_scene(scene: Scene) -> Scene:
         "leave out crack.depth for a crack through the solid",
     )
     if scene.cracks:
-        allowed_text = "left out with [growth]: only one crack can grow, the one of [crack]"
-        raise InputError("cracks", format_count(len(scene.cracks), "table"), allowed_text)
+        raise InputError(
+            "cracks",
+            format_count(len(scene.cracks), "table"),
+            "left out with [growth]: only one crack can grow, the one of [crack]",
+        )
     crack.require(
         crack.edge is not None or crack.point is not None or crack.is_elliptical,
         "center",
@@ -650,8 +647,7 @@ def _find_allowed_ellipse_length(scene: Scene) -> float:
     The length is 0.9 times the available length between the sides. Around ``crack.point`` the
     length is at most the first length times (until / first depth)^3.
     """
-    crack = scene.given("crack")
-    law = scene.given("growth")
+    crack, law = scene.given("crack"), scene.given("growth")
     section_reaches = find_reaches_from_crack_middle(scene)
     available_length = max(section_reaches) if crack.edge else 2.0 * min(section_reaches)
     allowed_length = MAX_ELLIPSE_LENGTH_FRACTION * available_length
@@ -677,13 +673,18 @@ def _make_scene_with_crack_size(
     length, depth : float [m]
         Crack size; None as depth for a crack through the thickness.
     """
-    value_by_key = {"crack.length": length, "excitation.omega": omega}
     quantity_names = observable_names(
         Place.TIPS if depth is None else Place.ELLIPSE,
         required_flags=ObservableFlag.REQUIRES_GROWTH_LAW,
     )
-    depth_by_key = {} if depth is None else {"crack.depth": depth}
-    return scene.replace(value_by_key | depth_by_key | {"output.quantities": quantity_names})
+    return scene.replace(
+        {
+            "crack.length": length,
+            "excitation.omega": omega,
+            **({} if depth is None else {"crack.depth": depth}),
+            "output.quantities": quantity_names,
+        }
+    )
 
 
 def _estimate_range_error_and_remarks(
@@ -717,7 +718,6 @@ def _estimate_range_error_and_remarks(
 
 
 def _collect_growth_remarks(
-    law: Law,
     length_path: LengthPath,
     jump_lengths: list[float],
     values_by_column: Mapping[str, np.ndarray],
@@ -729,8 +729,6 @@ def _collect_growth_remarks(
 
     Parameters
     ----------
-    law : Growth
-        Table ``[growth]``.
     length_path : LengthPath
         Solved lengths.
     jump_lengths : list of float [m]
@@ -745,14 +743,10 @@ def _collect_growth_remarks(
     remark_texts = _list_crack_turning_remarks(
         values_by_column["K_max"], values_by_column["K_II_max"], lengths
     )
-    doubtful_length_lists = (length_path.not_stable_lengths, jump_lengths)
+    law = length_path.law
     not_stable_lengths, jump_lengths = (
-        [
-            doubtful_length
-            for doubtful_length in doubtful_length_list
-            if doubtful_length <= lengths[-1]
-        ]
-        for doubtful_length_list in doubtful_length_lists
+        [doubtful_length for doubtful_length in doubtful_lengths if doubtful_length <= lengths[-1]]
+        for doubtful_lengths in (length_path.not_stable_lengths, jump_lengths)
     )
     if not_stable_lengths:
         count_text = format_count(len(not_stable_lengths), "length")

@@ -1,7 +1,7 @@
 """Solve the lengths of a straight crack until the load cycles between them are known.
 
-Splines connect the solved lengths. Intervals are halved if a spline misses the solutions that
-follow. Each round is a sweep: ranks share its cases, and a killed run continues.
+Splines connect the solved lengths. Intervals are halved if a spline misses the next solutions. Each
+round is a sweep: ranks share the cases, and a killed run continues.
 """
 
 from __future__ import annotations
@@ -65,20 +65,22 @@ class LengthPath:
         Sweeps with the solutions.
     leading_omega : (k,) [rad/s]
         Load frequency with most of the growth at each length.
+    law : Growth
+        Table ``[growth]``.
     """
 
     lengths: np.ndarray
     column_by_name: dict[str, np.ndarray]
     sweep_results: Sequence[SweepResult]
     leading_omega: np.ndarray
+    law: Law
 
     @classmethod
     def from_sweeps(cls, sweep_results: Sequence[SweepResult], law: Law) -> LengthPath:
-        """Return the path of all lengths that sweeps have solved.
+        """Return the path of all lengths solved in sweeps.
 
-        A length counts if all loads of the spectrum are solved there. The natural frequencies
-        belong to one mode: at the first length, its bilinear frequency is nearest to the leading
-        load.
+        A length counts if all loads of the spectrum are solved. The natural frequencies belong to
+        the mode nearest to the leading load at the first length (:func:`find_nearest_mode_number`).
 
         Parameters
         ----------
@@ -119,7 +121,7 @@ class LengthPath:
         mode_number = find_nearest_mode_number(sweep_results[0], leading_omega[0])
         for column_name in ("omega_open", "omega_bilinear"):
             column_by_name[column_name] = get_level_values(f"{column_name}_{mode_number}")[:, 0]
-        return cls(lengths[length_order], column_by_name, sweep_results, leading_omega)
+        return cls(lengths[length_order], column_by_name, sweep_results, leading_omega, law)
 
     @property
     def not_stable_lengths(self) -> list[float]:
@@ -137,7 +139,7 @@ class LengthPath:
         )
 
     def interpolate_column(self, column_name: str, lengths: np.ndarray) -> np.ndarray:
-        """Interpolate a column by a cubic spline at lengths (n,) [m].
+        """Interpolate a column by a cubic spline at lengths [m]: an array of the same shape.
 
         Lengths must lie between the first and last solved ones. For
         :data:`LOGARITHMIC_COLUMN_NAMES`, the spline goes through logarithms, with values of at
@@ -154,9 +156,85 @@ class LengthPath:
 
     def with_every_second_length(self) -> LengthPath:
         """Return a coarser path, to estimate the interpolation error."""
-        column_by_name = {name: column[::2] for name, column in self.column_by_name.items()}
-        return LengthPath(
-            self.lengths[::2], column_by_name, self.sweep_results, self.leading_omega[::2]
+        return replace(
+            self,
+            lengths=self.lengths[::2],
+            column_by_name={name: column[::2] for name, column in self.column_by_name.items()},
+            leading_omega=self.leading_omega[::2],
+        )
+
+    def find_load_omega(self, length: float) -> float:
+        """Return the load frequency [rad/s] at a length [m].
+
+        For a spectrum: the load with most growth at the nearest solved length.
+        """
+        if self.law.drive == "spectrum":
+            return float(self.leading_omega[np.abs(self.lengths - length).argmin()])
+        return float(self.interpolate_column("omega", np.array([length]))[0])
+
+    def compute_growth_rates(self, lengths: np.ndarray) -> np.ndarray:
+        """Return da/dN [m] at lengths [m]: an array of the same shape.
+
+        The rate is C delta K^m. delta K [MPa m^0.5] is the column "driving": the range of K_I with
+        the growth of all loads (:func:`_reduce_load_levels_to_columns`).
+        """
+        driving_ranges = self.interpolate_column("driving", lengths)
+        return np.asarray(self.law.rate * (driving_ranges / 1e6) ** self.law.exponent)
+
+    def integrate_cycles_to_end(self) -> tuple[np.ndarray, np.ndarray, GrowthEnd]:
+        """Integrate dN = da / (da/dN) over the solved lengths, until growth ends.
+
+        Growth is arrested if the effective range (of K_I while the crack tip is open) is below the
+        threshold, or the rate is 0. The structure is broken if K_max reaches the toughness.
+
+        Returns
+        -------
+        lengths : (n,) [m]
+            Up to 200 equally spaced lengths.
+        cycles : (n,)
+            Load cycles until each length.
+        end_reason : str
+            "reached", "arrested" or "broken".
+        """
+        lengths = np.linspace(self.lengths[0], self.lengths[-1], 200)
+        is_arrested = self.interpolate_column("delta_K_effective", lengths) < self.law.threshold
+        is_arrested |= self.compute_growth_rates(lengths) == 0.0  # nothing opens it
+        is_broken = self.interpolate_column("K_max", lengths) >= (self.law.toughness or math.inf)
+        end_indices = np.flatnonzero(is_arrested | is_broken)
+        end_reason: GrowthEnd = "reached"
+        if len(end_indices):
+            end_reason = "arrested" if is_arrested[end_indices[0]] else "broken"
+            lengths = lengths[: int(end_indices[0]) + 1]
+        half_steps = 0.5 * np.diff(lengths)[:, None]
+        quadrature_lengths = lengths[:-1, None] + half_steps * (1.0 + GAUSS_LEGENDRE_NODES)
+        quadrature_cycles = (
+            half_steps * GAUSS_LEGENDRE_WEIGHTS / self.compute_growth_rates(quadrature_lengths)
+        )
+        return lengths, np.append(0.0, np.cumsum(quadrature_cycles.sum(axis=1))), end_reason
+
+    def estimate_life_error_by_threshold(
+        self, lengths: np.ndarray, cycles: np.ndarray, range_error: float
+    ) -> float:
+        """Return the error of ln(life) by loads that fall below the threshold.
+
+        If all ranges fall by the relative ``range_error`` e, the threshold acts like threshold /
+        (1 - e). More loads of a spectrum are then left out, and the life rises. The rise of
+        ln(life) is returned; 0 without a spectrum, without a threshold, or unless 0 < e < 1.
+        ``lengths`` and ``cycles`` (n,) belong to the growth.
+        """
+        law = self.law
+        is_threshold_relevant = law.drive == "spectrum" and law.threshold and cycles[-1] > 0.0
+        if not (is_threshold_relevant and 0.0 < range_error < 1.0):
+            return 0.0
+        path_with_raised_threshold = LengthPath.from_sweeps(
+            self.sweep_results, replace(law, threshold=law.threshold / (1.0 - range_error))
+        )
+        middle_lengths = 0.5 * (lengths[1:] + lengths[:-1])
+        driving_range_ratios = self.interpolate_column(
+            "driving", middle_lengths
+        ) / path_with_raised_threshold.interpolate_column("driving", middle_lengths)
+        return math.log(
+            float(np.average(driving_range_ratios**law.exponent, weights=np.diff(cycles)))
         )
 
 
@@ -297,7 +375,7 @@ def solve_lengths_to_tolerance(
         interval_errors = _estimate_interval_log_range_errors(
             previous_path, length_path, interval_errors
         )
-        integration_lengths, integration_cycles, _ = integrate_cycles_to_end(length_path, law)
+        integration_lengths, integration_cycles, _ = length_path.integrate_cycles_to_end()
         interval_cycles = np.diff(
             np.interp(length_path.lengths, integration_lengths, integration_cycles)
         )
@@ -410,77 +488,3 @@ def _estimate_interval_log_range_errors(
         np.maximum(end_errors[1:], end_errors[:-1]),
         kept_interval_errors,
     )
-
-
-def compute_growth_rates(length_path: LengthPath, law: Law, lengths: np.ndarray) -> np.ndarray:
-    """Return da/dN [m] at lengths (n,) [m] of a straight crack.
-
-    The rate is C delta K^m. delta K [MPa m^0.5] is the column "driving" of the solved lengths: the
-    range of K_I with the growth of all loads (:func:`_reduce_load_levels_to_columns`).
-    """
-    driving_ranges_mpa = (
-        length_path.interpolate_column("driving", lengths) / 1e6
-    )  # MPa m^0.5, of which the rate is
-    return np.asarray(law.rate * driving_ranges_mpa**law.exponent)
-
-
-def integrate_cycles_to_end(
-    length_path: LengthPath, law: Law
-) -> tuple[np.ndarray, np.ndarray, GrowthEnd]:
-    """Integrate dN = da / (da/dN) over the solved lengths, until growth ends.
-
-    Growth is arrested if the effective range (of K_I while the crack tip is open) is below the
-    threshold, or the rate is 0. The structure is broken if K_max reaches the toughness.
-
-    Returns
-    -------
-    lengths : (n,) [m]
-        Up to 200 equally spaced lengths.
-    cycles : (n,)
-        Load cycles until each length.
-    end_reason : str
-        "reached", "arrested" or "broken".
-    """
-    lengths = np.linspace(length_path.lengths[0], length_path.lengths[-1], 200)
-    is_arrested = length_path.interpolate_column("delta_K_effective", lengths) < law.threshold
-    is_arrested |= compute_growth_rates(length_path, law, lengths) == 0.0  # nothing opens it
-    is_broken = length_path.interpolate_column("K_max", lengths) >= (law.toughness or math.inf)
-    end_indices = np.flatnonzero(is_arrested | is_broken)
-    end_reason: GrowthEnd = "reached"
-    if len(end_indices):
-        end_reason = "arrested" if is_arrested[end_indices[0]] else "broken"
-        lengths = lengths[: int(end_indices[0]) + 1]
-    half_steps = 0.5 * np.diff(lengths)[:, None]
-    quadrature_lengths = lengths[:-1, None] + half_steps * (1.0 + GAUSS_LEGENDRE_NODES)
-    cycles_per_step = np.sum(
-        half_steps
-        * GAUSS_LEGENDRE_WEIGHTS
-        / compute_growth_rates(length_path, law, quadrature_lengths.ravel()).reshape(
-            quadrature_lengths.shape
-        ),
-        axis=1,
-    )
-    return lengths, np.append(0.0, np.cumsum(cycles_per_step)), end_reason
-
-
-def estimate_life_error_by_threshold(
-    length_path: LengthPath, law: Law, lengths: np.ndarray, cycles: np.ndarray, range_error: float
-) -> float:
-    """Return the error of ln(life) by loads that fall below the threshold.
-
-    If all ranges fall by the relative ``range_error`` e, the threshold acts like threshold / (1 -
-    e). More loads of a spectrum are then left out, and the life rises. The rise of ln(life) is
-    returned; 0 without a spectrum, without a threshold, or unless 0 < e < 1.
-    """
-    is_threshold_relevant = law.drive == "spectrum" and law.threshold and cycles[-1] > 0.0
-    if not (is_threshold_relevant and 0.0 < range_error < 1.0):
-        return 0.0
-    law_with_raised_threshold = replace(law, threshold=law.threshold / (1.0 - range_error))
-    path_with_raised_threshold = LengthPath.from_sweeps(
-        length_path.sweep_results, law_with_raised_threshold
-    )
-    middle_lengths = 0.5 * (lengths[1:] + lengths[:-1])
-    driving_range_ratios = length_path.interpolate_column(
-        "driving", middle_lengths
-    ) / path_with_raised_threshold.interpolate_column("driving", middle_lengths)
-    return math.log(float(np.average(driving_range_ratios**law.exponent, weights=np.diff(cycles))))
