@@ -30,7 +30,7 @@ from fenics_crack.cli.drawn import PictureFiles
 from fenics_crack.cli.given import PERIOD_FRAMES_FOLDER_NAME
 from fenics_crack.cli.results import Waveforms, sample_waveforms
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.draw import plot, plot_curve, plot_mesh, plot_study
+from fenics_crack.draw import plot, plot_curve, plot_mesh, plot_rotor, plot_study
 from fenics_crack.fatigue.growth import Growth
 from fenics_crack.model.contact import friction_of
 from fenics_crack.model.modes import LIP_STATES, NEGLIGIBLE, Modes, count_bonded_modes, solve_modes
@@ -547,7 +547,7 @@ def draw_campbell_diagram(campbell: Campbell, picture_files: PictureFiles) -> No
         "in_hertz": scene.is_frequency_in_hertz or scene.is_speed_in_rpm,
         "in_rpm": scene.is_speed_in_rpm,
     }
-    plot_study.draw_campbell(
+    plot_rotor.draw_campbell(
         campbell, engine_orders, path=picture_files("campbell", caption), **unit_options
     )
 
@@ -563,11 +563,11 @@ def draw_tip_timing(tip_timing: Timing, picture_files: PictureFiles) -> None:
         blade_fit = tip_timing.fits[blade_number]
         file_stem = f"timing_blade_{blade_number}" if blade_index else "timing"
         if isinstance(blade_fit, tuple):
-            plot_study.draw_passages(blade_fit, arrivals, path=picture_files(file_stem, caption))
+            plot_rotor.draw_passages(blade_fit, arrivals, path=picture_files(file_stem, caption))
         elif isinstance(blade_fit, TipTrack):
             caption = "Amplitudes over the load's frequency, with their standard errors."
             in_hertz = tip_timing.scene is not None and tip_timing.scene.is_frequency_in_hertz
-            plot_study.draw_tip_track(
+            plot_rotor.draw_tip_track(
                 blade_fit, path=picture_files(file_stem, caption), in_hertz=in_hertz
             )
     if largest_blade_number := find_blade_of_largest_amplitude_or_none(tip_timing):
@@ -577,7 +577,7 @@ def draw_tip_timing(tip_timing: Timing, picture_files: PictureFiles) -> None:
         )
         blade_fit = tip_timing.fits[largest_blade_number]
         assert isinstance(blade_fit, TipFit)
-        plot_study.draw_tip_fit(
+        plot_rotor.draw_tip_fit(
             blade_fit,
             tip_timing.arrivals[largest_blade_number],
             path=picture_files("timing", caption),

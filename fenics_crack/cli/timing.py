@@ -31,7 +31,7 @@ from fenics_crack.cli.given import (
     select_blades,
 )
 from fenics_crack.cli.kinds import build_report
-from fenics_crack.draw.plot_study import draw_arrivals
+from fenics_crack.draw.plot_rotor import draw_arrivals
 from fenics_crack.monitoring import scene_timing
 from fenics_crack.monitoring.timing import Timing
 from fenics_crack.runs.run import Run

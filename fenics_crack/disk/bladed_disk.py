@@ -194,9 +194,13 @@ def blades(found: Any, dof: int | None = None) -> Blades:
     amplitudes, first_harmonics, second_ratios, omegas = map(
         np.array, zip(*blade_result_rows, strict=True)
     )
-    cracked_blades = tuple(sector_index + 1 for sector_index in wheel.cracked)
     return Blades(
-        amplitudes, first_harmonics, second_ratios, omegas, wheel.mistuning, cracked_blades
+        amplitudes,
+        first_harmonics,
+        second_ratios,
+        omegas,
+        wheel.mistuning,
+        cracked=tuple(sector_index + 1 for sector_index in wheel.cracked),
     )
 
 
@@ -244,13 +248,15 @@ class NodalDiameters(SavedResult):
 
         "engine_orders" has the lowest engine orders with this nodal diameter.
         """
-        column_by_name: dict[str, Any] = {"nodal_diameter": list(range(len(self.omega)))}
-        for family_number, family_omega in enumerate(self.omega.T, 1):
-            column_by_name[f"frequency_{family_number}"] = (family_omega / (2.0 * np.pi)).tolist()
-        return column_by_name | {
-            "engine_orders": [
-                self._describe_lowest_orders(diameter) for diameter in range(len(self.omega))
-            ]
+        nodal_diameters = list(range(len(self.omega)))
+        frequencies_by_column = {
+            f"frequency_{family_number}": (family_omega / (2.0 * np.pi)).tolist()
+            for family_number, family_omega in enumerate(self.omega.T, 1)
+        }
+        return {
+            "nodal_diameter": nodal_diameters,
+            **frequencies_by_column,
+            "engine_orders": [self._describe_lowest_orders(n) for n in nodal_diameters],
         }
 
     def _describe_lowest_orders(self, diameter: int) -> str:
@@ -373,21 +379,19 @@ class Amplification(SavedResult):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result's columns by name, with a row for each pattern."""
-        seeds = range(self.seed, self.seed + len(self.factor))
         return {
-            "seed": list(seeds),
+            "seed": list(range(self.seed, self.seed + len(self.factor))),
             "factor": self.factor.tolist(),
             "frequency": (self.omega / (2.0 * np.pi)).tolist(),
             "blade": self.blade.tolist(),
         }
 
-    def _unit_by_name(self) -> dict[str, str]:
-        return {"frequency": "Hz"}
-
     def build_conclusion(self) -> Conclusion:
         """Return the printed summary: 95th percentile, largest factor, bound."""
-        answer = f"95 % of the amplification factors are at most {self.percentile(95.0):.4g}"
-        answer += f", the largest is {self.factor.max():.4g}; Whitehead's bound is {self.bound:.4g}"
+        answer = (
+            f"95 % of the amplification factors are at most {self.percentile(95.0):.4g}, "
+            f"the largest is {self.factor.max():.4g}; Whitehead's bound is {self.bound:.4g}"
+        )
         return Conclusion(f"{format_count(len(self.factor), 'pattern')} solved", answer)
 
     def _repr_text(self) -> str:
@@ -444,12 +448,14 @@ def amplification(
     check_count("seed", seed, 0)
     check_number("deviation", deviation, 0.0)
     scene.given("disk")
-    value_by_changed_key = {
-        "disk.mistuning": None,
-        "disk.deviation": float(deviation),
-        "disk.seed": seed,
-    }
-    uncracked_scene = scene.replace({"disk.cracked": [], **value_by_changed_key})
+    uncracked_scene = scene.replace(
+        {
+            "disk.cracked": [],
+            "disk.mistuning": None,
+            "disk.deviation": float(deviation),
+            "disk.seed": seed,
+        }
+    )
     wheel = wheel_of(assemble_structure(uncracked_scene, comm))
     find_peak = _make_peak_finder(wheel, scene.excitation.omega)
     tuned_amplitude, tuned_omega, _ = find_peak(np.zeros(wheel.sector.n_sectors))
@@ -463,14 +469,16 @@ def amplification(
     _, peak_amplitudes, peak_omegas, blade_numbers = map(
         np.array, zip(*pattern_result_rows, strict=True)
     )
-    amplification_fields = (
+    return Amplification(
+        scene,
         peak_amplitudes / tuned_amplitude,
         peak_omegas,
         blade_numbers,
         tuned_amplitude,
         tuned_omega,
+        float(deviation),
+        seed,
     )
-    return Amplification(scene, *amplification_fields, float(deviation), seed)
 
 
 def report_of_amplification(amplification_result: Amplification) -> Report:
@@ -479,18 +487,19 @@ def report_of_amplification(amplification_result: Amplification) -> Report:
     The full table with a row for each pattern is written, but not printed.
     """
     percents = (5.0, 25.0, 50.0, 75.0, 95.0, 99.0, 100.0)
-    table_rows = [[percent, amplification_result.percentile(percent)] for percent in percents]
+    percentile_table = Table(
+        ["share of patterns [%]", "amplification factor"],
+        [[percent, amplification_result.percentile(percent)] for percent in percents],
+    )
     tuned_peak_text = (
         f"{format_quantity(amplification_result.tuned, 'm')} at "
         f"{amplification_result.tuned_omega / RAD_PER_TURN:.6g} Hz"
     )
-    percentile_table = Table(["share of patterns [%]", "amplification factor"], table_rows)
-    notes = [f"largest amplitude of the tuned bladed disk without cracks: {tuned_peak_text}"]
     return Report(
         amplification_result.table(),
         amplification_result.build_conclusion(),
         printed_table=percentile_table,
-        notes=notes,
+        notes=[f"largest amplitude of the tuned bladed disk without cracks: {tuned_peak_text}"],
     )
 
 

@@ -847,10 +847,10 @@ def _compute_bond_forces(
     (n_upper, 2 (m + p)) [(N/m)^(1/2)]
         Real parts, then imaginary parts.
     """
-    force_blocks = [(sector.stiffness @ shapes - (sector.mass @ shapes) * omega**2) / omega]
+    mode_forces = (sector.stiffness @ shapes - (sector.mass @ shapes) * omega**2) / omega
     load_works = np.sum(load.conj() * load_response, axis=0).real
-    force_blocks.append((sector.stiffness @ load_response - load) / np.sqrt(load_works))
-    bond_forces = np.hstack(force_blocks)[sector.dof_numbering.upper_face_members]
+    load_forces = (sector.stiffness @ load_response - load) / np.sqrt(load_works)
+    bond_forces = np.hstack([mode_forces, load_forces])[sector.dof_numbering.upper_face_members]
     return np.hstack([bond_forces.real, bond_forces.imag])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import count, cycle
 from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
@@ -99,13 +100,14 @@ def _write_blade_numbers(panel: Axes, wheel: Wheel) -> None:
             sector_middle / np.linalg.norm(sector_middle)
         )
         colour, weight = ("orange", "bold") if sector_index in wheel.cracked else ("grey", "normal")
-        text_options = {
-            "color": COLOURS_BY_NAME[colour],
-            "weight": weight,
-            "ha": "center",
-            "va": "center",
-        }
-        panel.text(*text_position, str(sector_index + 1), **text_options)
+        panel.text(
+            *text_position,
+            str(sector_index + 1),
+            color=COLOURS_BY_NAME[colour],
+            weight=weight,
+            ha="center",
+            va="center",
+        )
         panel.update_datalim([text_position])
 
 
@@ -169,13 +171,12 @@ def draw_blades(
     ]
     for blade_index, colour, label_suffix in highlighted_blades_and_styles:
         peak_text = format_quantity(float(peak_amplitudes[blade_index]), "m")
-        label = f"blade {blade_index + 1}{label_suffix}, up to {peak_text}"
         panel.plot(
             unit_factor * curve.values,
             blade_amplitudes[blade_index],
             color=COLOURS_BY_NAME[colour],
             lw=1.5,
-            label=label,
+            label=f"blade {blade_index + 1}{label_suffix}, up to {peak_text}",
         )
     n_grey_blades = len(uncracked_blades) - 1
     if n_grey_blades > 0:
@@ -218,8 +219,8 @@ def draw_nodal_diameters(
     [panel] = picture = Picture(**picture_options)
     frequencies = found.omega[:, :families] / RAD_PER_TURN
     diameters = np.arange(len(frequencies))
-    for (family_number, family_frequencies), colour in zip(
-        enumerate(frequencies.T, 1), [*COLOURS_BY_NAME.values()] * 99, strict=False
+    for family_number, family_frequencies, colour in zip(
+        count(1), frequencies.T, cycle(COLOURS_BY_NAME.values()), strict=False
     ):
         panel.plot(
             diameters,
@@ -230,14 +231,15 @@ def draw_nodal_diameters(
             lw=0.8,
             label=f"family {family_number}",
         )
-    ring_options = {"color": "black", "mfc": "none", "label": f"excited by order {found.order}"}
     excited_frequencies = frequencies[found.excited]
     panel.plot(
         np.full(len(excited_frequencies), found.excited),
         excited_frequencies,
         "o",
         ms=10,
-        **ring_options,
+        color="black",
+        mfc="none",
+        label=f"excited by order {found.order}",
     )
     upper_limit = 1.08 * float(frequencies.max())
     if (speed := found.scene.speed) > 0.0:
@@ -246,7 +248,6 @@ def draw_nodal_diameters(
         excited_diameters = [
             excited_diameter(engine_order, found.sectors) for engine_order in engine_orders
         ]
-        label = f"engine orders at {speed / RAD_PER_S_PER_RPM:.4g} rpm"
         panel.plot(
             excited_diameters,
             rotation_frequency * engine_orders,
@@ -254,7 +255,7 @@ def draw_nodal_diameters(
             color="#8f8f8f",
             ms=4,
             lw=0.6,
-            label=label,
+            label=f"engine orders at {speed / RAD_PER_S_PER_RPM:.4g} rpm",
         )
     panel.set(xlabel="nodal diameter", ylabel="natural frequency [Hz]", ylim=(0.0, upper_limit))
     panel.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -285,17 +286,22 @@ def draw_amplification(found: Amplification, **picture_options: Unpack[PictureOp
     """
     [panel] = picture = Picture(**picture_options)
     n_patterns = len(found.factor)
-    histogram_options = {
-        "weights": np.full(n_patterns, 100.0 / n_patterns),
-        "color": COLOURS_BY_NAME["blue"],
-        "alpha": 0.6,
-    }
-    panel.hist(found.factor, max(8, int(np.sqrt(n_patterns))), **histogram_options)
+    panel.hist(
+        found.factor,
+        max(8, int(np.sqrt(n_patterns))),
+        weights=np.full(n_patterns, 100.0 / n_patterns),
+        color=COLOURS_BY_NAME["blue"],
+        alpha=0.6,
+    )
     panel.set(xlabel="amplification factor", ylabel=f"share of {n_patterns} patterns [%]")
     panel.axvline(found.bound, color=COLOURS_BY_NAME["pink"], ls="--", label="Whitehead's bound")
     percentile_95 = found.percentile(95.0)
-    label = f"95 % of patterns below {percentile_95:.3g}"
-    panel.axvline(percentile_95, color=COLOURS_BY_NAME["grey"], ls=":", label=label)
+    panel.axvline(
+        percentile_95,
+        color=COLOURS_BY_NAME["grey"],
+        ls=":",
+        label=f"95 % of patterns below {percentile_95:.3g}",
+    )
     sorted_factors = np.sort(found.factor)
     share_axes = panel.twinx()
     share_axes.plot(

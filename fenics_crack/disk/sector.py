@@ -93,11 +93,12 @@ def record_matched_side_nodes(scene: Scene, dofs: Dofs) -> None:
     )
     for side_name in side_names:
         if side_name not in dofs.part_mesh.tags_by_group:
-            requirement_text = (
+            raise InputError(
+                "mesh.file",
+                scene.mesh.file,
                 "the mesh of a sector with the physical groups 'left' and 'right' on the sides; it "
-                f"has no {side_name!r}"
+                f"has no {side_name!r}",
             )
-            raise InputError("mesh.file", scene.mesh.file, requirement_text)
     left_nodes, right_nodes = (dofs.nodes_on(side_name) for side_name in side_names)
     spatial_points = np.pad(node_points, ((0, 0), (0, 3 - node_points.shape[1])))
     turn_angles = (2.0 * math.pi / disk.sectors, -2.0 * math.pi / disk.sectors)
@@ -111,10 +112,9 @@ def record_matched_side_nodes(scene: Scene, dofs: Dofs) -> None:
         )
         for rotation_matrix in rotation_matrices
     ]
-    best_match_index = min((0, 1), key=lambda index: partner_matches[index][0])
-    (largest_distance, worst_node_index, right_partners), rotation_matrix = (
-        partner_matches[best_match_index],
-        rotation_matrices[best_match_index],
+    (largest_distance, worst_node_index, right_partners), rotation_matrix = min(
+        zip(partner_matches, rotation_matrices, strict=True),
+        key=lambda match_and_rotation: match_and_rotation[0][0],
     )
     if largest_distance > RELATIVE_POSITION_TOLERANCE * mesh_extent:
         place_text = format_point(node_points[left_nodes[worst_node_index]])
@@ -132,8 +132,11 @@ def record_matched_side_nodes(scene: Scene, dofs: Dofs) -> None:
         raise InputError(key, scene.mesh.file or "a table", requirement_text)
     if len(common_nodes := np.intersect1d(left_nodes, right_nodes)):
         place_text = format_point(node_points[common_nodes[0]])
-        requirement_text = f"a sector that does not reach the axis, as at the node {place_text} m"
-        raise InputError("mesh.file", scene.mesh.file, requirement_text)
+        raise InputError(
+            "mesh.file",
+            scene.mesh.file,
+            f"a sector that does not reach the axis, as at the node {place_text} m",
+        )
     dimension = node_points.shape[1]
     dofs.set_sector_sides(
         np.array([left_nodes, right_nodes[right_partners]]), rotation_matrix[:dimension, :dimension]
@@ -165,25 +168,24 @@ def _make_sector(scene: Scene, dofs: Dofs, structure: Structure) -> Sector:
             np.ptp(node_points, axis=0).max()
         ):
             place_text = format_point(node_points[lower_nodes[worst_node_index]])
-            requirement_text = f"crack faces with the same nodes; these differ at {place_text} m"
             raise InputError(
                 "lips",
                 f"{len(lower_nodes)} lower and {len(upper_nodes)} upper nodes",
-                requirement_text,
+                f"crack faces with the same nodes; these differ at {place_text} m",
             )
         crack_face_nodes = np.array([lower_nodes, upper_nodes[upper_partners]])
     if len(common_nodes := np.intersect1d(crack_face_nodes, side_node_pairs)):
         place_text = format_point(node_points[common_nodes[0]])
-        requirement_text = (
-            f"one inside the sector; it reaches a side of the sector at {place_text} m"
+        raise InputError(
+            "lips",
+            "a crack",
+            f"one inside the sector; it reaches a side of the sector at {place_text} m",
         )
-        raise InputError("lips", "a crack", requirement_text)
     center = scene.axis_point_and_direction[0][: node_points.shape[1]]
     rotation_matrix = node_rotations[side_node_pairs[1, 0]]
-    n_sectors = scene.given("disk").sectors
     return Sector(
         structure,
-        n_sectors,
+        scene.given("disk").sectors,
         center,
         rotation_matrix,
         side_node_pairs,

@@ -228,10 +228,11 @@ class Wheel(Structure):
 
         The harmonics must be in the scene: the engine order sets the phases on the blades.
         """
-        requirement_text = (
-            "built from a scene with [[excitation.harmonics]]: a bladed disk cannot get them later"
+        raise InputError(
+            "structure",
+            repr(self),
+            "built from a scene with [[excitation.harmonics]]: a bladed disk cannot get them later",
         )
-        raise InputError("structure", repr(self), requirement_text)
 
     def structure_in_few_coordinates(self) -> WheelInFewCoordinates:
         """Return the wheel in few coordinates: q of modes, d of crack openings (collective)."""
@@ -289,9 +290,7 @@ class Wheel(Structure):
         open. The modes are solved in few coordinates and expanded to the wheel; never None.
         """
         wheel_structure = self.structure_in_few_coordinates()
-        n_modes = min(
-            self.families * self.sector.n_sectors, wheel_structure.n_dofs - wheel_structure.n_pairs
-        )
+        n_modes = wheel_structure.count_lowest_modes(self.families)
         few_coordinate_modes = solve_modes(
             wheel_structure,
             n_modes,
@@ -353,8 +352,11 @@ def _read_deviations(given_deviations: Any, n_sectors: int) -> np.ndarray:
         or not np.all(deviations > -1.0)
         or not np.all(deviations < 1e3)
     ):
-        requirement_text = f"a number > -1 and < 1000, or one for each of the {n_sectors} sectors"
-        raise InputError("mistuning", given_deviations, requirement_text)
+        raise InputError(
+            "mistuning",
+            given_deviations,
+            f"a number > -1 and < 1000, or one for each of the {n_sectors} sectors",
+        )
     return np.broadcast_to(deviations, (n_sectors,)).copy()
 
 
@@ -573,12 +575,12 @@ class WheelInFewCoordinates(Structure):
         reference_share = (
             inertia_changes[reference_indices].sum() / inertia_changes[mode_order[n_more:]].sum()
         )
-        ranked_omega_and_shapes = omega[mode_indices], mode_shapes[:, mode_indices]
-        body_changes = {
-            "result_cache": self.body.result_cache,
-            "ranked_omega_and_shapes": ranked_omega_and_shapes,
-        }
-        return self._in_setting(self.setting, **body_changes), float(reference_share)
+        ranked_structure = self._in_setting(
+            self.setting,
+            result_cache=self.body.result_cache,
+            ranked_omega_and_shapes=(omega[mode_indices], mode_shapes[:, mode_indices]),
+        )
+        return ranked_structure, float(reference_share)
 
     @property
     def n_sectors(self) -> int:
@@ -589,15 +591,21 @@ class WheelInFewCoordinates(Structure):
     def _size_description(self) -> str:
         return f"{self.n_dofs} coordinates of {self.whole._size_description}"
 
+    def count_lowest_modes(self, families: int) -> int:
+        """Return the number of the lowest modes to keep: ``families`` for each sector, or fewer.
+
+        With bonded cracks the basis has no more modes.
+        """
+        return min(families * self.n_sectors, self.n_dofs - self.n_pairs)
+
     def iterate_sector_displacements(self, displacement: np.ndarray) -> Iterator[np.ndarray]:
         """Return an iterator over the displacement (m, n_sector) [m] of each sector.
 
         ``displacement`` (m, n_dofs) are the coordinates (q, d).
         """
-        sector_indices = range(self.whole.sector.n_sectors)
         return (
             displacement @ self.basis.sector_motions(sector_index).T
-            for sector_index in sector_indices
+            for sector_index in range(self.n_sectors)
         )
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
@@ -718,14 +726,11 @@ def reduce_wheel(
         wheel._in_setting(DEFAULT_SETTING), count_basis_families(families, more)
     )
     begin_stage("reduction")
-    n_modes = min(
-        families * wheel.sector.n_sectors, wheel_structure.n_dofs - wheel_structure.n_pairs
-    )
+    n_modes = wheel_structure.count_lowest_modes(families)
     if not wheel_structure.n_pairs:
-        reduced_structure = reduce_structure(
+        return reduce_structure(
             wheel_structure, modes=n_modes + more, reference=reference
-        )
-        return reduced_structure._in_setting(wheel.setting)
+        )._in_setting(wheel.setting)
     wheel_structure, reference_share = wheel_structure.with_ranked_modes_and_share(n_modes, more)
     n_modes += more
     n_reference_modes = reference and min(n_modes + N_REFERENCE_MODES, wheel_structure.n_dofs)

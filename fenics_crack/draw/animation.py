@@ -16,7 +16,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgb
+from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgba_array
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
@@ -171,11 +171,11 @@ class _MovingMesh:
         self._draw_edges(boundary_edges[mesh.is_clamped[boundary_edges].all(axis=1)], "rest", 9)
         self.contact_dots = vtk.import_pyvista().PolyData(np.zeros((len(fields.pair_areas), 3)))
         if len(fields.pair_areas):
-            dot_options = {"point_size": 16, "render_points_as_spheres": True}
             plotter.add_mesh(
                 self.contact_dots,
                 color=PART_COLOURS_BY_NAME["contact"],
-                **dot_options,
+                point_size=16,
+                render_points_as_spheres=True,
                 **UNSHADED_MESH_OPTIONS,
             )
         self.load_arrow = vtk.import_pyvista().Arrow(
@@ -294,17 +294,16 @@ def _write_gif(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> 
         frame_image.quantize(palette=palette, dither=Image.Dither.NONE)
         for frame_image in frame_images
     ]
-    # In steps of 10 ms, 3 s in all.
-    frame_duration = max(20, 10 * round(300.0 / len(quantized_frame_images)))
-    gif_options = {
-        "duration": frame_duration,
-        "loop": 0,
-        "comment": page.caption_without_phase.encode("latin-1"),
-    }
     gif_stream = BytesIO()
-    all_frames_options = {"save_all": True, "append_images": quantized_frame_images[1:]}
     quantized_frame_images[0].save(
-        gif_stream, "GIF", optimize=False, **all_frames_options, **gif_options
+        gif_stream,
+        "GIF",
+        optimize=False,
+        save_all=True,
+        append_images=quantized_frame_images[1:],
+        duration=max(20, 10 * round(300.0 / len(frame_images))),  # in steps of 10 ms, 3 s in all
+        loop=0,
+        comment=page.caption_without_phase.encode("latin-1"),
     )
     write_file_whole(path, gif_stream.getvalue())
 
@@ -314,16 +313,10 @@ def _make_palette(colour_scale: _ColourScale) -> Image.Image:
 
     The colours are greys, the drawn colours, and blends of these with black and white.
     """
-    drawn_colours = [
-        to_rgb(colour)
-        for colour in (
-            *PART_COLOURS_BY_NAME.values(),
-            COLOURS_BY_NAME["blue"],
-            CONTACT_BACKGROUND_COLOUR,
-        )
-    ]
-    drawn_colours += [tuple(map_colour[:3]) for map_colour in colour_scale.colour_map.colors]
-    colour_array = np.array(drawn_colours)
+    part_colours = [*PART_COLOURS_BY_NAME.values(), COLOURS_BY_NAME["blue"]]
+    colour_array = to_rgba_array(
+        [*part_colours, CONTACT_BACKGROUND_COLOUR, *colour_scale.colour_map.colors]
+    )[:, :3]
     blended_colour_arrays = [
         colour_weight * colour_array + (1.0 - colour_weight) * blend_grey_level
         for colour_weight in (0.75, 0.5, 0.25)
@@ -371,13 +364,13 @@ def _draw_colour_bar(figure: Figure, colour_scale: _ColourScale) -> None:
     mappable = ScalarMappable(
         BoundaryNorm(colour_scale.levels, colour_scale.n_steps), colour_scale.colour_map
     )
-    bar_options = {
-        "extend": "max" if colour_scale.has_values_beyond else "neither",
-        "spacing": "proportional",
-    }
     bar_axes = figure.add_axes((0.845, 0.32, 0.03, 0.49))
     colour_bar = figure.colorbar(
-        mappable, cax=bar_axes, ticks=colour_scale.levels[::2], **bar_options
+        mappable,
+        cax=bar_axes,
+        ticks=colour_scale.levels[::2],
+        extend="max" if colour_scale.has_values_beyond else "neither",
+        spacing="proportional",
     )
     colour_bar.set_label(colour_scale.label, fontsize=12)
     colour_bar.ax.tick_params(labelsize=11)
@@ -408,8 +401,7 @@ class _AnimationPage:
         self.figure = Figure(figsize=(6.4, 7.4), dpi=100, facecolor="white")
         self.canvas = FigureCanvasAgg(self.figure)
         title = "Breathing crack" if fields.has_cracks else "Vibrating structure"
-        title_options = {"ha": "center", "va": "center"}
-        self.figure.text(0.5, 0.968, title, fontsize=16, weight="bold", **title_options)
+        self.figure.text(0.5, 0.968, title, fontsize=16, weight="bold", ha="center", va="center")
         motion_noun = "load" if fields.has_load_arrow else "motion"
         frequency_text = f"{solution.omega:.5g} rad/s ({solution.omega / (2.0 * np.pi):.4g} Hz)"
         magnification_text = f"{float(f'{fields.magnification:.3g}'):.10g}"
@@ -470,10 +462,15 @@ class _AnimationPage:
             for label, is_shown, part_name, line_width, marker in legend_rows
             if is_shown
         ]
-        spacing_options = {"handletextpad": 0.5, "columnspacing": 1.5, "frameon": False}
-        placement_options = {"loc": "center", "bbox_to_anchor": (0.5, 0.893)}
         self.figure.legend(
-            handles=legend_lines, ncol=5, fontsize=11, **placement_options, **spacing_options
+            handles=legend_lines,
+            ncol=5,
+            fontsize=11,
+            loc="center",
+            bbox_to_anchor=(0.5, 0.893),
+            handletextpad=0.5,
+            columnspacing=1.5,
+            frameon=False,
         )
 
     def _draw_displacement_curve(self, solution: PeriodicSolution, fields: PeriodFields) -> None:
@@ -502,10 +499,10 @@ class _AnimationPage:
             )
         axes.axhline(0.0, color=COLOURS_BY_NAME["grey"], lw=0.8)
         axes.plot(load_periods, curve_values, color=COLOURS_BY_NAME["blue"], lw=2)
-        animated_option = {"animated": True}
-        self.time_line = axes.axvline(0.0, color=COLOURS_BY_NAME["grey"], lw=1, **animated_option)
-        dot_options = {"color": "black", "ms": 8, "clip_on": False, **animated_option}
-        (self.wave_dot,) = axes.plot([0.0], [0.0], "o", **dot_options)
+        self.time_line = axes.axvline(0.0, color=COLOURS_BY_NAME["grey"], lw=1, animated=True)
+        (self.wave_dot,) = axes.plot(
+            [0.0], [0.0], "o", color="black", ms=8, clip_on=False, animated=True
+        )
         axes.margins(y=0.12)
         axes.set(xlim=(0.0, load_periods[-1]), ylim=axes.get_ylim())
         axes.set_xlabel("time / load period", fontsize=12)
@@ -514,13 +511,12 @@ class _AnimationPage:
         axes.yaxis.set_label_coords(-0.085, 0.5)
         axes.tick_params(labelsize=11)
         # Before label_axis, the bands would count as data of the axis.
-        axes_transform = axes.get_xaxis_transform()
         axes.fill_between(
             load_periods,
             0.0,
             1.0,
             where=is_closed,
-            transform=axes_transform,
+            transform=axes.get_xaxis_transform(),
             color=CONTACT_BACKGROUND_COLOUR,
             lw=0,
         )

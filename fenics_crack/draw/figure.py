@@ -326,13 +326,14 @@ def _draw_legend(axes: Axes) -> None:
     place.
     """
     handles, labels = axes.get_legend_handles_labels()
-    is_first_in_legend = [
-        isinstance(handle, Artist) and handle.get_gid() == FIRST_IN_LEGEND_GID for handle in handles
-    ]
-    label_order = sorted(
-        range(len(handles)), key=lambda label_index: not is_first_in_legend[label_index]
+    labelled_handles = sorted(
+        zip(labels, handles, strict=True),
+        key=lambda labelled_handle: (
+            not isinstance(labelled_handle[1], Artist)
+            or labelled_handle[1].get_gid() != FIRST_IN_LEGEND_GID
+        ),
     )
-    handles_by_label = {labels[label_index]: handles[label_index] for label_index in label_order}
+    handles_by_label = dict(labelled_handles)
     if handles_by_label and axes.figure.get_layout_engine() is not None:
         is_only_panel = len(axes.figure.axes) == 1
         available_width = (
@@ -372,15 +373,14 @@ def _draw_legend(axes: Axes) -> None:
         if is_only_panel:
             axes.figure.set_figheight(axes.figure.get_figheight() + 0.17 * n_extra_rows)
         has_tick_labels = axes.xaxis.get_major_ticks()[0].label1.get_visible()
-        legend_options = {
-            "loc": "upper center",
-            "ncol": n_columns,
-            "frameon": False,
-            "bbox_to_anchor": (0.5, 0.0),
-            "borderaxespad": 4.2 if has_tick_labels else 0.8,  # [em]
-        }
         axes.legend(
-            list(handles_by_label.values()), list(handles_by_label), **legend_options
+            list(handles_by_label.values()),
+            list(handles_by_label),
+            loc="upper center",
+            ncol=n_columns,
+            frameon=False,
+            bbox_to_anchor=(0.5, 0.0),
+            borderaxespad=4.2 if has_tick_labels else 0.8,  # [em]
         ).set_gid(str(n_text_rows))
     elif handles_by_label:
         axes.legend(list(handles_by_label.values()), list(handles_by_label), loc="best")

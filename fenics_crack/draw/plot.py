@@ -203,8 +203,9 @@ def draw_contact_map(
     structure, law = solution.structure, solution.contact
     pair_points = structure.pair_points
     if pair_points is None or len(pair_points) < 2:
-        requirement = "two or more contact pairs of a structure from a mesh"
-        raise InputError("pairs", structure.n_pairs, requirement)
+        raise InputError(
+            "pairs", structure.n_pairs, "two or more contact pairs of a structure from a mesh"
+        )
     time = np.linspace(0.0, solution.period, instants + 1)
     contact_values, label, unit = solution.contact_force(time), "contact force of a pair", "N"
     has_pressure = law is not None and (is_rigid(law) or np.ndim(law.stiffness) > 0)
@@ -226,14 +227,11 @@ def draw_contact_map(
     panel.set_xlabel("time / load period")
     for crack_border in crack_borders:
         panel.axhline(crack_border, color="black", lw=1.5)
-    first_watched_place = next(iter(structure.watched_pairs))
-    distance_text = (
-        "from the crack's mouth"
-        if first_watched_place == "the mouth"
-        else "from the crack's left tip"
-    )
+    distance_text = "from the crack's left tip"
     if crack_borders:
         distance_text = f"along cracks 1 to {len(crack_borders) + 1}, one above the other"
+    elif next(iter(structure.watched_pairs)) == "the mouth":
+        distance_text = "from the crack's mouth"
     label_axis(panel.yaxis, f"distance {distance_text}", "m")
     return picture.save_with_title()
 
@@ -307,9 +305,14 @@ def _draw_crack_surface(
         float(np.abs(points[:, [horizontal_axis_index, vertical_axis_index]]).max()), "m"
     )
     plane_points = unit_factor * points[:, [horizontal_axis_index, vertical_axis_index]].T
-    colour_limit_options = {"vmin": 0.0, "vmax": values.max() or 1.0}
     colour_mesh = axes.tripcolor(
-        *plane_points, triangles, values, shading="gouraud", cmap="viridis", **colour_limit_options
+        *plane_points,
+        triangles,
+        values,
+        shading="gouraud",
+        cmap="viridis",
+        vmin=0.0,
+        vmax=values.max() or 1.0,
     )
     axes.triplot(*plane_points, triangles, color="black", lw=0.2)
     axes.set_aspect("equal")
@@ -512,14 +515,15 @@ def draw_map(
         legend_patches.append(Patch(label=DOUBTFUL_LABEL, facecolor="#3b528b", **hatch_options))
     panel.set(xlabel=x_label, ylabel=y_label)
     if legend_patches and picture.has_legend:
-        placement_options = {
-            "loc": "upper center",
-            "bbox_to_anchor": (0.5, 0.0),
-            "borderaxespad": 4.2,
-        }
         with rc_context(FIGURE_STYLE):
             panel.legend(
-                handles=legend_patches, ncol=2, handlelength=3.0, frameon=False, **placement_options
+                handles=legend_patches,
+                ncol=2,
+                handlelength=3.0,
+                frameon=False,
+                loc="upper center",
+                bbox_to_anchor=(0.5, 0.0),
+                borderaxespad=4.2,
             )
     return picture.save_with_title()
 
@@ -594,12 +598,18 @@ def draw_spectrum(
     force_coefficients = solution.force_coefficients.sum(axis=1)
     axes = read_axes_option(picture_options)
     n_panels = 1 + bool(np.any(force_coefficients)) if axes is None else min(2, np.size(axes))
-    figure_size, comm = (7.0, 2.4 + 2.2 * n_panels), solution.structure.comm
-    picture = Picture(n_panels, size=figure_size, sharex=True, comm=comm, **picture_options)
-    force_content = {"contact force, all pairs": force_coefficients}, "contact force", "N"
-    for panel, panel_content in zip(
-        picture, ((displacements_by_label, "displacement", "m"), force_content), strict=False
-    ):
+    picture = Picture(
+        n_panels,
+        size=(7.0, 2.4 + 2.2 * n_panels),
+        sharex=True,
+        comm=solution.structure.comm,
+        **picture_options,
+    )
+    panel_contents = (
+        (displacements_by_label, "displacement", "m"),
+        ({"contact force, all pairs": force_coefficients}, "contact force", "N"),
+    )
+    for panel, panel_content in zip(picture, panel_contents, strict=False):
         _draw_stems(panel, solution.subharmonic, *panel_content)
     picture.panels[-1].set_xlabel("order of the harmonic, in load frequencies (0: mean)")
     return picture.finish()
@@ -706,27 +716,33 @@ def draw_orbits(
     orbit_contents: list[tuple[DisplacementFunction, np.ndarray, str, str]] = []
     if solution.structure.n_pairs:
         pair_index = solution.structure.first_watched_pair
-        gap_label = f"closing {solution.structure.describe_pair(pair_index)}"
-        is_pair_closed = is_closed[:, pair_index]
         orbit_contents.append(
             (
                 lambda t: solution.gap(t)[:, pair_index],
-                is_pair_closed,
-                gap_label,
+                is_closed[:, pair_index],
+                f"closing {solution.structure.describe_pair(pair_index)}",
                 "crack faces touch there",
             )
         )
     if dof is not None:
-        displacement_function = partial(solution.displacement, dofs=[dof])
-        label, is_any_pair_closed = solution.structure.dof_name(dof), np.any(is_closed, axis=1)
         orbit_contents.append(
-            (displacement_function, is_any_pair_closed, label, "crack faces touch somewhere")
+            (
+                partial(solution.displacement, dofs=[dof]),
+                np.any(is_closed, axis=1),
+                solution.structure.dof_name(dof),
+                "crack faces touch somewhere",
+            )
         )
     if not orbit_contents:
         raise InputError("dof", None, "given: a dof's number, as there is no contact pair")
     n_panels = len(orbit_contents)
-    figure_size, comm = (1.0 + 4.2 * n_panels, 4.4), solution.structure.comm
-    picture = Picture(n_panels, n_columns=n_panels, size=figure_size, comm=comm, **picture_options)
+    picture = Picture(
+        n_panels,
+        n_columns=n_panels,
+        size=(1.0 + 4.2 * n_panels, 4.4),
+        comm=solution.structure.comm,
+        **picture_options,
+    )
     for panel, orbit_content in zip(picture, orbit_contents, strict=True):
         _draw_orbit(panel, solution, *orbit_content)
     return picture.finish()
@@ -832,18 +848,11 @@ def draw_friction_loops(
         drawn_pairs.tolist(), distinct_colours(len(drawn_pairs)), strict=True
     ):
         place_name = solution.structure.describe_pair(pair_index).removeprefix("of ")
+        pair_gaps, pair_forces = tangential_gaps[:, pair_index], friction_forces[:, pair_index]
         label = f"{place_name}: {format_quantity(float(losses[pair_index]), 'J')}"
-        panel.plot(
-            tangential_gaps[:, pair_index],
-            friction_forces[:, pair_index],
-            color=colour,
-            lw=1.1,
-            label=label,
-        )
-        slipping_gaps = np.where(
-            is_pair_slipping[:, pair_index], tangential_gaps[:, pair_index], np.nan
-        )
-        panel.plot(slipping_gaps, friction_forces[:, pair_index], color=colour, lw=3.2)
+        panel.plot(pair_gaps, pair_forces, color=colour, lw=1.1, label=label)
+        slipping_gaps = np.where(is_pair_slipping[:, pair_index], pair_gaps, np.nan)
+        panel.plot(slipping_gaps, pair_forces, color=colour, lw=3.2)
     panel.axhline(0.0, color="black", lw=0.6)
     label_axis(panel.xaxis, "tangential gap", "m")
     label_axis(panel.yaxis, "friction force", "N")
@@ -883,9 +892,10 @@ def draw_stress_intensity(
     """
     n_panels = 1 if found.K_III is None else 2
     picture = Picture(n_panels, size=(7.0, 1.0 + 3.3 * n_panels), **picture_options)
-    if found.K_III is not None:
-        _draw_intensity_along_fronts(found, picture.panels[0])
-    _draw_intensity_over_time(found, picture.panels[-1])
+    if found.K_III is None:
+        _draw_intensities_of_tips(found, picture.panels[0])
+    else:
+        _draw_intensities_of_fronts(found, *picture)
     label_axis(picture.panels[-1].xaxis, "time", "s")
     for panel in picture:
         panel.axhline(0.0, color="black", lw=0.6)
@@ -893,43 +903,24 @@ def draw_stress_intensity(
     return picture.finish()
 
 
-def _draw_intensity_over_time(intensity: StressIntensity, panel: Axes) -> None:
-    """Draw stress intensity factors over time.
-
-    In a plate K_I and K_II at each tip; in a solid all three at the front station with the largest
-    effective range of K_I.
-    """
+def _draw_intensities_of_tips(intensity: StressIntensity, panel: Axes) -> None:
+    """Draw K_I and K_II at each tip in a plate over time."""
     time = intensity.time - intensity.time[0]
-    if intensity.K_III is not None:
-        component_curves = zip(
-            ("K_I", "K_II", "K_III"), (intensity.K_I, intensity.K_II, intensity.K_III), strict=True
-        )
-        for (component_name, component_values), colour in zip(
-            component_curves, distinct_colours(3), strict=True
-        ):
-            panel.plot(
-                time,
-                component_values[:, intensity.leading_tip_index],
-                color=colour,
-                lw=1.8,
-                label=f"_{component_name}",
-            )
-        panel.set_title(f"at {intensity.tips[intensity.leading_tip_index]}", fontsize="medium")
-        return
     closed_label = "crack tip closed"
-    tip_styles = zip(intensity.tips, distinct_colours(len(intensity.tips)), strict=True)
-    for tip_index, (tip, colour) in enumerate(tip_styles):
-        mode_one, mode_two = intensity.K_I[:, tip_index], intensity.K_II[:, tip_index]
+    for tip, colour, mode_one, mode_two in zip(
+        intensity.tips,
+        distinct_colours(len(intensity.tips)),
+        intensity.K_I.T,
+        intensity.K_II.T,
+        strict=True,
+    ):
         panel.plot(time, mode_one, color=colour, lw=1.8, label=f"K_I, {tip}")
         panel.plot(time, mode_two, color=colour, lw=1.0, ls="--", label=f"K_II, {tip}")
-        # Closed to drawing accuracy.
-        mode_one_while_closed = np.where(
-            mode_one <= 0.01 * max(mode_one.max(), 0.0), mode_one, np.nan
-        )
-        if not np.all(np.isnan(mode_one_while_closed)):
+        is_closed = mode_one <= 0.01 * max(mode_one.max(), 0.0)  # to drawing accuracy
+        if is_closed.any():
             panel.plot(
                 time,
-                mode_one_while_closed,
+                np.where(is_closed, mode_one, np.nan),
                 color=COLOURS_BY_NAME["grey"],
                 lw=4.0,
                 label=closed_label,
@@ -937,23 +928,38 @@ def _draw_intensity_over_time(intensity: StressIntensity, panel: Axes) -> None:
             closed_label = "_" + closed_label.lstrip("_")  # once in the legend
 
 
-def _draw_intensity_along_fronts(intensity: StressIntensity, panel: Axes) -> None:
-    """Draw the largest stress intensity factors along each crack front.
+def _draw_intensities_of_fronts(
+    intensity: StressIntensity, front_panel: Axes, time_panel: Axes
+) -> None:
+    """Draw stress intensity factors in a solid, along each crack front and over time.
 
-    These are the largest |K_I|, |K_II| and |K_III| in time at each front station.
+    Along the fronts these are the largest |K_I|, |K_II| and |K_III| in time at each station; over
+    time, all three at the station with the largest effective range of K_I.
     """
     assert intensity.K_III is not None
-    component_curves = zip(
-        ("K_I", "K_II", "K_III"), (intensity.K_I, intensity.K_II, intensity.K_III), strict=True
-    )
-    for (component_name, component_values), colour in zip(
-        component_curves, distinct_colours(3), strict=True
+    for component_name, component_values, colour in zip(
+        ("K_I", "K_II", "K_III"),
+        (intensity.K_I, intensity.K_II, intensity.K_III),
+        distinct_colours(3),
+        strict=True,
     ):
-        largest_sizes = np.abs(component_values).max(axis=0)
+        time_panel.plot(
+            intensity.time - intensity.time[0],
+            component_values[:, intensity.leading_tip_index],
+            color=colour,
+            lw=1.8,
+            label=f"_{component_name}",
+        )
+        label = component_name
         for station_indices in intensity.station_indices_by_front.values():
-            line_options = {"color": colour, "lw": 1.8, "marker": "o", "label": component_name}
-            panel.plot(
-                intensity.positions[station_indices], largest_sizes[station_indices], **line_options
+            front_panel.plot(
+                intensity.positions[station_indices],
+                np.abs(component_values[:, station_indices]).max(axis=0),
+                color=colour,
+                lw=1.8,
+                marker="o",
+                label=label,
             )
-            component_name = "_" + component_name.lstrip("_")  # once in the legend
-    label_axis(panel.xaxis, "distance along the front", "m")
+            label = f"_{component_name}"  # once in the legend
+    time_panel.set_title(f"at {intensity.tips[intensity.leading_tip_index]}", fontsize="medium")
+    label_axis(front_panel.xaxis, "distance along the front", "m")

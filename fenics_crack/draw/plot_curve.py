@@ -116,13 +116,15 @@ def draw_curve(
     for (curve_label, (parameter_values, other_amplitudes)), marker in zip(
         (points or {}).items(), cycle("^v"), strict=False
     ):
-        marker_options = {
-            "color": COLOURS_BY_NAME["green"],
-            "ms": 4.5,
-            "mfc": "none",
-            "label": curve_label,
-        }
-        panel.plot(unit_factor * parameter_values, other_amplitudes, marker, **marker_options)
+        panel.plot(
+            unit_factor * parameter_values,
+            other_amplitudes,
+            marker,
+            color=COLOURS_BY_NAME["green"],
+            ms=4.5,
+            mfc="none",
+            label=curve_label,
+        )
     if curve.parameter == "omega":
         _mark_superharmonics(panel, curve, dof, amplitudes, unit_factor)
     _label_parameter_axis(panel, curve, in_hertz)
@@ -191,18 +193,20 @@ def _mark_peak(
         )
     )
     if curve.parameter == "omega":
-        displacement_coefficients = curve.coefficients_at(dof)
         damping = damping_by_half_power_width(
-            curve.values, displacement_coefficients, curve.subharmonic, peak.index
+            curve.values, curve.coefficients_at(dof), curve.subharmonic, peak.index
         )
         label += f",\nhalf-power damping {format_percent(damping)}" if np.isfinite(damping) else ""
-    ring_options = {
-        "color": curve_colour or COLOURS_BY_NAME["blue"],
-        "mfc": "none",
-        "ms": 7.0,
-        "mew": 1.1,
-    }
-    axes.plot(peak_parameter, amplitude, "o", label="" if curve_colour else label, **ring_options)
+    axes.plot(
+        peak_parameter,
+        amplitude,
+        "o",
+        label="" if curve_colour else label,
+        color=curve_colour or COLOURS_BY_NAME["blue"],
+        mfc="none",
+        ms=7.0,
+        mew=1.1,
+    )
 
 
 def _mark_bifurcations(
@@ -290,16 +294,16 @@ def _mark_superharmonics(
         return
     from scipy.signal import find_peaks  # takes as long to load as matplotlib
 
-    text_options = {"ha": "center", "fontsize": 8, "color": COLOURS_BY_NAME["grey"]}
     peak_indices, _ = find_peaks(np.log10(np.maximum(amplitudes, 1e-300)), prominence=0.05)
     for peak_index in peak_indices[is_superharmonic[peak_indices]]:
-        peak_position = unit_factor * curve.omega[peak_index], amplitudes[peak_index]
         axes.annotate(
             f"{load_order[peak_index]}ω",
-            peak_position,
+            (unit_factor * curve.omega[peak_index], amplitudes[peak_index]),
             (0, 5),
             textcoords="offset points",
-            **text_options,
+            ha="center",
+            fontsize=8,
+            color=COLOURS_BY_NAME["grey"],
         )
 
 
@@ -324,11 +328,13 @@ def _label_parameter_axis(axes: Axes, curve: ResponseCurve, in_hertz: bool) -> N
             )
         if not axes.child_axes:
             frequency_per_speed = engine_order * frequency_factor / unit_factor
-            axis_conversions = (
-                lambda speed: frequency_per_speed * speed,
-                lambda frequency: frequency / frequency_per_speed,
+            top_axis = axes.secondary_xaxis(
+                "top",
+                functions=(
+                    lambda speed: frequency_per_speed * speed,
+                    lambda frequency: frequency / frequency_per_speed,
+                ),
             )
-            top_axis = axes.secondary_xaxis("top", functions=axis_conversions)
             top_axis.set_xlabel(frequency_label)
     if unit == "m":
         label_axis(axes.xaxis, parameter_name, unit)
@@ -440,21 +446,17 @@ def draw_multipliers(
     multipliers, moduli = curve.multipliers, np.abs(curve.multipliers)
     is_undecided = curve.verdicts == "undecided"
     is_complex_pair = np.abs(multipliers.imag) > 1e-9 * moduli
-    is_kind_by_name = {
-        "irregular": curve.verdicts == "irregular",
-        "pair": is_complex_pair,
-        "+1": multipliers.real > 0.0,
-    }
-    multiplier_kinds = np.select([*is_kind_by_name.values()], [*is_kind_by_name], "-1")
+    is_irregular = curve.verdicts == "irregular"
     panel.axhline(1.0, color=COLOURS_BY_NAME["grey"], lw=0.9, label="limit of stability")
     panel.plot(parameter_values, moduli, color=COLOURS_BY_NAME["grey"], lw=0.4, alpha=0.6)
-    for kind, label, colour in (
-        ("+1", "real, positive", "blue"),
-        ("-1", "real, negative", "orange"),
-        ("pair", "a complex pair", "green"),
-        ("irregular", "growth of an irregular motion", "pink"),
+    is_real, is_positive = ~is_complex_pair & ~is_irregular, multipliers.real > 0.0
+    for is_of_kind, label, colour in (
+        (is_real & is_positive, "real, positive", "blue"),
+        (is_real & ~is_positive, "real, negative", "orange"),
+        (is_complex_pair & ~is_irregular, "a complex pair", "green"),
+        (is_irregular, "growth of an irregular motion", "pink"),
     ):
-        is_drawn = (multiplier_kinds == kind) & ~is_undecided
+        is_drawn = is_of_kind & ~is_undecided
         if is_drawn.any():
             panel.plot(
                 parameter_values[is_drawn],

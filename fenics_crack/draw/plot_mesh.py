@@ -69,8 +69,10 @@ def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -
     aspect_ratio = float(
         np.clip(np.divide(*np.maximum(np.ptp(mesh.points, axis=0), 1e-300)), 0.4, 2.5)
     )
-    figure_size = (min(7.0, 3.6 + 2.0 * aspect_ratio), min(6.8, 1.6 + 3.6 / aspect_ratio))
-    [panel] = picture = Picture(size=figure_size, **picture_options)
+    [panel] = picture = Picture(
+        size=(min(7.0, 3.6 + 2.0 * aspect_ratio), min(6.8, 1.6 + 3.6 / aspect_ratio)),
+        **picture_options,
+    )
     clamped_edges = mesh.boundary_sides[mesh.is_clamped[mesh.boundary_sides].all(axis=1)]
     for edges, colour, line_width, label in (
         (mesh.edges, "#9a9a9a", 0.4, ""),
@@ -79,23 +81,28 @@ def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -
         (mesh.crack_face_sides, COLOURS_BY_NAME["orange"], 2.2, "crack faces"),
     ):
         if len(edges):
-            style_options = {"colors": colour, "linewidths": line_width, "label": label}
-            panel.add_collection(LineCollection(mesh.points[edges], **style_options))
+            panel.add_collection(
+                LineCollection(
+                    mesh.points[edges], colors=colour, linewidths=line_width, label=label
+                )
+            )
     pair_points = mesh.structure.pair_points
     if pair_points is not None and len(pair_points):
-        style_options = {"color": COLOURS_BY_NAME["blue"], "ms": 3.0, "zorder": 3}
         panel.plot(
-            *pair_points.T, "o", label=f"contact pairs ({len(pair_points)})", **style_options
+            *pair_points.T,
+            "o",
+            label=f"contact pairs ({len(pair_points)})",
+            color=COLOURS_BY_NAME["blue"],
+            ms=3.0,
+            zorder=3,
         )
     # Dozens of arrows at one node would hide each other.
     if len(load_parts) > len(LOAD_PART_NAMES):
         largest_part_index = 3 + int(np.argmax(np.linalg.norm(load_parts[3:], axis=(1, 2))))
         load_parts = load_parts[[0, 1, 2, largest_part_index]]
-    acting_parts = [
-        part_index for part_index, is_acting in enumerate(load_parts.any(axis=(1, 2))) if is_acting
-    ]
+    acting_parts = np.flatnonzero(load_parts.any(axis=(1, 2)))
+    has_several_parts = len(acting_parts) > 1
     for part_index in acting_parts:
-        has_several_parts = len(acting_parts) > 1
         legend_label = f"load, {LOAD_PART_NAMES[part_index]}" if has_several_parts else "load"
         colour = LOAD_PART_COLOURS[part_index] if has_several_parts else COLOURS_BY_NAME["pink"]
         _draw_load_arrows(panel, mesh, load_parts[part_index], legend_label, colour)
@@ -131,14 +138,16 @@ def _draw_load_arrows(
     arrow_nodes = np.flatnonzero(force_sizes > 1e-9 * force_sizes.max())
     arrow_nodes = arrow_nodes[:: -(-len(arrow_nodes) // 40)]
     arrow_vectors = magnification_to_tenth(nodal_forces, mesh.size) * nodal_forces[arrow_nodes]
-    arrow_options = {"color": colour, "angles": "xy", "scale_units": "xy", "scale": 1.0}
     axes.quiver(
         *mesh.points[arrow_nodes].T,
         *arrow_vectors.T,
         units="inches",
         width=0.03,
         zorder=4,
-        **arrow_options,
+        color=colour,
+        angles="xy",
+        scale_units="xy",
+        scale=1.0,
     )
     axes.update_datalim(mesh.points[arrow_nodes] + arrow_vectors)
     axes.plot([], [], color=colour, marker=">", label=label)
@@ -190,11 +199,10 @@ def draw_modes(
     mesh = NodalMesh(modes.structure)
     width, height = np.ptp(mesh.points, axis=0)[:2] + 0.2 * mesh.size  # a tenth each way
     row_height = 0.4 + 2.4 * float(np.clip(height / width, 0.3, 1.0))
-    figure_size = (2.7 * columns, row_height * -(-len(numbers) // columns))
     picture = Picture(
         len(numbers),
         n_columns=columns,
-        size=figure_size,
+        size=(2.7 * columns, row_height * -(-len(numbers) // columns)),
         comm=mesh.structure.comm,
         **picture_options,
     )
@@ -241,10 +249,12 @@ def draw_displaced_mesh(
         mappable = axes.tripcolor(
             *displaced_points.T, mesh.triangles, values, shading="gouraud", cmap="viridis"
         )
-        edge_layers = [(mesh.boundary_sides, displaced_points, "black", 0.7 if is_wheel else 1.2)]
-        if not is_wheel:
-            edge_layers.insert(0, (mesh.boundary_sides, mesh.points, COLOURS_BY_NAME["grey"], 0.6))
-            edge_layers.insert(0, (mesh.edges, displaced_points, "#777777", 0.3))
+        fine_layers = [
+            (mesh.edges, displaced_points, "#777777", 0.3),
+            (mesh.boundary_sides, mesh.points, COLOURS_BY_NAME["grey"], 0.6),
+        ]
+        boundary_layer = mesh.boundary_sides, displaced_points, "black", 0.7 if is_wheel else 1.2
+        edge_layers = [boundary_layer] if is_wheel else [*fine_layers, boundary_layer]
         for edge_nodes, layer_points, colour, line_width in edge_layers:
             axes.add_collection(
                 LineCollection(layer_points[edge_nodes], colors=colour, linewidths=line_width)
@@ -291,7 +301,6 @@ def draw_numbered_faces(
 
     picture = Picture(2, n_columns=2, size=(11.0, 6.5), **picture_options)
     number_texts = [str(face_number) for face_number in range(1, len(face_tags) + 1)]
-    label_options = {"font_size": 24, "show_points": False, "shape": None}
     for panel, axis_signs, view_title in zip(
         picture, ([1.0, 1.0, 1.0], [-1.0, 1.0, -1.0]), ("from a corner", "from the other side"),
         strict=True,
@@ -304,7 +313,11 @@ def draw_numbered_faces(
                 color=to_rgb(colour),
             )
         plotter.add_point_labels(
-            axis_signs * number_positions[: len(face_tags)], number_texts, **label_options
+            axis_signs * number_positions[: len(face_tags)],
+            number_texts,
+            font_size=24,
+            show_points=False,
+            shape=None,
         )
         panel.imshow(vtk.render_cropped_image(plotter, turned_corners), interpolation="antialiased")
         panel.axis("off")
@@ -350,10 +363,14 @@ def _draw_solid(picture: Picture, mesh: NodalMesh, load_parts: np.ndarray) -> No
         total_force, force_sizes = nodal_forces.sum(axis=0), np.abs(nodal_forces).sum(axis=1)
         if np.linalg.norm(total_force) > 0.0:
             arrow_head = force_sizes @ points / force_sizes.sum()
-            arrow_length, arrow_radii = 0.2 * mesh.size, {"shaft_radius": 0.03, "tip_radius": 0.08}
+            arrow_length = 0.2 * mesh.size
             arrow_start = arrow_head - arrow_length * total_force / np.linalg.norm(total_force)
             arrow = vtk.import_pyvista().Arrow(
-                start=arrow_start, direction=total_force, scale=arrow_length, **arrow_radii
+                start=arrow_start,
+                direction=total_force,
+                scale=arrow_length,
+                shaft_radius=0.03,
+                tip_radius=0.08,
             )
             plotter.add_mesh(arrow, color=to_rgb(COLOURS_BY_NAME["pink"]), lighting=False)
     if np.any(load_parts):

@@ -151,8 +151,9 @@ def find_sharp_edge_nodes(mesh: NodalMesh) -> np.ndarray:
     """
     boundary_surface = make_surface(mesh.points, mesh.boundary_sides)
     boundary_surface["node"] = np.arange(len(mesh.points))
-    other_kinds = dict.fromkeys(("boundary_edges", "non_manifold_edges", "manifold_edges"), False)
-    sharp_edges = boundary_surface.extract_feature_edges(feature_angle=25.0, **other_kinds)
+    sharp_edges = boundary_surface.extract_feature_edges(
+        feature_angle=25.0, boundary_edges=False, non_manifold_edges=False, manifold_edges=False
+    )
     return np.asarray(sharp_edges["node"])[sharp_edges.lines.reshape(-1, 3)[:, 1:]]
 
 
@@ -317,13 +318,15 @@ def stress_at(
     mesh, stress_points = NodalMesh(structure), floats_or_nan(points)
     has_valid_shape = stress_points.ndim == 2 and stress_points.shape[1] == mesh.dimension
     if not (has_valid_shape and stress_points.size and np.all(np.isfinite(stress_points))):
-        requirement_text = f"one or more rows of {mesh.dimension} finite numbers [m]"
-        raise InputError("points", points, requirement_text)
+        raise InputError(
+            "points", points, f"one or more rows of {mesh.dimension} finite numbers [m]"
+        )
     if isinstance(result, TimeHistory):
         time = result.time
         if len(result.recorded_dofs) < structure.n_local:
-            recorded_dofs = result.recorded_dofs.tolist()
-            raise InputError("dofs", recorded_dofs, "None, to record all displacements")
+            raise InputError(
+                "dofs", result.recorded_dofs.tolist(), "None, to record all displacements"
+            )
         displacement = structure.expand(result.recorded)
     else:
         time = np.linspace(0.0, result.period, 128, endpoint=False)
@@ -374,8 +377,9 @@ def write_modes(modes: Modes, path: str | Path) -> None:
             zip(modes.omega, nodal_shapes, strict=True), 1
         ):
             magnification = magnification_to_tenth(shape, mesh.size)
-            field_name = f"mode {mode_number}: {omega:.1f} rad/s"
-            grid.point_data[field_name] = pad_to_space(magnification * shape)
+            grid.point_data[f"mode {mode_number}: {omega:.1f} rad/s"] = pad_to_space(
+                magnification * shape
+            )
             grid.field_data[f"magnification of mode {mode_number}"] = [magnification]
         write_file_whole(path, _format_vtu(grid))
 
@@ -419,12 +423,13 @@ def write_fronts(found: StressIntensity, path: str | Path) -> None:
             for edge in itertools.pairwise(stations)
         ]
         grid = _make_grid(found.points, np.array(front_edges, dtype=int).reshape(-1, 2), VTK_LINE)
-        for name, values in {
+        values_by_name = {
             **found.numbers,
             "K_I while closed": found.closed_front_errors,
-        }.items():
+            "ahead": found.growth_directions,
+        }
+        for name, values in values_by_name.items():
             grid.point_data[name] = values
-        grid.point_data["ahead"] = found.growth_directions
         write_file_whole(path, _format_vtu(grid))
 
     on_root(found.comm, write_file)
@@ -635,39 +640,43 @@ def write_period(
     --------
     >>> magnification = fc.write_period(solution, "crack.pvd", frames=4)
     """
-    begin_stage(Path(path).name)
-    fields = PeriodFields(solution, frames, magnification, material)
     collection_path = Path(path)
+    begin_stage(collection_path.name)
+    fields = PeriodFields(solution, frames, magnification, material)
 
     def write_files() -> None:
         check_inner_folder(collection_path.with_name(collection_path.stem))
         frame_names = [
             f"{collection_path.stem}/frame_{frame:04d}.vtu" for frame in range(len(fields.time))
         ]
-        collection_lines = ['<VTKFile type="Collection" version="0.1">', "  <Collection>"]
-        for instant, frame_name in zip(fields.time, frame_names, strict=True):
-            collection_lines.append(
-                f'    <DataSet timestep="{instant:.12g}" file={quoteattr(frame_name)}/>'
-            )
-        collection_text = "\n".join([*collection_lines, "  </Collection>", "</VTKFile>", ""])
+        data_set_lines = [
+            f'    <DataSet timestep="{instant:.12g}" file={quoteattr(frame_name)}/>'
+            for instant, frame_name in zip(fields.time, frame_names, strict=True)
+        ]
+        collection_text = "\n".join(
+            [
+                '<VTKFile type="Collection" version="0.1">',
+                "  <Collection>",
+                *data_set_lines,
+                "  </Collection>",
+                "</VTKFile>",
+                "",
+            ]
+        )
         colour_name, colour_unit = fields.colour_name_and_unit
         script_path = collection_path.with_name(f"{collection_path.stem}_paraview.py")
-        path_texts = {
-            "script": script_path.name,
-            "folder": str(collection_path.parent.resolve()),
-            "pvd": collection_path.name,
-        }
-        view_settings = {
-            "field": colour_name,
-            "title": f"{colour_name} [{colour_unit}]",
-            "end": fields.colour_scale_end,
-            "mode": f"{fields.mesh.dimension}D",
-            "camera": VIEW_COMMANDS_BY_DIMENSION[fields.mesh.dimension],
-            "caption": f"displacement x {fields.magnification:.3g}",
-            "factor": fields.magnification,
-        }
-        script_template = read_packaged_text("draw/paraview_state.txt")
-        script_text = script_template.format(**path_texts, **view_settings)
+        script_text = read_packaged_text("draw/paraview_state.txt").format(
+            script=script_path.name,
+            folder=str(collection_path.parent.resolve()),
+            pvd=collection_path.name,
+            field=colour_name,
+            title=f"{colour_name} [{colour_unit}]",
+            end=fields.colour_scale_end,
+            mode=f"{fields.mesh.dimension}D",
+            camera=VIEW_COMMANDS_BY_DIMENSION[fields.mesh.dimension],
+            caption=f"displacement x {fields.magnification:.3g}",
+            factor=fields.magnification,
+        )
         first_files = [(collection_path, collection_text), (script_path, script_text)]
         frame_files = (
             (collection_path.parent / frame_name, _format_vtu(fields.make_frame_grid(frame)))

@@ -18,7 +18,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
 
 import fenics_crack as fc
-from fenics_crack.fatigue import growth
+from fenics_crack.fatigue import ellipse, growth, lengths
 from fenics_crack.fatigue.ellipse import (
     EFFECTIVE_RANGE_COLUMN_NAMES,
     EQUIVALENT_RANGE_COLUMN_NAMES,
@@ -155,7 +155,7 @@ def test_cycles_of_few_shapes(count: int) -> None:
         assert [path.depth[-1], path.length_along_face[-1]] == pytest.approx(
             list(exact[:2]), rel=0.02
         )
-        stated_error = growth.estimate_ellipse_life_error(table, path, law(exponent), 2)
+        stated_error = ellipse.estimate_ellipse_life_error(table, path, law(exponent), 2)
         shares.append(abs(math.log(path.cycles[-1] / exact[2])) / stated_error)
         zeros += bool(both(path.depth, path.length_along_face, stress)[0].min() == 0.0)
     assert np.median(shares) < 1.0 and np.max(shares) < 15.0
@@ -209,7 +209,7 @@ def swept(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         axes = swept.given("sweep").over
         depth, length = np.meshgrid(*(axis.values for axis in axes), indexing="ij")
         deepest, ends = both(depth, length, (0.0, 1.0))
-        columns = dict.fromkeys((*growth.SWEEP_COLUMN_NAMES, *NATURAL), 600.0 - 1e4 * length)
+        columns = dict.fromkeys((*lengths.SWEEP_COLUMN_NAMES, *NATURAL), 600.0 - 1e4 * length)
         columns |= dict(
             zip(
                 (*EQUIVALENT_RANGE_COLUMN_NAMES, *EFFECTIVE_RANGE_COLUMN_NAMES),
@@ -225,8 +225,8 @@ def swept(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         columns["status"] = np.full(depth.shape, "too flat")
         return fc.SweepResult(Path("none.h5"), swept, columns)
 
-    monkeypatch.setattr(growth, "run_sweep", sweep)
-    monkeypatch.setattr(growth, "_estimate_quantity_error_and_remarks", lambda *_: (0.02, []))
+    monkeypatch.setattr(lengths, "run_sweep", sweep)
+    monkeypatch.setattr(growth, "_estimate_range_error_and_remarks", lambda *_: (0.02, []))
     return log
 
 

@@ -26,7 +26,7 @@ from scipy.signal import find_peaks
 from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.fatigue.growth import LengthPath
+from fenics_crack.fatigue.lengths import LengthPath
 
 STRESS = 1e7
 SLOW = 30.0
@@ -570,7 +570,9 @@ def test_lengths_without_a_stable_vibration() -> None:
     axes = [SimpleNamespace(values=[0.01, 0.02, 0.03, 0.04]), SimpleNamespace(values=[1.0, 2.0])]
     is_converged = np.array([[True, True], [True, True], [False, True], [True, True]])
     table: Any = SimpleNamespace(axes=axes, not_stable=is_unstable, converged=is_converged)
-    path = LengthPath(np.array(axes[0].values), {}, (table, table))
+    path = LengthPath(
+        np.array(axes[0].values), {}, (table, table), np.zeros(0), plate().given("growth")
+    )
     assert path.not_stable_lengths == [0.01, 0.02]
 
 

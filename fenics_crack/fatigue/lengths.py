@@ -1,0 +1,490 @@
+"""Solve the lengths of a straight crack until the load cycles between them are known.
+
+Splines connect the solved lengths. Intervals are halved if a spline misses the next solutions. Each
+round is a sweep: ranks share the cases, and a killed run continues.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from mpi4py import MPI
+
+from fenics_crack.basics.errors import ConvergenceError, StoppedError
+from fenics_crack.basics.observables import ObservableFlag, Place, observable_names
+from fenics_crack.basics.ranks import StopRequest
+from fenics_crack.basics.tables import RAD_PER_TURN
+from fenics_crack.numerics.equations import SMALLEST_NORMAL
+from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import Growth as Law
+from fenics_crack.sweep.file import KEPT_MODE_NUMBERS
+from fenics_crack.sweep.result import SweepResult, run_sweep
+
+GrowthEnd = Literal["reached", "arrested", "broken", "side"]
+GAUSS_LEGENDRE_NODES, GAUSS_LEGENDRE_WEIGHTS = np.polynomial.legendre.leggauss(3)
+"""Quadrature for dN/da in each step between lengths: three points in (-1, 1), and weights."""
+MAX_ALLOWED_LOG_RANGE_ERROR = 0.05
+"""Maximum error of ln delta K in an interval between solved lengths.
+
+delta K is the range of K_I for the growth law. Intervals with larger errors are halved, even if few
+cycles pass there, to find resonances inside.
+"""
+LOGARITHMIC_COLUMN_NAMES = ("driving", "K_max", "delta_K_effective", "response")
+"""Columns with a spline of the logarithm, which is smooth through resonances.
+
+"driving" is the constant range of K_I with the same growth as all loads.
+"""
+LINEAR_COLUMN_NAMES = ("omega", "omega_open", "omega_bilinear", "K_min", "K_II_max")
+"""Columns with a spline of the values themselves."""
+SWEEP_COLUMN_NAMES = (
+    "K_max",
+    "delta_K_effective",
+    "delta_K_equivalent",
+    "response",
+    *LINEAR_COLUMN_NAMES,
+)
+"""Columns of a sweep over crack sizes from which growth is computed."""
+
+
+@dataclass(frozen=True)
+class LengthPath:
+    """Solutions at crack lengths, with splines between them.
+
+    Attributes
+    ----------
+    lengths : (k,) [m]
+        Solved lengths in ascending order.
+    column_by_name : dict of str to (k,)
+        Columns :data:`LOGARITHMIC_COLUMN_NAMES` and :data:`LINEAR_COLUMN_NAMES`.
+    sweep_results : sequence of SweepResult
+        Sweeps with the solutions.
+    leading_omega : (k,) [rad/s]
+        Load frequency with most of the growth at each length.
+    law : Growth
+        Table ``[growth]``.
+    """
+
+    lengths: np.ndarray
+    column_by_name: dict[str, np.ndarray]
+    sweep_results: Sequence[SweepResult]
+    leading_omega: np.ndarray
+    law: Law
+
+    @classmethod
+    def from_sweeps(cls, sweep_results: Sequence[SweepResult], law: Law) -> LengthPath:
+        """Return the path of all lengths solved in sweeps.
+
+        A length counts if all loads of the spectrum are solved. The natural frequencies belong to
+        the mode nearest to the leading load at the first length (:func:`find_nearest_mode_number`).
+
+        Parameters
+        ----------
+        sweep_results : sequence of SweepResult
+            Sweeps over the crack length, and the load frequency for a spectrum. The first sweep
+            has no failed case, and begins with the shortest length.
+        law : Growth
+            Table ``[growth]``.
+        """
+        is_solved_by_sweep = [
+            sweep_result.converged.reshape(len(sweep_result.axes[0].values), -1).all(axis=1)
+            for sweep_result in sweep_results
+        ]
+        lengths = np.concatenate(
+            [
+                np.array(sweep_result.axes[0].values)[is_solved]
+                for sweep_result, is_solved in zip(sweep_results, is_solved_by_sweep, strict=True)
+            ]
+        )
+        length_order = np.argsort(lengths)
+
+        def get_level_values(column_name: str) -> np.ndarray:
+            """Return a column at all lengths, ascending, and at each load: (k, levels)."""
+            values_of_sweeps = [
+                sweep_result[column_name].reshape(len(is_solved), -1)[is_solved]
+                for sweep_result, is_solved in zip(sweep_results, is_solved_by_sweep, strict=True)
+            ]
+            return np.concatenate(values_of_sweeps)[length_order]
+
+        level_values_by_column = {name: get_level_values(name) for name in SWEEP_COLUMN_NAMES}
+        level_values_by_column["response"] = np.nan_to_num(
+            level_values_by_column["response"]
+        )  # nan where nothing moves
+        level_cycles = np.ones(1) if law.frequencies is None else np.array(law.cycles)
+        column_by_name, leading_omega = _reduce_load_levels_to_columns(
+            level_values_by_column, law, level_cycles
+        )
+        mode_number = find_nearest_mode_number(sweep_results[0], leading_omega[0])
+        for column_name in ("omega_open", "omega_bilinear"):
+            column_by_name[column_name] = get_level_values(f"{column_name}_{mode_number}")[:, 0]
+        return cls(lengths[length_order], column_by_name, sweep_results, leading_omega, law)
+
+    @property
+    def not_stable_lengths(self) -> list[float]:
+        """Return lengths [m] with a vibration that is unstable, irregular or undecided."""
+        not_stable_sweep_cases = (
+            (sweep_result, case_index)
+            for sweep_result in self.sweep_results
+            for case_index in np.argwhere(sweep_result.not_stable & sweep_result.converged)
+        )
+        return list(
+            dict.fromkeys(
+                sweep_result.axes[0].values[case_index[0]]
+                for sweep_result, case_index in not_stable_sweep_cases
+            )
+        )
+
+    def interpolate_column(self, column_name: str, lengths: np.ndarray) -> np.ndarray:
+        """Interpolate a column by a cubic spline at lengths [m]: an array of the same shape.
+
+        Lengths must lie between the first and last solved ones. For
+        :data:`LOGARITHMIC_COLUMN_NAMES`, the spline goes through logarithms, with values of at
+        least 1e-4 times the largest.
+        """
+        from scipy.interpolate import CubicSpline  # takes a while, and is needed here alone
+
+        column = self.column_by_name[column_name]
+        if column_name not in LOGARITHMIC_COLUMN_NAMES:
+            return np.asarray(CubicSpline(self.lengths, column)(lengths))
+        column_floor = 1e-4 * max(float(column.max()), SMALLEST_NORMAL)  # closed cracks
+        column_spline = CubicSpline(self.lengths, np.log(np.maximum(column, column_floor)))
+        return np.asarray(np.exp(column_spline(lengths)))
+
+    def with_every_second_length(self) -> LengthPath:
+        """Return a coarser path, to estimate the interpolation error."""
+        return replace(
+            self,
+            lengths=self.lengths[::2],
+            column_by_name={name: column[::2] for name, column in self.column_by_name.items()},
+            leading_omega=self.leading_omega[::2],
+        )
+
+    def find_load_omega(self, length: float) -> float:
+        """Return the load frequency [rad/s] at a length [m].
+
+        For a spectrum: the load with most growth at the nearest solved length.
+        """
+        if self.law.drive == "spectrum":
+            return float(self.leading_omega[np.abs(self.lengths - length).argmin()])
+        return float(self.interpolate_column("omega", np.array([length]))[0])
+
+    def compute_growth_rates(self, lengths: np.ndarray) -> np.ndarray:
+        """Return da/dN [m] at lengths [m]: an array of the same shape.
+
+        The rate is C delta K^m. delta K [MPa m^0.5] is the column "driving": the range of K_I with
+        the growth of all loads (:func:`_reduce_load_levels_to_columns`).
+        """
+        driving_ranges = self.interpolate_column("driving", lengths)
+        return np.asarray(self.law.rate * (driving_ranges / 1e6) ** self.law.exponent)
+
+    def integrate_cycles_to_end(self) -> tuple[np.ndarray, np.ndarray, GrowthEnd]:
+        """Integrate dN = da / (da/dN) over the solved lengths, until growth ends.
+
+        Growth is arrested if the effective range (of K_I while the crack tip is open) is below the
+        threshold, or the rate is 0. The structure is broken if K_max reaches the toughness.
+
+        Returns
+        -------
+        lengths : (n,) [m]
+            Up to 200 equally spaced lengths.
+        cycles : (n,)
+            Load cycles until each length.
+        end_reason : str
+            "reached", "arrested" or "broken".
+        """
+        lengths = np.linspace(self.lengths[0], self.lengths[-1], 200)
+        is_arrested = self.interpolate_column("delta_K_effective", lengths) < self.law.threshold
+        is_arrested |= self.compute_growth_rates(lengths) == 0.0  # nothing opens it
+        is_broken = self.interpolate_column("K_max", lengths) >= (self.law.toughness or math.inf)
+        end_indices = np.flatnonzero(is_arrested | is_broken)
+        end_reason: GrowthEnd = "reached"
+        if len(end_indices):
+            end_reason = "arrested" if is_arrested[end_indices[0]] else "broken"
+            lengths = lengths[: int(end_indices[0]) + 1]
+        half_steps = 0.5 * np.diff(lengths)[:, None]
+        quadrature_lengths = lengths[:-1, None] + half_steps * (1.0 + GAUSS_LEGENDRE_NODES)
+        quadrature_cycles = (
+            half_steps * GAUSS_LEGENDRE_WEIGHTS / self.compute_growth_rates(quadrature_lengths)
+        )
+        return lengths, np.append(0.0, np.cumsum(quadrature_cycles.sum(axis=1))), end_reason
+
+    def estimate_life_error_by_threshold(
+        self, lengths: np.ndarray, cycles: np.ndarray, range_error: float
+    ) -> float:
+        """Return the error of ln(life) by loads that fall below the threshold.
+
+        If all ranges fall by the relative ``range_error`` e, the threshold acts like threshold /
+        (1 - e). More loads of a spectrum are then left out, and the life rises. The rise of
+        ln(life) is returned; 0 without a spectrum, without a threshold, or unless 0 < e < 1.
+        ``lengths`` and ``cycles`` (n,) belong to the growth.
+        """
+        law = self.law
+        is_threshold_relevant = law.drive == "spectrum" and law.threshold and cycles[-1] > 0.0
+        if not (is_threshold_relevant and 0.0 < range_error < 1.0):
+            return 0.0
+        path_with_raised_threshold = LengthPath.from_sweeps(
+            self.sweep_results, replace(law, threshold=law.threshold / (1.0 - range_error))
+        )
+        middle_lengths = 0.5 * (lengths[1:] + lengths[:-1])
+        driving_range_ratios = self.interpolate_column(
+            "driving", middle_lengths
+        ) / path_with_raised_threshold.interpolate_column("driving", middle_lengths)
+        return math.log(
+            float(np.average(driving_range_ratios**law.exponent, weights=np.diff(cycles)))
+        )
+
+
+def find_nearest_mode_number(sweep_result: SweepResult, omega: float) -> int:
+    """Return the number, from 1, of the mode nearest to a load at a sweep's first case.
+
+    The mode's bilinear frequency counts; ``omega`` [rad/s] is the load frequency.
+    """
+    bilinear_omega_of_modes = np.array(
+        [sweep_result[f"omega_bilinear_{mode_number}"].flat[0] for mode_number in KEPT_MODE_NUMBERS]
+    )
+    return KEPT_MODE_NUMBERS[int(np.nanargmin(np.abs(bilinear_omega_of_modes - omega)))]
+
+
+def list_failed_lengths_and_reasons(
+    sweep_results: Sequence[SweepResult],
+) -> list[tuple[float, str]]:
+    """Return each length [m] that could not be solved, with the reason."""
+    failure_text_by_length = {
+        sweep_result.axes[0].values[case_index[0]]: failure_text
+        for sweep_result in sweep_results
+        for case_index, failure_text in sweep_result.failed_indices_and_reasons
+    }
+    return list(failure_text_by_length.items())
+
+
+def _reduce_load_levels_to_columns(
+    level_values_by_column: dict[str, np.ndarray], law: Law, level_cycles: np.ndarray
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Reduce values at the loads of a spectrum to a column over lengths.
+
+    The column "driving" is the range of constant amplitude with the same growth,
+
+        (sum n_i delta K_i^m / sum n_i)^(1 / m),
+
+    with n_i cycles at load i. delta K_i is the range of K_I from 0 with equal growth in a period.
+    Loads with a range below the threshold while the crack tip is open are left out, if any load is
+    above the threshold.
+
+    Parameters
+    ----------
+    level_values_by_column : dict of str to (k, levels)
+        Values at k lengths and each load, by column name.
+    law : Growth
+        Table ``[growth]`` with m and the threshold.
+    level_cycles : (levels,)
+        Cycles n_i.
+
+    Returns
+    -------
+    dict of str to (k,)
+        "K_max" and "delta_K_effective" are maxima; "omega" is the mean frequency. Other columns
+        are from the load with most growth.
+    (k,) [rad/s]
+        Frequency of the load with most growth.
+    """
+    effective_ranges = level_values_by_column["delta_K_effective"]
+    equivalent_ranges = level_values_by_column["delta_K_equivalent"]
+    column_by_name = {
+        column_name: level_values_by_column[column_name].max(axis=1)
+        for column_name in ("K_max", "delta_K_effective")
+    }
+    min_growing_range = np.minimum(law.threshold, column_by_name["delta_K_effective"])[:, None]
+    largest_equivalent_range = np.maximum(
+        equivalent_ranges.max(axis=1, keepdims=True), SMALLEST_NORMAL
+    )
+    relative_growth = (effective_ranges >= min_growing_range) * (
+        equivalent_ranges / largest_equivalent_range
+    ) ** law.exponent
+    growth_shares = level_cycles / level_cycles.sum() * relative_growth
+    leading_level_index = growth_shares.argmax(axis=1)[:, None]
+    leading_value_by_column = {
+        column_name: np.take_along_axis(
+            level_values_by_column[column_name], leading_level_index, axis=1
+        )[:, 0]
+        for column_name in level_values_by_column
+    }
+    leading_omega = leading_value_by_column["omega"]
+    column_by_name["driving"] = largest_equivalent_range[:, 0] * growth_shares.sum(axis=1) ** (
+        1.0 / law.exponent
+    )
+    column_by_name["omega"] = level_cycles.sum() / (
+        level_cycles / level_values_by_column["omega"]
+    ).sum(axis=1)
+    return leading_value_by_column | column_by_name, leading_omega
+
+
+def solve_lengths_to_tolerance(
+    scene: Scene, folder: Path | None, comm: MPI.Comm, *, progress: bool = False
+) -> tuple[LengthPath, float, list[float]]:
+    """Solve crack lengths until interpolation gives the cycles precisely (collective).
+
+    The first round has five lengths from ``crack.length`` to ``growth.until``. Up to five further
+    rounds halve intervals. They end when the error of the cycles is below ``growth.life_tolerance``
+    and the error of ln delta K is at most :data:`MAX_ALLOWED_LOG_RANGE_ERROR` (0.05) everywhere.
+    ``folder`` keeps the sweep of round n in growth_n.h5; None keeps nothing.
+
+    Returns
+    -------
+    LengthPath
+        Solved lengths.
+    float
+        Relative error of the cycles by interpolation.
+    list of float
+        Beginnings [m] of the intervals in which ln delta K still has a larger error, the steepest
+        first.
+
+    Raises
+    ------
+    ConvergenceError
+        A length of the first round cannot be solved.
+    StoppedError
+        Ctrl-C was pressed.
+    """
+    law = scene.given("growth")
+    # Five are the fewest of which a spline through every other one can be made.
+    next_lengths = np.linspace(scene.given("crack").length, law.until, 5)
+    sweep_results: tuple[SweepResult, ...] = ()
+    for round_number in range(1, 7):  # 129 lengths are as close as meshes are similar
+        values_by_key = {"crack.length": next_lengths}
+        if law.frequencies is not None:
+            values_by_key["excitation.omega"] = RAD_PER_TURN * np.array(law.frequencies)
+        sweep_results += (
+            sweep_crack_sizes(
+                scene, values_by_key, folder, comm, round_number=round_number, progress=progress
+            ),
+        )
+        failed_lengths_and_reasons = list_failed_lengths_and_reasons(sweep_results)
+        if round_number == 1 and failed_lengths_and_reasons:
+            failed_length, failure_text = failed_lengths_and_reasons[0]
+            raise ConvergenceError(
+                f"a crack of {failed_length:.4g} m was not solved: {failure_text}"
+            )
+        length_path = LengthPath.from_sweeps(sweep_results, law)
+        if round_number == 1:
+            previous_path = length_path.with_every_second_length()
+            interval_errors = np.zeros(len(previous_path.lengths) - 1)
+        interval_errors = _estimate_interval_log_range_errors(
+            previous_path, length_path, interval_errors
+        )
+        integration_lengths, integration_cycles, _ = length_path.integrate_cycles_to_end()
+        interval_cycles = np.diff(
+            np.interp(length_path.lengths, integration_lengths, integration_cycles)
+        )
+        interval_life_errors = (
+            law.exponent
+            * interval_errors
+            * interval_cycles
+            / max(float(interval_cycles.sum()), SMALLEST_NORMAL)
+        )
+        life_error = float(interval_life_errors.sum())
+        has_large_life_error = (
+            interval_life_errors > law.life_tolerance / len(interval_life_errors)
+        ) & (life_error > law.life_tolerance)
+        next_lengths = (0.5 * (length_path.lengths[1:] + length_path.lengths[:-1]))[
+            has_large_life_error | (interval_errors > MAX_ALLOWED_LOG_RANGE_ERROR)
+        ]
+        failed_lengths = [failed_length for failed_length, _ in failed_lengths_and_reasons]
+        next_lengths = next_lengths[~np.isin(next_lengths, failed_lengths)]
+        if not len(next_lengths):
+            break
+        previous_path = length_path
+    indices_steepest_first = np.argsort(-interval_errors / np.diff(length_path.lengths))
+    jump_lengths = length_path.lengths[:-1][
+        indices_steepest_first[
+            interval_errors[indices_steepest_first] > MAX_ALLOWED_LOG_RANGE_ERROR
+        ]
+    ]
+    return length_path, life_error, jump_lengths.tolist()
+
+
+def sweep_crack_sizes(
+    scene: Scene,
+    values_by_key: dict[str, np.ndarray],
+    folder: Path | None,
+    comm: MPI.Comm,
+    *,
+    round_number: int = 1,
+    progress: bool = False,
+) -> SweepResult:
+    """Solve a scene at crack sizes and at the loads of a spectrum (collective).
+
+    Parameters
+    ----------
+    values_by_key : dict of str to array
+        Values for the axes of the sweep: "crack.length", "crack.depth", "excitation.omega".
+    folder : path or None
+        Folder for growth_n.h5, which is continued if it exists; None keeps nothing.
+    round_number : int
+        The number n in the file name.
+
+    Raises
+    ------
+    StoppedError
+        Ctrl-C was pressed.
+    """
+    observable_places = (
+        (Place.TIPS, Place.ELLIPSE) if "crack.depth" in values_by_key else (Place.TIPS,)
+    )
+    swept_scene = scene.replace(
+        {
+            "sweep.over": {key: values.tolist() for key, values in values_by_key.items()},
+            "sweep.at_resonance": scene.given("growth").drive == "resonance",
+            "output.quantities": observable_names(
+                *observable_places, excluded_flags=ObservableFlag.REQUIRES_SOLID
+            ),
+        }
+    )
+    sweep_path = None if folder is None else folder / f"growth_{round_number}.h5"
+    with StopRequest() as stop_request:
+        sweep_result = run_sweep(swept_scene, sweep_path, comm, progress=progress, judged=False)
+    if stop_request.is_requested(comm):
+        raise StoppedError("growth was stopped; run the same command again to continue it")
+    return sweep_result
+
+
+def _estimate_interval_log_range_errors(
+    previous_path: LengthPath, length_path: LengthPath, previous_errors: np.ndarray
+) -> np.ndarray:
+    """Return errors of the spline of ln delta K between lengths: (k - 1,).
+
+    In new intervals the error is a quarter of the larger difference between both splines at the
+    ends. In other intervals it is the previous error or, if larger, the difference between both
+    splines in the middle. A resonance inside an interval shows around the interval, too.
+
+    Parameters
+    ----------
+    previous_path, length_path : LengthPath
+        Solved lengths before and after the last sweep.
+    previous_errors : (j - 1,)
+        Errors between the j lengths of the previous path.
+    """
+
+    def compute_log_range_difference(lengths: np.ndarray) -> np.ndarray:
+        driving_range, previous_driving_range = (
+            compared_path.interpolate_column("driving", lengths)
+            for compared_path in (length_path, previous_path)
+        )
+        return np.abs(np.log(driving_range / previous_driving_range))
+
+    # Halved, a spline's error falls by 16, and here by 4 at least.
+    end_errors = compute_log_range_difference(length_path.lengths) / 4.0
+    is_new_length = ~np.isin(length_path.lengths, previous_path.lengths)
+    middle_lengths = 0.5 * (length_path.lengths[1:] + length_path.lengths[:-1])
+    inherited_errors = previous_errors[np.searchsorted(previous_path.lengths, middle_lengths) - 1]
+    kept_interval_errors = np.maximum(
+        inherited_errors, compute_log_range_difference(middle_lengths)
+    )
+    return np.where(
+        is_new_length[1:] | is_new_length[:-1],
+        np.maximum(end_errors[1:], end_errors[:-1]),
+        kept_interval_errors,
+    )
