@@ -1,20 +1,30 @@
-"""Warnings about results, and the printed parts of tables."""
+"""Parts that reports of results share: warnings, notes, and tables to be printed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR, NOT_CONFIRMED_TEXT, ErrorReport
 from fenics_crack.balance.solution import PeriodicSolution, Stability
-from fenics_crack.basics.errors import MAX_HARMONIC_ORDER
-from fenics_crack.basics.observables import OBSERVABLES_BY_NAME, ObservableFlag, observable_names
-from fenics_crack.basics.report import Report
-from fenics_crack.basics.tables import Table, format_percent, format_quantity
+from fenics_crack.basics.errors import MAX_HARMONIC_ORDER, ConvergenceError, InputError
+from fenics_crack.basics.observables import (
+    IN_PRINTED_TABLE,
+    OBSERVABLES_BY_NAME,
+    ObservableFlag,
+    Place,
+    observable_names,
+)
+from fenics_crack.basics.tables import Report, Table, format_count, format_percent, format_quantity
+from fenics_crack.curves.stability import attractors
 from fenics_crack.model.contact import friction_of
 from fenics_crack.model.modes import damped_count_and_max_omega_or_none
+from fenics_crack.model.structure import Structure
+from fenics_crack.runs.conclusion import make_conclusion
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import MAX_SMALL_ROTATION, distances_from_clamp
@@ -295,6 +305,205 @@ def yield_mode_dependence_warning(
             f"{contradiction_text}: the verdict {verdict!r} {MODE_DEPENDENCE_TEXT}; raise "
             f"{scene.modes_key}"
         )
+
+
+def describe_departing_motions(solution: PeriodicSolution, watched_dof: int) -> str:
+    """Describe the motions reached from an unstable or irregular solution (collective).
+
+    The text has the half peak-to-peak displacement at ``watched_dof``, for periodic motions and for
+    motions still varying. The text is empty if no motion was found.
+    """
+    departing_motions: list[tuple[bool, int, np.ndarray]] = []
+    with suppress(ConvergenceError, InputError):
+        departing_motions = [
+            (attractor.orbit is not None, attractor.periods, attractor.amplitudes(watched_dof))
+            for attractor in attractors(solution.structure, solution)
+        ]
+    settled_range_texts = dict.fromkeys(
+        _describe_range(amplitudes) for is_orbit, _, amplitudes in departing_motions if is_orbit
+    )
+    clause_texts = [f"settles to {' or '.join(settled_range_texts)}"] if settled_range_texts else []
+    if varying_motions := [
+        (n_periods, amplitudes)
+        for is_orbit, n_periods, amplitudes in departing_motions
+        if not is_orbit
+    ]:
+        period_counts, amplitude_arrays = zip(*varying_motions, strict=True)
+        amplitude_range_text = _describe_range(np.concatenate(amplitude_arrays))
+        clause_texts.append(
+            f"still varies after {format_count(min(period_counts), 'period')}, "
+            f"{amplitude_range_text}"
+        )
+    return (
+        f"; a disturbed motion {' or '.join(clause_texts)} half peak-to-peak"
+        if clause_texts
+        else ""
+    )
+
+
+def _describe_range(amplitudes: np.ndarray) -> str:
+    """Describe a range of amplitudes [m]: "between 1.2 mm and 1.5 mm".
+
+    Equal ends give a single value.
+    """
+    end_texts = dict.fromkeys(
+        format_quantity(amplitude, "m") for amplitude in (amplitudes.min(), amplitudes.max())
+    )
+    return f"{'between ' if len(end_texts) > 1 else ''}{' and '.join(end_texts)}"
+
+
+def describe_undamped_harmonics(structure: Structure, highest_omega: float) -> str:
+    """Remark that harmonics lie above all damped modes (collective).
+
+    ``highest_omega`` [rad/s] is the frequency of the highest harmonic. The text is empty if modes
+    up to this frequency are damped, or without contact: only contact excites harmonics.
+    """
+    damped_modes_and_highest_omega = (
+        damped_count_and_max_omega_or_none(structure) if structure.n_pairs else None
+    )
+    if damped_modes_and_highest_omega is None or highest_omega <= damped_modes_and_highest_omega[1]:
+        return ""
+    n_damped_modes, highest_damped_omega = damped_modes_and_highest_omega
+    if n_damped_modes == 0:
+        return (
+            f"harmonics reach H w = {highest_omega:g} rad/s, but no mode is damped; set [damping]"
+        )
+    modes_text = "the damped mode" if n_damped_modes == 1 else f"the {n_damped_modes} damped modes"
+    return (
+        f"harmonics reach H w = {highest_omega:g} rad/s, beyond {modes_text} "
+        f"({highest_damped_omega:g} rad/s); higher modes are not damped: raise damping.modes"
+    )
+
+
+# --- the report -----------------------------------------------------------------------------------
+
+
+def make_report(run: Run[Any], table: Table, **report_fields: Any) -> Report:
+    """Build a run's report, with notes common to all kinds of runs (collective).
+
+    Notes describe friction along lines, watched nodes away from the output points, and quantities
+    with an incomplete error. In a table of quantities, the closing sentence becomes the last row.
+
+    Parameters
+    ----------
+    run : Run
+    table : Table
+        Table for files; the first column "name" marks a table of quantities.
+    report_fields
+        Further fields of the :class:`Report`.
+    """
+    friction_notes, friction_warnings = list_friction_line_notes_and_warnings(run)
+    incomplete_notes = () if run.stated is None else run.stated.incomplete_error_notes
+    report_fields["notes"] = [
+        *report_fields.get("notes", ()),
+        *friction_notes,
+        *_list_node_distance_notes(run),
+        *incomplete_notes,
+    ]
+    report_fields["warnings"] = [*report_fields.get("warnings", ()), *friction_warnings]
+    if table.columns[0] != "name":
+        return Report(table, make_conclusion(run), remarks=run.remarks, **report_fields)
+    report_fields |= {
+        "printed_table": select_printed_quantities(table, run.scene, IN_PRINTED_TABLE),
+        "page_tables": _quantity_text_tables_by_heading(run, table),
+    }
+    report = Report(table, make_conclusion(run), remarks=run.remarks, **report_fields)
+    conclusion_row = [
+        "conclusion",
+        DESCRIPTION_UNIT_AND_LEVEL_BY_NAME["conclusion"][0],
+        report.closing_sentence,
+        "-",
+    ]
+    conclusion_row += ["" for _ in table.columns[len(conclusion_row) :]]
+    return replace(report, table=Table(table.columns, [*table.rows, conclusion_row]))
+
+
+def _list_node_distance_notes(run: Run[Any]) -> list[str]:
+    """Note how far watched nodes are from the output points of the scene.
+
+    Returns a list with a single note; empty if all points are nodes.
+    """
+    distance_by_point = {
+        watched_displacement.name.partition(".")[0]: watched_displacement.distance
+        for watched_displacement in run.watched
+        if watched_displacement.distance > 0
+    }
+    distances_text = ", ".join(
+        f"{point_name} {format_quantity(node_distance, 'm')}"
+        for point_name, node_distance in distance_by_point.items()
+    )
+    exclusion_text = (
+        "; the stated errors do not include this distance" if run.stated is not None else ""
+    )
+    return (
+        [
+            f"each output point is observed at its nearest node, at a distance of: {distances_text}"
+            f"{exclusion_text}"
+        ]
+        if distances_text
+        else []
+    )
+
+
+def _quantity_text_tables_by_heading(run: Run[Any], table: Table) -> dict[str, Table]:
+    """Tabulate quantities as text for the report page.
+
+    "Requested by the scene" has the quantities in ``output.quantities``, left out without any; "In
+    numbers" has all.
+    """
+    requested_names = run.scene.quantities or ()
+    requested_rows = [
+        row for row in table.rows if str(row[0]).rpartition(".")[2] in requested_names
+    ]
+    requested_table_by_heading = {
+        "Requested by the scene": tabulate_known_quantities_as_text(
+            Table(table.columns, requested_rows)
+        )
+    }
+    return (requested_table_by_heading if requested_rows else {}) | {
+        "In numbers": tabulate_known_quantities_as_text(table)
+    }
+
+
+def blade_tables_by_heading(run: Run[Any], heading: str) -> dict[str, Table]:
+    """Tabulate the vibration of each blade of a bladed disk (collective).
+
+    The table stands under ``heading``; without a disk the dict is empty.
+    """
+    if run.scene.disk is None:
+        return {}
+    from fenics_crack.disk.bladed_disk import blades
+
+    return {heading: blades(run).table()}
+
+
+def yield_natural_frequencies(
+    frequencies_by_name: Mapping[str, np.ndarray],
+) -> Iterator[tuple[str, str, str, np.ndarray]]:
+    """Yield natural frequencies, and load frequency over natural frequency, with units.
+
+    Parameters
+    ----------
+    frequencies_by_name : dict of str to ndarray
+        Result of :meth:`BilinearFrequencies.nearest`, in rad/s.
+
+    Yields
+    ------
+    name, words, unit : str
+        "omega_open" in rad/s, then "frequency_open" in Hz.
+    value : ndarray
+    """
+    for quantity_name in observable_names(Place.NEAREST_MODE):
+        description = OBSERVABLES_BY_NAME[quantity_name].words
+        unit = OBSERVABLES_BY_NAME[quantity_name].unit
+        yield quantity_name, description, unit, frequencies_by_name[quantity_name]
+        if unit == "rad/s":
+            yield (
+                quantity_name.replace("omega", "frequency"),
+                description,
+                "Hz",
+                frequencies_by_name[quantity_name] / (2.0 * np.pi),
+            )
 
 
 # --- printed parts of tables ----------------------------------------------------------------------

@@ -18,14 +18,13 @@ from fenics_crack.basics.errors import (
     StoppedError,
 )
 from fenics_crack.basics.ranks import ignore_stop_signals, on_root
-from fenics_crack.basics.report import Report
-from fenics_crack.basics.tables import format_speed
+from fenics_crack.basics.tables import Report, format_speed
 from fenics_crack.cli.account import make_printed_table
-from fenics_crack.cli.drawn import PictureFiles
 from fenics_crack.cli.given import (
     STRUCTURE_FILE_NAME,
     CommandInputs,
     Console,
+    PictureFiles,
     format_command,
     keep_previous_files_with_note,
 )

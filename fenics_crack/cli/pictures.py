@@ -26,8 +26,7 @@ from fenics_crack.basics.tables import (
     heading_with_unit,
 )
 from fenics_crack.basics.untrusted_files import read_regular_file
-from fenics_crack.cli.drawn import PictureFiles
-from fenics_crack.cli.given import PERIOD_FRAMES_FOLDER_NAME
+from fenics_crack.cli.given import PERIOD_FRAMES_FOLDER_NAME, PictureFiles
 from fenics_crack.cli.results import Waveforms, sample_waveforms
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw import plot, plot_curve, plot_mesh, plot_study

@@ -24,8 +24,7 @@ from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import Table
 from fenics_crack.basics.untrusted_files import read_regular_file
 from fenics_crack.cli.account import make_printed_table
-from fenics_crack.cli.drawn import PictureFiles
-from fenics_crack.cli.given import Console, make_writable_folder
+from fenics_crack.cli.given import Console, PictureFiles, make_writable_folder
 from fenics_crack.cli.kinds import RESULT_KIND_BY_NAME, build_report, draw_result, restore_result
 from fenics_crack.cli.pictures import draw_scene_mesh
 from fenics_crack.cli.scenes import format_harmonic_count

@@ -1,4 +1,4 @@
-"""The command ``check``, which solves nothing, and remarks on harmonics without damping."""
+"""The command ``check``: mesh a scene without solving, and print key figures."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from fenics_crack.basics.tables import (
     format_percent,
     format_range,
 )
+from fenics_crack.cli.account import describe_undamped_harmonics
 from fenics_crack.cli.given import CommandInputs, Console
 from fenics_crack.errors.stated import estimate_frequency_mesh_errors
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_rigid
-from fenics_crack.model.modes import damped_count_and_max_omega_or_none
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene, list_requested_extra_quantities, missing_table_error
 from fenics_crack.scene.words import word_for_crack_faces
@@ -376,32 +376,6 @@ def _describe_invalid_cases(scene: Scene) -> str:
         else ""
     )
     return f"{len(reason_texts)}{scope_text}" + (f": {reason_texts[0]}" if reason_texts else "")
-
-
-# --- harmonics without damping --------------------------------------------------------------------
-
-
-def describe_undamped_harmonics(structure: Structure, highest_omega: float) -> str:
-    """Remark that harmonics lie above all damped modes (collective).
-
-    ``highest_omega`` [rad/s] is the frequency of the highest harmonic. The text is empty if modes
-    up to this frequency are damped, or without contact: only contact excites harmonics.
-    """
-    damped_modes_and_highest_omega = (
-        damped_count_and_max_omega_or_none(structure) if structure.n_pairs else None
-    )
-    if damped_modes_and_highest_omega is None or highest_omega <= damped_modes_and_highest_omega[1]:
-        return ""
-    n_damped_modes, highest_damped_omega = damped_modes_and_highest_omega
-    if n_damped_modes == 0:
-        return (
-            f"harmonics reach H w = {highest_omega:g} rad/s, but no mode is damped; set [damping]"
-        )
-    modes_text = "the damped mode" if n_damped_modes == 1 else f"the {n_damped_modes} damped modes"
-    return (
-        f"harmonics reach H w = {highest_omega:g} rad/s, beyond {modes_text} "
-        f"({highest_damped_omega:g} rad/s); higher modes are not damped: raise damping.modes"
-    )
 
 
 def _describe_undamped_after_reduction(

@@ -8,9 +8,9 @@ import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR, PART_NAMES_OF_TOTAL_ERROR, ErrorReport
 from fenics_crack.basics.observables import IN_SPECIAL_POINTS_TABLE, observable_names
-from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import (
     N_SELECTED_ROWS,
+    Report,
     Table,
     format_count,
     format_in_unit,
