@@ -21,7 +21,7 @@ import shlex
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import cache, lru_cache
 from importlib.util import find_spec
 from itertools import product
@@ -29,6 +29,7 @@ from pathlib import Path
 from shutil import which as program_on_path
 from typing import Any, NamedTuple
 
+from fenics_crack.basics.atomic_files import DISK_FULL_ERROR_NUMBERS
 from fenics_crack.basics.errors import InputError
 
 THREAD_COUNT_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS")
@@ -49,6 +50,8 @@ INSTALLATION_ADVICE = (
     "conda env create -f environment.yml, or sh install.sh on Debian 12 or 13 (docs/install.md)"
 )
 """The three ways to get DOLFINx and the libraries around it."""
+OUT_OF_MEMORY_TEXTS = ("PetscMalloc", "failed to map segment")
+"""Texts in errors of PETSc and the library loader if memory is short."""
 RANK_COUNT_VARIABLES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
 """Environment variables with the number of ranks, set by Open MPI and MPICH."""
 _lock = threading.RLock()
@@ -79,9 +82,9 @@ def check_debian_module_versions() -> None:
         if version(module_name) != version_by_module[module_name]:
             remedy_text = f"run 'sh install.sh' again, or remove {Path(module_path).parent}"
             requirement_text = (
-                f"{version_by_module[module_name]}, the version for which Debian's DOLFINx is built"
+                f"{version_by_module[module_name]}, the version for which Debian's DOLFINx is "
+                f"built: {remedy_text}"
             )
-            requirement_text += f": {remedy_text}"
             raise InputError(module_name, version(module_name), requirement_text)
 
 
@@ -205,35 +208,22 @@ def run_single_threaded() -> Iterator[None]:
     stays: by a variable of :data:`THREAD_COUNT_VARIABLES` (for OpenMP only the first), or in
     OpenBLAS by threadpoolctl.
     """
-    with _lock:
-        openblas_count_pairs = (
-            []
-            if any(map(os.environ.get, THREAD_COUNT_VARIABLES))
-            else _load_openblas_with_thread_counts(len(sys.modules))
-        )
-        limited_openblas_pairs = [
-            (openblas, n_default_threads)
-            for openblas, n_default_threads in openblas_count_pairs
-            if openblas("get_num_threads") == n_default_threads > 1
-        ]
-        for openblas, _ in limited_openblas_pairs:
-            openblas("set_num_threads", 1)
-        has_user_setting = os.environ.get(THREAD_COUNT_VARIABLES[0], "1") != "1"
-        openmp_libraries = [] if has_user_setting else _load_openmp_libraries(len(sys.modules))
-        previous_max_levels = [
-            openmp_library.omp_get_max_active_levels() for openmp_library in openmp_libraries
-        ]
-        for openmp_library in openmp_libraries:
-            openmp_library.omp_set_max_active_levels(0)
-        try:
-            yield
-        finally:
-            for openmp_library, previous_max_level in zip(
-                openmp_libraries, previous_max_levels, strict=True
-            ):
-                openmp_library.omp_set_max_active_levels(previous_max_level)
-            for openblas, n_default_threads in limited_openblas_pairs:
-                openblas("set_num_threads", n_default_threads)
+    with _lock, ExitStack() as restored_settings:
+        if not any(map(os.environ.get, THREAD_COUNT_VARIABLES)):
+            for openblas, n_default_threads in _load_openblas_with_thread_counts(len(sys.modules)):
+                if openblas("get_num_threads") == n_default_threads > 1:
+                    restored_settings.callback(
+                        openblas.__call__, "set_num_threads", n_default_threads
+                    )
+                    openblas("set_num_threads", 1)
+        if os.environ.get(THREAD_COUNT_VARIABLES[0], "1") == "1":
+            for openmp_library in _load_openmp_libraries(len(sys.modules)):
+                previous_max_level = openmp_library.omp_get_max_active_levels()
+                restored_settings.callback(
+                    openmp_library.omp_set_max_active_levels, previous_max_level
+                )
+                openmp_library.omp_set_max_active_levels(0)
+        yield
 
 
 class _OpenBlas(NamedTuple):
@@ -336,6 +326,24 @@ def address_space_limit() -> float:
 def remaining_address_space() -> float:
     """Return the address space that this process may still use [byte]; inf without a limit."""
     return address_space_limit() - process_memory("VmSize")
+
+
+def describe_resource_shortage(error: Exception) -> str:
+    """Describe the lack of memory or disk space behind an error; "" for any other error.
+
+    Memory counts as short, too, above 90 % of the process's address space limit.
+    """
+    is_reported = any(shortage_text in str(error) for shortage_text in OUT_OF_MEMORY_TEXTS)
+    # Few libraries name their need.
+    is_near_limit = process_memory("VmPeak") > 0.9 * address_space_limit()
+    if isinstance(error, MemoryError) or is_reported or is_near_limit:
+        return "not enough memory; use a coarser mesh, fewer modes or a machine with more memory"
+    if isinstance(error, OSError) and error.errno in DISK_FULL_ERROR_NUMBERS:
+        return (
+            f"{error.filename or 'standard output'} cannot be written ({error.strerror}); free "
+            "disk space"
+        )
+    return ""
 
 
 @contextmanager

@@ -43,12 +43,11 @@ _NAME_WORDS_BY_UNIT = {
     "m": "amplitude_error displacement response clearance crack_length tip_radius rest_amplitude",
     "m/cycle": "rate",
 }
-UNIT_BY_NAME = {name: observable.unit for name, observable in OBSERVABLES_BY_NAME.items()}
-"""Units for the entries of ``to_dict`` by name; all further entries have none."""
-UNIT_BY_NAME |= {
-    name: unit for unit, names in _NAME_WORDS_BY_UNIT.items() for name in names.split()
+UNIT_BY_NAME = {
+    **{name: observable.unit for name, observable in OBSERVABLES_BY_NAME.items()},
+    **{name: unit for unit, names in _NAME_WORDS_BY_UNIT.items() for name in names.split()},
 }
-"""Units of the entries of ``to_dict``; all others have none."""
+"""Units for the entries of ``to_dict`` by name; all further entries have none."""
 
 
 @with_old_names(formatted="format_as")

@@ -19,7 +19,6 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 from fenics_crack.basics import machine
-from fenics_crack.basics.atomic_files import DISK_FULL_ERROR_NUMBERS
 from fenics_crack.basics.errors import ConvergenceError, Exit, InputError, StoppedError, WriteError
 from fenics_crack.basics.progress import MessageHandler
 from fenics_crack.basics.suggestions import (
@@ -40,8 +39,6 @@ PETSC_OPTION_PREFIXES = tuple(
 In this order: SNES of harmonic balance, GMRES, SLEPc for lowest modes, SLEPc for the largest
 frequency, factorisations.
 """
-OUT_OF_MEMORY_TEXTS = ("PetscMalloc", "failed to map segment")
-"""Texts in errors of PETSc and the library loader if memory is short."""
 ARGUMENT_NAMES_BY_TABLE = {
     "curve": ("parameter", "start"),
     "disk": ("families",),
@@ -138,7 +135,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
                 [InputError("PETSc options", " ".join(_petsc_arguments()), requirement_text)]
             )
             return Exit.BAD_INPUT
-        if shortage_text := _describe_resource_shortage(error):
+        if shortage_text := machine.describe_resource_shortage(error):
             _print_to_stderr(shortage_text, sys.__stderr__)
             _redirect_stdout_to_null()
         else:
@@ -245,24 +242,6 @@ def _redirect_stdout_to_null() -> None:
     """Redirect standard output to the null device: Python then writes nothing at exit."""
     with contextlib.suppress(OSError):  # it may be no file
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _describe_resource_shortage(error: Exception) -> str:
-    """Describe the lack of memory or disk space behind an error; "" for any other error.
-
-    Memory counts as short, too, above 90 % of the process's address space limit.
-    """
-    is_reported = any(shortage_text in str(error) for shortage_text in OUT_OF_MEMORY_TEXTS)
-    # Few libraries name their need.
-    is_near_limit = machine.process_memory("VmPeak") > 0.9 * machine.address_space_limit()
-    if isinstance(error, MemoryError) or is_reported or is_near_limit:
-        return "not enough memory; use a coarser mesh, fewer modes or a machine with more memory"
-    if isinstance(error, OSError) and error.errno in DISK_FULL_ERROR_NUMBERS:
-        return (
-            f"{error.filename or 'standard output'} cannot be written ({error.strerror}); free "
-            "disk space"
-        )
-    return ""
 
 
 def _run_command(arguments: argparse.Namespace) -> Exit:
