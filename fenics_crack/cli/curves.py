@@ -48,47 +48,6 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
     indicator_columns_by_heading = _indicator_columns_by_heading(run, curve)
     special_point_table = tabulate_special_points(run, indicator_columns_by_heading)
     shortened_table, n_hidden_points = shorten_special_points(run, special_point_table)
-    note_texts = [
-        _describe_unstable_peak(run),
-        account.describe_undamped_harmonics(run.structure, highest_harmonic_omega(scene, "curve")),
-    ]
-    if n_hidden_points:
-        note_texts.insert(
-            0, f"{n_hidden_points} more bifurcations and changes of stability are in curve.json"
-        )
-    bifurcation_kinds = dict.fromkeys(bifurcation.kind for bifurcation in curve.bifurcations)
-    note_texts += [
-        f"{kind_in_words(bifurcation_kind)}: {MEANING_BY_BIFURCATION[bifurcation_kind]}"
-        for bifurcation_kind in bifurcation_kinds
-        if bifurcation_kind in MEANING_BY_BIFURCATION
-    ]
-    warning_texts = [
-        *_yield_curve_warnings(run),
-        *account.list_large_motion_warnings(run, account.find_largest_displacements(run)),
-    ]
-    indicators = curve.indicators(run.watched_dof)
-    peak_index = int(np.argmax(indicators.amplitude))
-    if indicators.largest_order[peak_index] > 3:
-        place_text = (
-            "the largest response" if _is_before_early_end(curve, peak_index) else "the curve's end"
-        )
-        note_texts.append(
-            f"at {place_text} the largest harmonic above harmonic 1 is harmonic "
-            f"{indicators.largest_order[peak_index]:.0f}, with "
-            f"{indicators.ratio_largest[peak_index]:.2g} of harmonic 1"
-        )
-    if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
-        status_detail = curve.status.partition("; ")[2] if curve.complete else ""
-        note_texts.append(
-            "; ".join(filter(None, (f"method of the curve: {curve.method}", status_detail)))
-        )
-    if curve.exact:
-        width_text = format_in_unit(
-            axis_factor_name_and_unit(curve.parameter, True), curve.resolution
-        )
-        note_texts.append(
-            f"unstable ranges narrower than {width_text} may lie between the points of the curve"
-        )
     return account.make_report(
         run,
         special_point_table,
@@ -96,8 +55,11 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
         printed_table=account.select_printed_quantities(
             shortened_table, scene, IN_SPECIAL_POINTS_TABLE
         ),
-        notes=note_texts,
-        warnings=warning_texts,
+        notes=_yield_curve_notes(run, n_hidden_points),
+        warnings=[
+            *_yield_curve_warnings(run),
+            *account.yield_large_motion_warning(run, account.find_largest_displacements(run)),
+        ],
         page_tables={
             "Special points": account.select_printed_quantities(
                 special_point_table, scene, IN_SPECIAL_POINTS_TABLE
@@ -107,6 +69,40 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
         has_converged=bool(curve.complete) and curve.status != INTERRUPTED_CURVE_STATUS,
         misses_tolerance=bool(explain_unknown_amplitude_error(run)),
     )
+
+
+def _yield_curve_notes(run: Run[ResponseCurve], n_hidden_points: int) -> Iterator[str]:
+    """Yield notes on special points, harmonics, the method and the resolution (collective).
+
+    ``n_hidden_points`` is the number of special points that the printed table leaves out.
+    """
+    curve, scene = run.result, run.scene
+    if n_hidden_points:
+        yield f"{n_hidden_points} more bifurcations and changes of stability are in curve.json"
+    yield _describe_unstable_peak(run)
+    yield account.describe_undamped_harmonics(run.structure, highest_harmonic_omega(scene, "curve"))
+    for bifurcation_kind in dict.fromkeys(bifurcation.kind for bifurcation in curve.bifurcations):
+        if bifurcation_kind in MEANING_BY_BIFURCATION:
+            yield f"{kind_in_words(bifurcation_kind)}: {MEANING_BY_BIFURCATION[bifurcation_kind]}"
+    indicators = curve.indicators(run.watched_dof)
+    peak_index = int(np.argmax(indicators.amplitude))
+    if indicators.largest_order[peak_index] > 3:
+        place_text = (
+            "the largest response" if _is_before_early_end(curve, peak_index) else "the curve's end"
+        )
+        yield (
+            f"at {place_text} the largest harmonic above harmonic 1 is harmonic "
+            f"{indicators.largest_order[peak_index]:.0f}, with "
+            f"{indicators.ratio_largest[peak_index]:.2g} of harmonic 1"
+        )
+    if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
+        status_detail = curve.status.partition("; ")[2] if curve.complete else ""
+        yield "; ".join(filter(None, (f"method of the curve: {curve.method}", status_detail)))
+    if curve.exact:
+        width_text = format_in_unit(
+            axis_factor_name_and_unit(curve.parameter, True), curve.resolution
+        )
+        yield f"unstable ranges narrower than {width_text} may lie between the points of the curve"
 
 
 def _describe_unstable_peak(run: Run[ResponseCurve]) -> str:
@@ -179,13 +175,8 @@ def _yield_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
             yield f"at the largest response, {warning_text}"
     undecided_ranges = _find_undecided_ranges(curve)
     for first_index, last_index in undecided_ranges[:1]:
-        end_values = (
-            curve.values[[first_index, last_index]]
-            if last_index > first_index
-            else curve.values[[first_index]]
-        )
-        location_text = "between " if last_index > first_index else ""
-        location_text += _format_parameters(run, *end_values)
+        range_text = _format_parameters(run, *curve.values[sorted({first_index, last_index})])
+        location_text = f"between {range_text}" if last_index > first_index else range_text
         undecided_reason = curve.reason((first_index + last_index) // 2)
         count_text = format_count(last_index + 1 - first_index, "point")
         yield f"the stability is undecided at {count_text}, {location_text}: {undecided_reason}"
@@ -410,10 +401,7 @@ def _solve_natural_frequencies(
         ]
         return np.sqrt(np.stack(mode_omega_columns, axis=-1))
 
-    open_omega_rows, bonded_omega_rows = (
-        [getattr(frequencies, f"omega_{frequency_kind}") for frequencies in frequencies_of_samples]
-        for frequency_kind in ("open", "tied")
-    )
     return BilinearFrequencies(
-        interpolate_squares(open_omega_rows), interpolate_squares(bonded_omega_rows)
+        interpolate_squares([frequencies.omega_open for frequencies in frequencies_of_samples]),
+        interpolate_squares([frequencies.omega_tied for frequencies in frequencies_of_samples]),
     )

@@ -582,17 +582,17 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
     from fenics_crack.basics.ranks import on_root  # PETSc
 
     scene_path: Path = arguments.file
+    all_options = (*EXCLUSIVE_NEW_SCENE_OPTIONS, "cad", *COMBINABLE_NEW_SCENE_OPTIONS)
+    chosen_options = [option for option in all_options if vars(arguments)[option]]
     combinable_options = [
-        option for option in COMBINABLE_NEW_SCENE_OPTIONS if vars(arguments)[option]
+        option for option in chosen_options if option in COMBINABLE_NEW_SCENE_OPTIONS
     ]
-    exclusive_options = [
-        option for option in EXCLUSIVE_NEW_SCENE_OPTIONS if vars(arguments)[option]
-    ]
-    exclusive_options += ["cad"] if arguments.cad else []
-    if exclusive_options and len(exclusive_options + combinable_options) > 1:
-        other_option_text = f"with --{(exclusive_options[1:] + combinable_options)[0]}"
+    is_exclusive = len(combinable_options) < len(chosen_options)
+    if is_exclusive and len(chosen_options) > 1:
         raise InputError(
-            f"--{exclusive_options[0]}", other_option_text, "used alone, as it writes another scene"
+            f"--{chosen_options[0]}",
+            f"with --{chosen_options[1]}",
+            "used alone, as it writes another scene",
         )
     measurements_path = scene_path.with_name(f"{scene_path.stem}_measured.csv")
     if arguments.cad:
@@ -605,8 +605,8 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
             f"{picture_path}: picture of the faces of {arguments.cad}, with their numbers"
         )
         texts_by_path = {scene_path: scene_text}
-    elif exclusive_options:
-        scene_text = read_packaged_text(f"cli/new_{exclusive_options[0]}.toml")
+    elif is_exclusive:
+        scene_text = read_packaged_text(f"cli/new_{chosen_options[0]}.toml")
         texts_by_path = {scene_path: scene_text.replace("SCENE", shlex.quote(scene_path.name))}
     else:
         texts_by_path = {
@@ -649,14 +649,13 @@ def build_scene_text(
         f"(--{option})"
         for option in {*combinable_options, *(["blade"] if "timing" in combinable_options else [])}
     ]
-    template_lines = read_packaged_text(PLATE_TEMPLATE_PATH).splitlines()
-    template_lines = [
+    scene_lines = [
         _toggle_comment(template_line)
         if template_line.endswith(tuple(line_marks))
         else template_line
-        for template_line in template_lines
+        for template_line in read_packaged_text(PLATE_TEMPLATE_PATH).splitlines()
     ]
-    scene_text = "\n".join([*map(_remove_mark, template_lines), ""])
+    scene_text = "\n".join([*map(_remove_mark, scene_lines), ""])
     return scene_text.replace("SCENE", shlex.quote(scene_name)).replace(
         "MEASURED", shlex.quote(measurements_name)
     )

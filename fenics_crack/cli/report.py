@@ -225,12 +225,14 @@ def _draw_curves(
     for curve_label, curve_run, line_colour in zip(
         curve_labels, curve_runs, distinct_colours(len(curve_runs)), strict=True
     ):
-        line_options = {
-            "label": curve_label,
-            "colour": line_colour,
-            "in_hertz": curve_run.scene.is_frequency_in_hertz,
-        }
-        plot_curve.draw_curve(curve_run.result, curve_run.watched_dof, axes=axes, **line_options)
+        plot_curve.draw_curve(
+            curve_run.result,
+            curve_run.watched_dof,
+            axes=axes,
+            label=curve_label,
+            colour=line_colour,
+            in_hertz=curve_run.scene.is_frequency_in_hertz,
+        )
     picture.save_with_title()
     return picture_folder / f"overlay_curve.{picture_format}"
 
@@ -283,7 +285,6 @@ def _write_page(
     kind_names = [stored_file.kind for stored_file, _ in files_and_results]
     file_stems = [stored_file.path.stem for stored_file, _ in files_and_results]
     picture_folder = make_folder_until_exit()
-    page_fields = _build_scene_fields(scene_results[0], picture_folder) if scene_results else {}
     fields_of_results = []
     for result_index, (stored_file, result) in enumerate(files_and_results):
         result_fields = _build_result_fields(
@@ -295,7 +296,8 @@ def _write_page(
                 f": {stored_file.path.with_suffix('') if is_repeated else stored_file.path.stem}"
             )
         fields_of_results.append(result_fields)
-    page_fields |= {
+    page_fields = {
+        **(_build_scene_fields(scene_results[0], picture_folder) if scene_results else {}),
         "title": f"Vibration of {files_and_results[0][0].path.resolve().parent.name}",
         "under": f"{datetime.now(UTC).astimezone():{DATE_FORMAT}}, fenics_crack {VERSION}",
         "parts": fields_of_results,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -62,69 +62,66 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
     table = _tabulate_quantities(
         run, solution.omega, solution.to_dict() | _collect_doubts_by_name(run)
     )
-    note_texts = [
-        account.describe_undamped_harmonics(run.structure, highest_harmonic_omega(scene, "solve"))
-    ]
-    is_error_requested = scene.harmonic_balance.error
-    if (
-        solution.converged
-        and solution.stability is None
-        and run.contact is not None
-        and is_error_requested
-    ):
-        reduction_text = "" if scene.disk is not None else "a reduction (reduction.method), and "
-        note_texts.append(
-            "the stability is not assessed, as that would take long; to assess it, use "
-            f"{reduction_text}contact.law = 'unilateral' if crack faces have no mass"
-        )
-    if (
-        solution.converged
-        and (order_and_ratio := find_largest_omitted_harmonic(solution, run.watched_dof))
-        is not None
-    ):
-        note_texts.append(
-            f"the largest harmonic above harmonic 1 is harmonic {order_and_ratio[0]}, with "
-            f"{order_and_ratio[1]:.2g} of harmonic 1 in the exact orbit; this solution leaves it "
-            "out: use more harmonics"
-        )
     tolerance = scene.harmonic_balance.tolerance
     is_tolerance_missed = tolerance is not None and solution.report.total > tolerance
-    warning_texts = []
-    if not solution.converged or is_tolerance_missed:
-        warning_texts.append(f"{'' if solution.converged else 'not converged: '}{solution.status}")
-    elif run.structure.n_pairs:
-        warning_texts += account.yield_large_error_warning(
-            scene, solution.report, solution.harmonics
-        )
-    if solution.still:
-        warning_texts.append(
-            "nothing vibrates: no load varies in time; give one, for example excitation.force_sin"
-        )
-    if solution.converged:
-        stability, motion_text = solution.stability, ""
-        if stability is not None:
-            if stability.verdict in ("unstable", "irregular"):
-                motion_text = account.describe_departing_motions(solution, run.watched_dof)
-            warning_texts += account.yield_mode_dependence_warning(
-                run.scene, solution, stability.verdict
-            )
-        warning_texts += account.yield_instability_warning(scene, run, stability, motion_text)
-        warning_texts += account.list_large_motion_warnings(
-            run, account.find_largest_displacements(run)
-        )
-        warning_texts += account.yield_nonunique_contact_force_warning(solution)
-        warning_texts += run.stated.point_force_warnings if run.stated is not None else ()
     return account.make_report(
         run,
         table,
         csv_table=_tabulate_waveforms(run, sample_waveforms(run)),
-        notes=note_texts,
-        warnings=warning_texts,
+        notes=_yield_solution_notes(run),
+        warnings=_yield_solution_warnings(run, is_tolerance_missed=is_tolerance_missed),
         further_tables=account.blade_tables_by_heading(run, "Blades")
         | _front_tables_by_heading(run),
         has_converged=solution.converged,
         misses_tolerance=is_tolerance_missed or bool(explain_unknown_solution_error(run)),
     )
+
+
+def _yield_solution_notes(run: Run[PeriodicSolution]) -> Iterator[str]:
+    """Yield notes on undamped or omitted harmonics, and on a stability that was not assessed."""
+    solution, scene = run.result, run.scene
+    yield account.describe_undamped_harmonics(run.structure, highest_harmonic_omega(scene, "solve"))
+    if not solution.converged:
+        return
+    if solution.stability is None and run.contact is not None and scene.harmonic_balance.error:
+        reduction_text = "" if scene.disk is not None else "a reduction (reduction.method), and "
+        yield (
+            "the stability is not assessed, as that would take long; to assess it, use "
+            f"{reduction_text}contact.law = 'unilateral' if crack faces have no mass"
+        )
+    if (order_and_ratio := find_largest_omitted_harmonic(solution, run.watched_dof)) is not None:
+        yield (
+            f"the largest harmonic above harmonic 1 is harmonic {order_and_ratio[0]}, with "
+            f"{order_and_ratio[1]:.2g} of harmonic 1 in the exact orbit; this solution leaves it "
+            "out: use more harmonics"
+        )
+
+
+def _yield_solution_warnings(
+    run: Run[PeriodicSolution], *, is_tolerance_missed: bool
+) -> Iterator[str]:
+    """Yield warnings about convergence, errors, stability and large motions (collective).
+
+    ``is_tolerance_missed`` is True for an error above ``harmonic_balance.tolerance``.
+    """
+    solution, scene, stability = run.result, run.scene, run.result.stability
+    if not solution.converged or is_tolerance_missed:
+        yield f"{'' if solution.converged else 'not converged: '}{solution.status}"
+    elif run.structure.n_pairs:
+        yield from account.yield_large_error_warning(scene, solution.report, solution.harmonics)
+    if solution.still:
+        yield "nothing vibrates: no load varies in time; give one, for example excitation.force_sin"
+    if not solution.converged:
+        return
+    motion_text = ""
+    if stability is not None:
+        if stability.verdict in ("unstable", "irregular"):
+            motion_text = account.describe_departing_motions(solution, run.watched_dof)
+        yield from account.yield_mode_dependence_warning(scene, solution, stability.verdict)
+    yield from account.yield_instability_warning(scene, run, stability, motion_text)
+    yield from account.yield_large_motion_warning(run, account.find_largest_displacements(run))
+    yield from account.yield_nonunique_contact_force_warning(solution)
+    yield from run.stated.point_force_warnings if run.stated is not None else ()
 
 
 def _front_tables_by_heading(run: Run[Any]) -> dict[str, Table]:
@@ -162,13 +159,12 @@ def _collect_doubts_by_name(run: Run[PeriodicSolution]) -> dict[str, object]:
     "total_error" and "displacement_error" are nan.
     """
     stability = run.result.stability
-    doubts_by_name: dict[str, object] = {"unknown_error": explain_unknown_solution_error(run)}
-    doubts_by_name["remarks"] = "; ".join(map(str, run.remarks))
-    if stability is not None:
-        doubts_by_name |= {
-            "from_rest": stability.from_rest,
-            "rest_amplitude": stability.rest_amplitude,
-        }
+    doubts_by_name: dict[str, object] = {
+        "unknown_error": explain_unknown_solution_error(run),
+        "remarks": "; ".join(map(str, run.remarks)),
+        "from_rest": "" if stability is None else stability.from_rest,
+        "rest_amplitude": np.nan if stability is None else stability.rest_amplitude,
+    }
     known_doubts_by_name = {
         name: doubt for name, doubt in doubts_by_name.items() if doubt and doubt == doubt
     }
@@ -197,12 +193,11 @@ def report_of_history(run: Run[TimeHistory]) -> Report:
     )
     warning_texts = []
     if not is_finished and not integration_table.free:
-        unsettled_text = (
+        warning_texts.append(
             f"the motion has not settled after {history.periods} of {integration_table.periods} "
-            "periods"
+            f"periods{_describe_longer_period(history)}"
         )
-        warning_texts.append(f"{unsettled_text}{_describe_longer_period(history)}")
-    warning_texts += account.list_large_motion_warnings(
+    warning_texts += account.yield_large_motion_warning(
         run, np.abs(waveforms.displacement).max(axis=0)
     )
     return account.make_report(
@@ -378,8 +373,8 @@ def _tabulate_waveforms(run: Run, waveforms: Waveforms) -> Table:
     headings = [
         "time [s]",
         *(f"{watched_displacement.words} [m]" for watched_displacement in run.watched),
+        *(f"closing {crack_place} [m]" for crack_place in waveforms.closings_by_place),
     ]
-    headings += [f"closing {crack_place} [m]" for crack_place in waveforms.closings_by_place]
     column_arrays = [
         waveforms.time,
         *waveforms.displacement.T,

@@ -358,8 +358,10 @@ def _describe_reduction(study: Study) -> str:
         return "none"
     modes_text = format_count(scene_reduction.n_modes, "mode")
     if mode_counts:
-        modes_text = f"{format_count(mode_counts[0], 'mode')} or more, until the error is below "
-        modes_text += f"{scene.harmonic_balance.tolerance:g}"
+        modes_text = (
+            f"{format_count(mode_counts[0], 'mode')} or more, until the error is below "
+            f"{scene.harmonic_balance.tolerance:g}"
+        )
     if scene_reduction.method == "massless":
         return f"massless, {modes_text}, {word_for_crack_faces(scene)} without mass"
     return f"{scene_reduction.method}, {modes_text}"
@@ -403,7 +405,7 @@ def _describe_undamped_after_reduction(
         scene_reduction is not None
         and scene_reduction.method == "massless"
         and damping_ratio is not None
+        and np.ravel(damping_ratio)[-1] > 0.0  # that of all further modes that are kept
     ):
-        if np.ravel(damping_ratio)[-1] > 0.0:  # that of all further modes that are kept
-            return ""
+        return ""
     return describe_undamped_harmonics(structure, highest_omega)
