@@ -17,7 +17,6 @@ import ctypes
 import os
 import re
 import resource
-import shlex
 import sys
 import threading
 from collections.abc import Iterator, Sequence
@@ -29,8 +28,7 @@ from pathlib import Path
 from shutil import which as program_on_path
 from typing import Any, NamedTuple
 
-from fenics_crack.basics.atomic_files import DISK_FULL_ERROR_NUMBERS
-from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.errors import DISK_FULL_ERROR_NUMBERS, InputError
 
 THREAD_COUNT_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS")
 """Environment variables that set the number of OpenBLAS's threads."""
@@ -121,6 +119,7 @@ def find_c_compiler() -> str:
     InputError
         There is no compiler, or Python's headers are missing.
     """
+    import shlex
     import sysconfig  # takes a while: not for the program's start
 
     user_command = os.environ.get("CC")
@@ -146,6 +145,7 @@ def find_c_compiler() -> str:
 
 def read_version_line(command: str) -> str:
     """Return the first line that a program prints with ``--version``."""
+    import shlex
     import subprocess  # takes a while: not for the program's start
 
     command_words = [*shlex.split(command), "--version"]

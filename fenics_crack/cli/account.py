@@ -1,4 +1,4 @@
-"""Parts that reports of results share: warnings, notes, and tables to be printed."""
+"""Common parts of reports: warnings, notes, and tables to be printed."""
 
 from __future__ import annotations
 
@@ -382,7 +382,7 @@ def make_report(
     table : Table
         Table for files; the first column "name" marks a table of quantities.
     notes, warnings : iterable of str
-        Notes and warnings for this kind of run.
+        Notes and warnings for one kind of run.
     report_fields
         Further fields of the :class:`Report`.
     """

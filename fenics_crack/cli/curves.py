@@ -74,7 +74,7 @@ def report_of_curve(run: Run[ResponseCurve]) -> Report:
 def _yield_curve_notes(run: Run[ResponseCurve], n_hidden_points: int) -> Iterator[str]:
     """Yield notes on special points, harmonics, the method and the resolution (collective).
 
-    ``n_hidden_points`` is the number of special points that the printed table leaves out.
+    ``n_hidden_points`` is the number of special points left out of the printed table.
     """
     curve, scene = run.result, run.scene
     if n_hidden_points:

@@ -78,7 +78,7 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
 
 
 def _yield_solution_notes(run: Run[PeriodicSolution]) -> Iterator[str]:
-    """Yield notes on undamped or omitted harmonics, and on a stability that was not assessed."""
+    """Yield notes on undamped or omitted harmonics, and on an unknown stability."""
     solution, scene = run.result, run.scene
     yield account.describe_undamped_harmonics(run.structure, highest_harmonic_omega(scene, "solve"))
     if not solution.converged:

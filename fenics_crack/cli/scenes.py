@@ -268,8 +268,8 @@ def _rotation_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str
 def _crack_and_contact_values_by_label(study: Study, key_figures: KeyFigures) -> dict[str, object]:
     """Return crack lengths, contact law and static stiffness by printed label.
 
-    Stiffnesses are [N/m] for each contact pair, lengths and openings [m]. None for values that the
-    law does not have. Without contact, lengths and the number of pairs alone.
+    Stiffnesses are [N/m] for each contact pair, lengths and openings [m]. None for stiffnesses
+    of a rigid law. Without contact, lengths and the number of pairs alone.
     """
     cracks_by_name = study.scene.crack_by_name
     contact_law, contact_table = study.contact, study.scene.contact
