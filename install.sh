@@ -138,7 +138,7 @@ else
         "by 'uv python install 3.13', pyenv or conda; other ways are in docs/install.md"
     site= extra=dolfinx
     missing=$("$python" -B -c '
-from fenics_crack.basics.installation import InputError, find_c_compiler
+from fenics_crack.basics.machine import InputError, find_c_compiler
 try:
     find_c_compiler()
 except InputError as error:

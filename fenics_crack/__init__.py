@@ -6,7 +6,7 @@ Start with ``docs/cracked_blade.md`` or ``demos/paper_plate.py``; equations and 
 The names are those that ``__init__.pyi`` imports. Each is imported here when it is first used: who
 brings matrices needs neither DOLFINx nor gmsh, and who draws nothing neither VTK nor matplotlib.
 Of several ranks all start PETSc here, together: who calls a function on one of them waits for none.
-Functions called by these names run one at a time (:mod:`fenics_crack.basics.threads`).
+Functions called by these names run one at a time (:mod:`fenics_crack.basics.machine`).
 """
 
 import sys
@@ -22,7 +22,7 @@ from types import FunctionType
 from typing import Any
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.threads import (
+from fenics_crack.basics.machine import (
     check_debian_module_versions,
     is_started_by_mpirun,
     run_single_threaded,

@@ -39,8 +39,8 @@ from fenics_crack.balance.contact_system import DYNAMIC_TO_SOFT_PAIR_COMPLIANCE,
 from fenics_crack.balance.problem import Problem, Search
 from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.machine import machine_memory
 from fenics_crack.basics.progress import begin_stage
-from fenics_crack.basics.threads import machine_memory
 from fenics_crack.model.factor import estimate_factor_bytes, local_rows, make_matrix_from_local_rows
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import count_damped_modes, damped_modes

@@ -58,9 +58,9 @@ from fenics_crack.basics.errors import (
     check_number,
     check_omega,
 )
+from fenics_crack.basics.machine import machine_memory
 from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.suggestions import with_old_names
-from fenics_crack.basics.threads import machine_memory
 from fenics_crack.kernel import kernel
 from fenics_crack.model.contact import (
     ContactLaw,

@@ -19,12 +19,10 @@ import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from fenics_crack.basics.errors import InputError, WriteError
+from fenics_crack.basics.errors import DISK_FULL_ERROR_NUMBERS, InputError, WriteError
 
 DEVICE_FOLDERS = "/dev", "/dev/fd", "/proc/self/fd"
 """Folders of devices and open files, which are written directly."""
-DISK_FULL_ERROR_NUMBERS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
-"""Numbers of errors of the disk, mostly a full one; all further errors come from the path."""
 REPLACED_FILES_FOLDER_NAME = "before"
 """Name of the folder with replaced files, below the folder of the new files."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import math
 import pickle
 import re
@@ -32,6 +33,8 @@ DEFAULT_ERROR_TOLERANCE = 1e-2
 
 Errors of modes and harmonics are then below most mesh errors.
 """
+DISK_FULL_ERROR_NUMBERS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
+"""Numbers of errors of the disk, mostly a full one; all further errors come from the path."""
 
 
 class Exit(IntEnum):

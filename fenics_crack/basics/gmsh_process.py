@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
-from fenics_crack.basics.installation import report_missing_libraries
+from fenics_crack.basics.machine import report_missing_libraries
 
 
 @contextmanager

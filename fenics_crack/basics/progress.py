@@ -118,9 +118,9 @@ class StageLineHandler(logging.Handler):
         while not end_event.wait(MESSAGE_INTERVAL):
             with self._write_lock:
                 elapsed_seconds = time.perf_counter() - self._start_time
-                progress_texts = [f"  {self._stage_text} ... {elapsed_seconds:.0f} s"]
-                progress_texts += [describe_progress() for describe_progress in _progress_functions]
-                progress_text = ", ".join(progress_texts)
+                progress_texts = [describe_progress() for describe_progress in _progress_functions]
+                stage_text = f"  {self._stage_text} ... {elapsed_seconds:.0f} s"
+                progress_text = ", ".join([stage_text, *progress_texts])
                 if self._stage_text:
                     self._write(
                         f"\r\033[K{progress_text}" if self._is_terminal else f"{progress_text}\n"

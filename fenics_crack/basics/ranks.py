@@ -23,7 +23,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.installation import (
+from fenics_crack.basics.machine import (
     RANK_COUNT_VARIABLES,
     check_launcher,
     report_missing_libraries,

@@ -213,8 +213,10 @@ def check_options(
     for key, value in options.items():
         if key not in option_names:
             question_text = did_you_mean_text(find_similar_or_longer_names(key, option_names))
-            requirement_text = f"left out; {question_text}the options of {owner_words} are "
-            requirement_text += ", ".join(option_names)
+            requirement_text = (
+                f"left out; {question_text}the options of {owner_words} are "
+                f"{', '.join(option_names)}"
+            )
             raise InputError(key, value, requirement_text)
 
 
@@ -227,11 +229,9 @@ def _class_names_of(value: object) -> set[str]:
     # The name of NumPy's bool_ becomes that of Python's.
     class_names = {base_class.__name__.removesuffix("_") for base_class in type(value).__mro__}
     abstract_class_by_name: dict[str, Any] = {
-        "Mapping": Mapping,
-        "Path": os.PathLike,
-        "None": type(None),
-    }
-    abstract_class_by_name |= {"Iterable": Iterable, "int": Integral, "float": Real}
+        "Mapping": Mapping, "Path": os.PathLike, "None": type(None), "Iterable": Iterable,
+        "int": Integral, "float": Real,
+    }  # fmt: skip
     return class_names | {
         name
         for name, abstract_class in abstract_class_by_name.items()
@@ -344,9 +344,8 @@ def check_calls(
     argument_names = [
         name
         for name, parameter in signature.parameters.items()
-        if parameter.kind is not parameter.VAR_KEYWORD
+        if parameter.kind is not parameter.VAR_KEYWORD and name not in ("self", "cls")
     ]
-    argument_names = [name for name in argument_names if name not in ("self", "cls")]
     keyword_only_names = {
         name
         for name, parameter in signature.parameters.items()

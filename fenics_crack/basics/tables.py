@@ -12,7 +12,7 @@ import io
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.basics.atomic_files import write_file_whole
+from fenics_crack.basics.errors import Exit
 from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
 from fenics_crack.basics.suggestions import with_old_names
 
@@ -42,12 +43,11 @@ _NAME_WORDS_BY_UNIT = {
     "m": "amplitude_error displacement response clearance crack_length tip_radius rest_amplitude",
     "m/cycle": "rate",
 }
-UNIT_BY_NAME = {name: observable.unit for name, observable in OBSERVABLES_BY_NAME.items()}
-"""Units for the entries of ``to_dict`` by name; all further entries have none."""
-UNIT_BY_NAME |= {
-    name: unit for unit, names in _NAME_WORDS_BY_UNIT.items() for name in names.split()
+UNIT_BY_NAME = {
+    **{name: observable.unit for name, observable in OBSERVABLES_BY_NAME.items()},
+    **{name: unit for unit, names in _NAME_WORDS_BY_UNIT.items() for name in names.split()},
 }
-"""Units of the entries of ``to_dict``; all others have none."""
+"""Units for the entries of ``to_dict`` by name; all further entries have none."""
 
 
 @with_old_names(formatted="format_as")
@@ -189,6 +189,62 @@ class Conclusion:
                 ),
             )
         )
+
+
+@dataclass(frozen=True)
+class Report:
+    """Hold the sentences and tables that a command prints and writes.
+
+    Attributes
+    ----------
+    table : Table
+        Summary of the result, written to the .json file.
+    conclusion : Conclusion
+        Parts of the closing sentence, with the answer.
+    scene : Scene, optional
+        Scene that selects the units of a printed table with several units.
+    csv_table : Table, optional
+        Table for the .csv file; default: ``table``.
+    printed_table : Table, optional
+        Table printed as text; default: ``table``.
+    notes, warnings : sequences of str
+        Further information, and doubts about the result.
+    page_tables : dict of str to Table
+        Tables of the HTML page by caption; default: the printed table.
+    further_tables : dict of str to Table
+        Tables below the first table, printed and on the page, by caption.
+    remarks : sequence of Remark
+        Notes on unusual values in the scene.
+    has_converged : bool
+        False if any part of the result has not converged.
+    misses_tolerance : bool
+        True if the error is unknown or above the tolerance.
+    """
+
+    table: Table
+    conclusion: Conclusion
+    scene: Any = None
+    csv_table: Table | None = None
+    printed_table: Table | None = None
+    notes: Sequence[str] = ()
+    warnings: Sequence[str] = ()
+    page_tables: Mapping[str, Table] = field(default_factory=dict)
+    further_tables: Mapping[str, Table] = field(default_factory=dict)
+    remarks: Sequence[object] = ()
+    has_converged: bool = True
+    misses_tolerance: bool = False
+
+    @property
+    def closing_sentence(self) -> str:
+        """Last sentence that the command prints: answer, and numbers of warnings and remarks."""
+        return self.conclusion.sentence(len(self.warnings), len(self.remarks))
+
+    @property
+    def exit_code(self) -> Exit:
+        """Exit code of the command: DONE, MISSED or NOT_CONVERGED."""
+        if not self.has_converged:
+            return Exit.NOT_CONVERGED
+        return Exit.MISSED if self.misses_tolerance else Exit.DONE
 
 
 @with_old_names(said="build_conclusion")

@@ -62,14 +62,13 @@ FACTOR_BY_HEADING_PREFIX = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6,
 SI_UNIT_AND_FACTOR_BY_UNIT = {
     "rad": ("rad", 1.0),
     **dict.fromkeys(("deg", "°"), ("rad", math.pi / 180.0)),
+    **{
+        prefix + unit: (unit, factor)
+        for prefix, factor in FACTOR_BY_HEADING_PREFIX.items()
+        for unit in ("m", "Hz")
+    },
 }
 """SI unit and factor, by the unit of a heading that is converted."""
-SI_UNIT_AND_FACTOR_BY_UNIT |= {
-    name + unit: (unit, part)
-    for name, part in FACTOR_BY_HEADING_PREFIX.items()
-    for unit in ("m", "Hz")
-}
-"""Units of headings that are converted: to which, and the factor."""
 
 
 @contextmanager
@@ -373,8 +372,6 @@ def run_reader_for_arrays(
         "path": str(path),
         "seconds": max_seconds,
         "wait": 4 * max_seconds,
-    }
-    request_entries |= {
         "most": max_array_bytes,
         "memory": base_memory_bytes + 4 * max_array_bytes,
         "request": request,

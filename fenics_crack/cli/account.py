@@ -1,20 +1,30 @@
-"""Warnings about results, and the printed parts of tables."""
+"""Common parts of reports: warnings, notes, and tables to be printed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR, NOT_CONFIRMED_TEXT, ErrorReport
 from fenics_crack.balance.solution import PeriodicSolution, Stability
-from fenics_crack.basics.errors import MAX_HARMONIC_ORDER
-from fenics_crack.basics.observables import OBSERVABLES_BY_NAME, ObservableFlag, observable_names
-from fenics_crack.basics.report import Report
-from fenics_crack.basics.tables import Table, format_percent, format_quantity
+from fenics_crack.basics.errors import MAX_HARMONIC_ORDER, ConvergenceError, InputError
+from fenics_crack.basics.observables import (
+    IN_PRINTED_TABLE,
+    OBSERVABLES_BY_NAME,
+    ObservableFlag,
+    Place,
+    observable_names,
+)
+from fenics_crack.basics.tables import Report, Table, format_count, format_percent, format_quantity
+from fenics_crack.curves.stability import attractors
 from fenics_crack.model.contact import friction_of
 from fenics_crack.model.modes import damped_count_and_max_omega_or_none
+from fenics_crack.model.structure import Structure
+from fenics_crack.runs.conclusion import make_conclusion
 from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.key_figures import distances_from_clamp
@@ -78,11 +88,13 @@ UNITS_ROUNDED_TO_ZERO = ("m", "N", "Pa m^0.5")
 # --- sentences ------------------------------------------------------------------------------------
 
 
-def list_large_motion_warnings(run: Run[Any], largest_displacements: Sequence[float]) -> list[str]:
-    """Warn if displacements exceed the range of small rotations (collective).
+def yield_large_motion_warning(
+    run: Run[Any], largest_displacements: Sequence[float] | np.ndarray
+) -> Iterator[str]:
+    """Yield a warning if displacements exceed the range of small rotations (collective).
 
     A rotation [rad] is a displacement over the node's distance from the clamp; the limit is
-    :data:`MAX_SMALL_ROTATION`, 0.1.
+    :data:`MAX_SMALL_ROTATION`, 0.1. The warning is about the largest rotation.
 
     Parameters
     ----------
@@ -90,26 +102,19 @@ def list_large_motion_warnings(run: Run[Any], largest_displacements: Sequence[fl
         Run with the watched dofs.
     largest_displacements : (n_watched,) [m]
         Largest displacements of the watched dofs, means included.
-
-    Returns
-    -------
-    list of str
-        A warning about the largest rotation, or nothing.
     """
     clamp_distances = distances_from_clamp(
         run.structure.whole, [watched_displacement.dof for watched_displacement in run.watched]
     )
-    worst_index = int(
-        np.argmax(rotation_angles := np.asarray(largest_displacements) / clamp_distances)
-    )
-    if not rotation_angles[worst_index] > MAX_SMALL_ROTATION:
-        return []
-    return [
-        f"the {run.watched[worst_index].words} reaches "
-        f"{format_quantity(largest_displacements[worst_index], 'm')}, a rotation of about "
-        f"{rotation_angles[worst_index]:.2g} rad around the clamp; the equations hold for small "
-        "rotations, and the stated errors do not include this; reduce the load"
-    ]
+    rotation_angles = np.asarray(largest_displacements) / clamp_distances
+    worst_index = int(np.argmax(rotation_angles))
+    if rotation_angles[worst_index] > MAX_SMALL_ROTATION:
+        yield (
+            f"the {run.watched[worst_index].words} reaches "
+            f"{format_quantity(largest_displacements[worst_index], 'm')}, a rotation of about "
+            f"{rotation_angles[worst_index]:.2g} rad around the clamp; the equations hold for "
+            "small rotations, and the stated errors do not include this; reduce the load"
+        )
 
 
 def find_largest_displacements(run: Run[Any]) -> list[float]:
@@ -153,24 +158,23 @@ def yield_large_error_warning(
     """
     if not report.total > error_limit:  # or not requested
         return
-    refinement_text, balance_table = (
-        "more damping: the number of harmonics H is at its limit",
-        scene.harmonic_balance,
-    )
+    balance_table = scene.harmonic_balance
     if balance_table.tolerance is None:
         can_choose_harmonics = balance_table.samples is None and balance_table.form != "block"
-        setting_text = (
+        refinement_text = "more harmonics" + (
             f": {TOLERANCE_OPTION_TEXT} chooses them"
             if can_choose_harmonics
             else " (harmonic_balance.harmonics)"
         )
-        refinement_text = f"more harmonics{setting_text}"
     elif n_harmonics < MAX_HARMONIC_ORDER:
         refinement_text = "a smaller harmonic_balance.tolerance"
+    else:
+        refinement_text = "more damping: the number of harmonics H is at its limit"
     is_unilateral = scene.contact is not None and scene.contact.law == "unilateral"
-    residual_remedy_text = "a lower contact stiffness, or contact.law = 'unilateral'"
     residual_remedy_text = (
-        "a load that opens the crack further" if is_unilateral else residual_remedy_text
+        "a load that opens the crack further"
+        if is_unilateral
+        else "a lower contact stiffness, or contact.law = 'unilateral'"
     )
     cause_text, remedy_text = {
         "truncation": ("truncated harmonics", refinement_text),
@@ -201,40 +205,30 @@ def yield_instability_warning(
     if stability is None or stability.verdict == "stable":
         return
     reason_text = f" ({stability.reason})" if stability.reason else ""
-    largest_multiplier, motion_description = (
-        complex(stability.multipliers[0]),
-        "with another amplitude",
-    )
-    if largest_multiplier.imag != 0.0:
-        motion_description = "that does not repeat each period: its amplitude slowly varies"
-    elif largest_multiplier.real <= 0.0:
-        motion_description = "that repeats after two periods of the load"
-    verdict_text = (
-        f"the orbit is unstable{reason_text}: a test shows another motion, {motion_description}"
-        f"{motion_text or '; fenics-crack integrate computes the motion from rest'}"
-    )
-    hint_texts = []
-    tolerance_option_texts = [] if scene.harmonic_balance.tolerance else [TOLERANCE_OPTION_TEXT]
+    hint_texts = [] if scene.harmonic_balance.tolerance else [TOLERANCE_OPTION_TEXT]
     if stability.verdict == "irregular":
-        verdict_text = "; ".join(
-            [
-                stability.reason + motion_text,
-                *(
-                    f"{tolerance_option} may find a periodic orbit"
-                    for tolerance_option in tolerance_option_texts
-                ),
-            ]
-        )
-    if stability.verdict == "undecided":
-        verdict_text = f"the stability of the orbit is undecided{reason_text}{motion_text}"
-        hint_texts += tolerance_option_texts
+        hints_text = f"; {hint_texts[0]} may find a periodic orbit" if hint_texts else ""
+        yield f"{stability.reason}{motion_text}{hints_text}"
+    elif stability.verdict == "undecided":
         damping_table = scene.damping  # None: a matrix, which damps all modes or not
         if damping_table and not (
             damping_table.damps_all_modes
             or damped_count_and_max_omega_or_none(run.structure) is None
         ):
             hint_texts.append("damping of all modes (damping.modes = 'all')")
-    yield verdict_text + (f"; {' or '.join(hint_texts)} may decide it" if hint_texts else "")
+        hints_text = f"; {' or '.join(hint_texts)} may decide it" if hint_texts else ""
+        yield f"the stability of the orbit is undecided{reason_text}{motion_text}{hints_text}"
+    else:
+        largest_multiplier = complex(stability.multipliers[0])
+        motion_description = "with another amplitude"
+        if largest_multiplier.imag != 0.0:
+            motion_description = "that does not repeat each period: its amplitude slowly varies"
+        elif largest_multiplier.real <= 0.0:
+            motion_description = "that repeats after two periods of the load"
+        yield (
+            f"the orbit is unstable{reason_text}: a test shows another motion, {motion_description}"
+            f"{motion_text or '; fenics-crack integrate computes the motion from rest'}"
+        )
 
 
 def list_friction_line_notes_and_warnings(run: Run[Any]) -> tuple[list[str], list[str]]:
@@ -296,6 +290,201 @@ def yield_mode_dependence_warning(
             f"{contradiction_text}: the verdict {verdict!r} {MODE_DEPENDENCE_TEXT}; raise "
             f"{scene.modes_key}"
         )
+
+
+def describe_departing_motions(solution: PeriodicSolution, watched_dof: int) -> str:
+    """Describe the motions reached from an unstable or irregular solution (collective).
+
+    The text has the half peak-to-peak displacement at ``watched_dof``, for periodic motions and for
+    motions still varying. The text is empty if no motion was found.
+    """
+    departing_motions: list[tuple[bool, int, np.ndarray]] = []
+    with suppress(ConvergenceError, InputError):
+        departing_motions = [
+            (attractor.orbit is not None, attractor.periods, attractor.amplitudes(watched_dof))
+            for attractor in attractors(solution.structure, solution)
+        ]
+    settled_range_texts = dict.fromkeys(
+        _describe_range(amplitudes) for is_orbit, _, amplitudes in departing_motions if is_orbit
+    )
+    clause_texts = [f"settles to {' or '.join(settled_range_texts)}"] if settled_range_texts else []
+    if varying_motions := [
+        (n_periods, amplitudes)
+        for is_orbit, n_periods, amplitudes in departing_motions
+        if not is_orbit
+    ]:
+        period_counts, amplitude_arrays = zip(*varying_motions, strict=True)
+        amplitude_range_text = _describe_range(np.concatenate(amplitude_arrays))
+        clause_texts.append(
+            f"still varies after {format_count(min(period_counts), 'period')}, "
+            f"{amplitude_range_text}"
+        )
+    return (
+        f"; a disturbed motion {' or '.join(clause_texts)} half peak-to-peak"
+        if clause_texts
+        else ""
+    )
+
+
+def _describe_range(amplitudes: np.ndarray) -> str:
+    """Describe a range of amplitudes [m]: "between 1.2 mm and 1.5 mm".
+
+    Equal ends give a single value.
+    """
+    end_texts = dict.fromkeys(
+        format_quantity(amplitude, "m") for amplitude in (amplitudes.min(), amplitudes.max())
+    )
+    return f"{'between ' if len(end_texts) > 1 else ''}{' and '.join(end_texts)}"
+
+
+def describe_undamped_harmonics(structure: Structure, highest_omega: float) -> str:
+    """Remark that harmonics lie above all damped modes (collective).
+
+    ``highest_omega`` [rad/s] is the frequency of the highest harmonic. The text is empty if modes
+    up to this frequency are damped, or without contact: only contact excites harmonics.
+    """
+    damped_modes_and_highest_omega = (
+        damped_count_and_max_omega_or_none(structure) if structure.n_pairs else None
+    )
+    if damped_modes_and_highest_omega is None or highest_omega <= damped_modes_and_highest_omega[1]:
+        return ""
+    n_damped_modes, highest_damped_omega = damped_modes_and_highest_omega
+    if n_damped_modes == 0:
+        return (
+            f"harmonics reach H w = {highest_omega:g} rad/s, but no mode is damped; set [damping]"
+        )
+    modes_text = "the damped mode" if n_damped_modes == 1 else f"the {n_damped_modes} damped modes"
+    return (
+        f"harmonics reach H w = {highest_omega:g} rad/s, beyond {modes_text} "
+        f"({highest_damped_omega:g} rad/s); higher modes are not damped: raise damping.modes"
+    )
+
+
+# --- the report -----------------------------------------------------------------------------------
+
+
+def make_report(
+    run: Run[Any],
+    table: Table,
+    *,
+    notes: Iterable[str] = (),
+    warnings: Iterable[str] = (),
+    **report_fields: Any,
+) -> Report:
+    """Build a run's report, with notes common to all kinds of runs (collective).
+
+    Common notes describe friction along lines, watched nodes away from the output points, and
+    quantities with an incomplete error. In a table of quantities, the closing sentence becomes the
+    last row.
+
+    Parameters
+    ----------
+    run : Run
+    table : Table
+        Table for files; the first column "name" marks a table of quantities.
+    notes, warnings : iterable of str
+        Notes and warnings for one kind of run.
+    report_fields
+        Further fields of the :class:`Report`.
+    """
+    friction_notes, friction_warnings = list_friction_line_notes_and_warnings(run)
+    incomplete_notes = () if run.stated is None else run.stated.incomplete_error_notes
+    report = Report(
+        table,
+        make_conclusion(run),
+        notes=[*notes, *friction_notes, *_yield_node_distance_note(run), *incomplete_notes],
+        warnings=[*warnings, *friction_warnings],
+        remarks=run.remarks,
+        **report_fields,
+    )
+    if table.columns[0] != "name":
+        return report
+    conclusion_text = DESCRIPTION_UNIT_AND_LEVEL_BY_NAME["conclusion"][0]
+    error_cells = ["" for _ in table.columns[4:]]
+    conclusion_row = ["conclusion", conclusion_text, report.closing_sentence, "-", *error_cells]
+    return replace(
+        report,
+        table=Table(table.columns, [*table.rows, conclusion_row]),
+        printed_table=select_printed_quantities(table, run.scene, IN_PRINTED_TABLE),
+        page_tables=_quantity_text_tables_by_heading(run, table),
+    )
+
+
+def _yield_node_distance_note(run: Run[Any]) -> Iterator[str]:
+    """Yield a note how far watched nodes are from the output points; none if all are nodes."""
+    distance_by_point = {
+        watched_displacement.name.partition(".")[0]: watched_displacement.distance
+        for watched_displacement in run.watched
+        if watched_displacement.distance > 0
+    }
+    distances_text = ", ".join(
+        f"{point_name} {format_quantity(node_distance, 'm')}"
+        for point_name, node_distance in distance_by_point.items()
+    )
+    exclusion_text = (
+        "; the stated errors do not include this distance" if run.stated is not None else ""
+    )
+    if distances_text:
+        yield (
+            "each output point is observed at its nearest node, at a distance of: "
+            f"{distances_text}{exclusion_text}"
+        )
+
+
+def _quantity_text_tables_by_heading(run: Run[Any], table: Table) -> dict[str, Table]:
+    """Tabulate quantities as text for the report page.
+
+    "Requested by the scene" has the quantities in ``output.quantities``, left out without any; "In
+    numbers" has all.
+    """
+    requested_names = run.scene.quantities or ()
+    requested_rows = [
+        row for row in table.rows if str(row[0]).rpartition(".")[2] in requested_names
+    ]
+    requested_table_by_heading = {
+        "Requested by the scene": tabulate_known_quantities_as_text(
+            Table(table.columns, requested_rows)
+        )
+    }
+    return (requested_table_by_heading if requested_rows else {}) | {
+        "In numbers": tabulate_known_quantities_as_text(table)
+    }
+
+
+def blade_tables_by_heading(run: Run[Any], heading: str) -> dict[str, Table]:
+    """Tabulate the vibration of each blade of a bladed disk (collective).
+
+    The table stands under ``heading``; without a disk the dict is empty.
+    """
+    if run.scene.disk is None:
+        return {}
+    from fenics_crack.disk.bladed_disk import blades
+
+    return {heading: blades(run).table()}
+
+
+def yield_natural_frequencies(
+    frequencies_by_name: Mapping[str, np.ndarray],
+) -> Iterator[tuple[str, str, str, np.ndarray]]:
+    """Yield natural frequencies, and load frequency over natural frequency, with units.
+
+    Parameters
+    ----------
+    frequencies_by_name : dict of str to ndarray
+        Result of :meth:`BilinearFrequencies.nearest`, in rad/s.
+
+    Yields
+    ------
+    name, words, unit : str
+        "omega_open" in rad/s, then "frequency_open" in Hz.
+    value : ndarray
+    """
+    for quantity_name in observable_names(Place.NEAREST_MODE):
+        observable, value = OBSERVABLES_BY_NAME[quantity_name], frequencies_by_name[quantity_name]
+        yield quantity_name, observable.words, observable.unit, value
+        if observable.unit == "rad/s":
+            frequency_name = quantity_name.replace("omega", "frequency")
+            yield frequency_name, observable.words, "Hz", value / (2.0 * np.pi)
 
 
 # --- printed parts of tables ----------------------------------------------------------------------
@@ -419,28 +608,23 @@ def tabulate_known_quantities_as_text(table: Table) -> Table:
     ]
     return Table(
         ("quantity", "value", *table.columns[4:]),
-        [
-            (*_format_description_and_value(*table_row[:3]), *table_row[3:])
-            for table_row in known_rows
-        ],
+        [(table_row[0], _format_value(*table_row[:3]), *table_row[3:]) for table_row in known_rows],
     )
 
 
-def _format_description_and_value(
-    description: str, quantity_value: Any, unit: str
-) -> tuple[str, Any]:
-    """Return a quantity's description, and the value with unit as text.
+def _format_value(description: str, quantity_value: Any, unit: str) -> Any:
+    """Return a quantity's value with unit as text.
 
     Numbers with a description "relative ..." become percentages, True and False "yes" and "no".
     """
     is_finite_number = isinstance(quantity_value, float) and np.isfinite(quantity_value)
     if is_finite_number and unit in UNITS_ROUNDED_TO_ZERO:
-        return description, format_quantity(quantity_value, unit)
+        return format_quantity(quantity_value, unit)
     if is_finite_number and description.startswith("relative "):
-        return description, format_percent(quantity_value)
+        return format_percent(quantity_value)
     value_text = (
         f"{quantity_value:.6g}"
         if is_finite_number
         else {True: "yes", False: "no"}.get(quantity_value, quantity_value)
     )
-    return description, value_text if unit in ("-", "1", "") else f"{value_text} {unit}"
+    return value_text if unit in ("-", "1", "") else f"{value_text} {unit}"

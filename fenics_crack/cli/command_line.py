@@ -18,8 +18,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
-from fenics_crack.basics import threads
-from fenics_crack.basics.atomic_files import DISK_FULL_ERROR_NUMBERS
+from fenics_crack.basics import machine
 from fenics_crack.basics.errors import ConvergenceError, Exit, InputError, StoppedError, WriteError
 from fenics_crack.basics.progress import MessageHandler
 from fenics_crack.basics.suggestions import (
@@ -40,8 +39,6 @@ PETSC_OPTION_PREFIXES = tuple(
 In this order: SNES of harmonic balance, GMRES, SLEPc for lowest modes, SLEPc for the largest
 frequency, factorisations.
 """
-OUT_OF_MEMORY_TEXTS = ("PetscMalloc", "failed to map segment")
-"""Texts in errors of PETSc and the library loader if memory is short."""
 ARGUMENT_NAMES_BY_TABLE = {
     "curve": ("parameter", "start"),
     "disk": ("families",),
@@ -99,7 +96,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
     """
     gc.set_threshold(10_000)  # more than 100,000 objects stay, to be searched again and again
     atexit.register(gc.freeze)  # the system takes back what is left, garbage or not
-    if any(os.environ.get(variable_name, "0") != "0" for variable_name in threads.RANK_VARIABLES):
+    if any(os.environ.get(variable_name, "0") != "0" for variable_name in machine.RANK_VARIABLES):
         _discard_output_of_this_rank()
     if sys.stdout is None:
         _print_to_stderr(
@@ -138,7 +135,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
                 [InputError("PETSc options", " ".join(_petsc_arguments()), requirement_text)]
             )
             return Exit.BAD_INPUT
-        if shortage_text := _describe_resource_shortage(error):
+        if shortage_text := machine.describe_resource_shortage(error):
             _print_to_stderr(shortage_text, sys.__stderr__)
             _redirect_stdout_to_null()
         else:
@@ -149,7 +146,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
 
 def _abort_all_ranks(exit_code: Exit) -> None:
     """End all MPI ranks with an exit code; do nothing for a single rank."""
-    if threads.is_started_by_mpirun():
+    if machine.is_started_by_mpirun():
         from mpi4py import MPI
 
         if MPI.COMM_WORLD.size > 1:
@@ -168,7 +165,7 @@ def _parse_arguments(command_words: Sequence[str] | None) -> argparse.Namespace:
         )
     except SystemExit:
         sys.stdout.flush()
-        if threads.is_started_by_mpirun():
+        if machine.is_started_by_mpirun():
             from mpi4py import MPI
 
             MPI.COMM_WORLD.Barrier()  # a rank that fails earlier would silence the one that prints
@@ -247,24 +244,6 @@ def _redirect_stdout_to_null() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _describe_resource_shortage(error: Exception) -> str:
-    """Describe the lack of memory or disk space behind an error; "" for any other error.
-
-    Memory counts as short, too, above 90 % of the process's address space limit.
-    """
-    is_reported = any(shortage_text in str(error) for shortage_text in OUT_OF_MEMORY_TEXTS)
-    # Few libraries name their need.
-    is_near_limit = threads.process_memory("VmPeak") > 0.9 * threads.address_space_limit()
-    if isinstance(error, MemoryError) or is_reported or is_near_limit:
-        return "not enough memory; use a coarser mesh, fewer modes or a machine with more memory"
-    if isinstance(error, OSError) and error.errno in DISK_FULL_ERROR_NUMBERS:
-        return (
-            f"{error.filename or 'standard output'} cannot be written ({error.strerror}); free "
-            "disk space"
-        )
-    return ""
-
-
 def _run_command(arguments: argparse.Namespace) -> Exit:
     """Read a command's inputs, load MPI and PETSc, and call the command.
 
@@ -273,7 +252,7 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
     """
     if arguments.command == "doctor":  # checks itself which libraries are there
         return _call_command(arguments, None, None) or Exit.DONE
-    threads.check_debian_module_versions()
+    machine.check_debian_module_versions()
     from fenics_crack.cli.given import (
         STRUCTURE_FILE_NAME,
         Console,
@@ -281,7 +260,7 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
         read_prepared_inputs,
     )
 
-    is_under_mpirun = threads.is_started_by_mpirun()
+    is_under_mpirun = machine.is_started_by_mpirun()
     is_prepared_file = "scene" in arguments and arguments.scene.suffix.lower() == ".h5"
     inputs = None if is_under_mpirun or is_prepared_file else read_inputs(arguments)
     may_need_mesh = is_under_mpirun or not ("scene" in arguments and inputs is None)
@@ -297,7 +276,7 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
     )
     if needs_mesh and not (inputs and inputs.scene.structure):
         from fenics_crack.basics import gmsh_process as mesher  # noqa: F401  before MPI: see there
-    with threads.set_one_process_variables():
+    with machine.set_one_process_variables():
         from fenics_crack.basics.ranks import (  # starts MPI
             MPI,
             STOP_SIGNALS,
@@ -310,7 +289,7 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # else PETSc ends the program if a reader leaves
     for signal_number in STOP_SIGNALS:
         signal.signal(signal_number, signal.default_int_handler)
-    with threads.run_single_threaded(), MessageHandler(quiet=arguments.quiet):
+    with machine.run_single_threaded(), MessageHandler(quiet=arguments.quiet):
         if is_prepared_file:
             inputs = read_prepared_inputs(arguments, comm)
         elif is_under_mpirun:

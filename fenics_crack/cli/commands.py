@@ -18,14 +18,13 @@ from fenics_crack.basics.errors import (
     StoppedError,
 )
 from fenics_crack.basics.ranks import ignore_stop_signals, on_root
-from fenics_crack.basics.report import Report
-from fenics_crack.basics.tables import format_speed
+from fenics_crack.basics.tables import Report, format_speed
 from fenics_crack.cli.account import make_printed_table
-from fenics_crack.cli.drawn import PictureFiles
 from fenics_crack.cli.given import (
     STRUCTURE_FILE_NAME,
     CommandInputs,
     Console,
+    PictureFiles,
     format_command,
     keep_previous_files_with_note,
 )
@@ -78,10 +77,10 @@ def run_and_report_function(
         "comm": console.comm,
         "progress": console.shows_progress,
         "few": N_LOWEST_MODES,
+        **vars(arguments),
+        **vars(inputs),
+        "scene": inputs.prepared_study or inputs.scene,
     }
-    known_values_by_parameter |= (
-        vars(arguments) | vars(inputs) | {"scene": inputs.prepared_study or inputs.scene}
-    )
     keyword_arguments = {
         parameter_name: known_values_by_parameter[parameter_name]
         for parameter_name in signature(package_function).parameters
@@ -375,10 +374,13 @@ def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Cons
                 inputs.uncracked_arrival_source, scene, console, is_uncracked=True
             )
         )
-    run_options = {"folder": folder, "comm": console.comm, "progress": console.shows_progress}
     with console.report_stage("identification", has_bars=True):
         identification = search_module.identify(
-            scene, sum(measurement_sets[1:], measurement_sets[0]), **run_options
+            scene,
+            sum(measurement_sets[1:], measurement_sets[0]),
+            folder=folder,
+            comm=console.comm,
+            progress=console.shows_progress,
         )
     measurement_plan = identification.where_to_measure()
 

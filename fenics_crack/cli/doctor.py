@@ -16,19 +16,17 @@ from pathlib import Path
 
 from fenics_crack.basics.caches import replace_unusable_caches
 from fenics_crack.basics.errors import Exit, InputError
-from fenics_crack.basics.installation import (
+from fenics_crack.basics.machine import (
+    check_debian_module_versions,
     find_c_compiler,
     foreign_launcher_error,
+    list_loaded_libraries,
     program_on_path,
     read_version_line,
     report_missing_libraries,
-)
-from fenics_crack.basics.progress import LOGGER
-from fenics_crack.basics.threads import (
-    check_debian_module_versions,
-    list_loaded_libraries,
     set_one_process_variables,
 )
+from fenics_crack.basics.progress import LOGGER
 from fenics_crack.version import VERSION
 
 MIN_NUMPY_VERSION = (1, 24)

@@ -477,6 +477,41 @@ class Console:
             LOGGER.info("%s: %.2f s", stage_name, time.perf_counter() - start_time)
 
 
+@dataclass
+class PictureFiles:
+    """Record paths and captions of pictures, drawn into a folder.
+
+    Attributes
+    ----------
+    folder : Path
+        Folder for all files.
+    file_format : str
+        Ending of the pictures: "png", "pdf" or "svg".
+    has_vtk_files : bool
+        True if files for ParaView are written, too.
+    captions_by_path : dict of Path to str
+        Sentence below each picture; empty for files for ParaView.
+    notes : list of str
+        Pictures left out, with the reasons.
+    """
+
+    folder: Path
+    file_format: str = "png"
+    has_vtk_files: bool = False
+    captions_by_path: dict[Path, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def __call__(self, file_stem: str, caption: str, file_format: str = "") -> Path:
+        """Return the path of a new picture, and record the caption.
+
+        ``file_stem`` is the file's name without ending. ``file_format`` replaces the common format
+        for this picture.
+        """
+        picture_path = self.folder / f"{file_stem}.{file_format or self.file_format}"
+        self.captions_by_path[picture_path] = caption
+        return picture_path
+
+
 def make_writable_folder(folder: Path, comm: MPI.Comm) -> None:
     """Create a folder for results; raise InputError if files cannot be written (collective)."""
     from fenics_crack.basics.ranks import on_root  # PETSc
@@ -547,17 +582,17 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
     from fenics_crack.basics.ranks import on_root  # PETSc
 
     scene_path: Path = arguments.file
+    all_options = (*EXCLUSIVE_NEW_SCENE_OPTIONS, "cad", *COMBINABLE_NEW_SCENE_OPTIONS)
+    chosen_options = [option for option in all_options if vars(arguments)[option]]
     combinable_options = [
-        option for option in COMBINABLE_NEW_SCENE_OPTIONS if vars(arguments)[option]
+        option for option in chosen_options if option in COMBINABLE_NEW_SCENE_OPTIONS
     ]
-    exclusive_options = [
-        option for option in EXCLUSIVE_NEW_SCENE_OPTIONS if vars(arguments)[option]
-    ]
-    exclusive_options += ["cad"] if arguments.cad else []
-    if exclusive_options and len(exclusive_options + combinable_options) > 1:
-        other_option_text = f"with --{(exclusive_options[1:] + combinable_options)[0]}"
+    is_exclusive = len(combinable_options) < len(chosen_options)
+    if is_exclusive and len(chosen_options) > 1:
         raise InputError(
-            f"--{exclusive_options[0]}", other_option_text, "used alone, as it writes another scene"
+            f"--{chosen_options[0]}",
+            f"with --{chosen_options[1]}",
+            "used alone, as it writes another scene",
         )
     measurements_path = scene_path.with_name(f"{scene_path.stem}_measured.csv")
     if arguments.cad:
@@ -570,8 +605,8 @@ def write_new_scene(arguments: Namespace, _: None, console: Console) -> None:
             f"{picture_path}: picture of the faces of {arguments.cad}, with their numbers"
         )
         texts_by_path = {scene_path: scene_text}
-    elif exclusive_options:
-        scene_text = read_packaged_text(f"cli/new_{exclusive_options[0]}.toml")
+    elif is_exclusive:
+        scene_text = read_packaged_text(f"cli/new_{chosen_options[0]}.toml")
         texts_by_path = {scene_path: scene_text.replace("SCENE", shlex.quote(scene_path.name))}
     else:
         texts_by_path = {
@@ -614,14 +649,13 @@ def build_scene_text(
         f"(--{option})"
         for option in {*combinable_options, *(["blade"] if "timing" in combinable_options else [])}
     ]
-    template_lines = read_packaged_text(PLATE_TEMPLATE_PATH).splitlines()
-    template_lines = [
+    scene_lines = [
         _toggle_comment(template_line)
         if template_line.endswith(tuple(line_marks))
         else template_line
-        for template_line in template_lines
+        for template_line in read_packaged_text(PLATE_TEMPLATE_PATH).splitlines()
     ]
-    scene_text = "\n".join([*map(_remove_mark, template_lines), ""])
+    scene_text = "\n".join([*map(_remove_mark, scene_lines), ""])
     return scene_text.replace("SCENE", shlex.quote(scene_name)).replace(
         "MEASURED", shlex.quote(measurements_name)
     )

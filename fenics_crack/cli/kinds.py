@@ -10,8 +10,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.report import Report
-from fenics_crack.cli.drawn import PictureFiles
+from fenics_crack.basics.tables import Report
+from fenics_crack.cli.given import PictureFiles
 from fenics_crack.files.store import StoredFile
 
 
@@ -55,7 +55,7 @@ RESULT_KIND_BY_NAME = {
         "runs.load:make_run_on_this_rank", "cli.pictures:draw_solution",
     ),
     "response curve": ResultKind(
-        "curve", "Response curve", "cli.results:report_of_curve", "runs.load:make_run_on_this_rank",
+        "curve", "Response curve", "cli.curves:report_of_curve", "runs.load:make_run_on_this_rank",
         "cli.pictures:draw_curve_pictures",
     ),
     "sweep": ResultKind(

@@ -194,7 +194,7 @@ def propose_scene_and_draw_faces(part_path: Path, scene_path: Path) -> tuple[str
         )
     text_by_placeholder = {
         "EXTENTS": " x ".join(f"{part_extent:.4g}" for part_extent in part_extents),
-        "UNIT": f'unit = "{length_unit}"',
+        "UNIT": f'unit = "{length_unit}"' if length_unit else "",
         "PART": json.dumps(os.path.relpath(part_path, scene_path.parent)),
         "PICTURE": picture_path.name,
         "FACES": "\n".join(face_lines),
@@ -209,9 +209,7 @@ def propose_scene_and_draw_faces(part_path: Path, scene_path: Path) -> tuple[str
     }
     scene_text = read_packaged_text("cli/new_part.toml")
     for placeholder, replacement_text in text_by_placeholder.items():
-        scene_text = scene_text.replace(
-            placeholder, replacement_text if placeholder != "UNIT" or length_unit else ""
-        )
+        scene_text = scene_text.replace(placeholder, replacement_text)
     return scene_text, picture_path
 
 

@@ -26,8 +26,7 @@ from fenics_crack.basics.tables import (
     heading_with_unit,
 )
 from fenics_crack.basics.untrusted_files import read_regular_file
-from fenics_crack.cli.drawn import PictureFiles
-from fenics_crack.cli.given import PERIOD_FRAMES_FOLDER_NAME
+from fenics_crack.cli.given import PERIOD_FRAMES_FOLDER_NAME, PictureFiles
 from fenics_crack.cli.results import Waveforms, sample_waveforms
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw import plot, plot_curve, plot_mesh, plot_rotor, plot_study
@@ -117,10 +116,11 @@ def draw_solution(run: Run[PeriodicSolution], picture_files: PictureFiles) -> No
         solution, watched_dof, path=picture_files("solution_orbits", caption), title=title
     )
     if friction_of(solution.contact) is not None:
-        friction_title = f"Friction, {frequency_in_words(run.scene, solution.omega)}"
         caption = "Friction force over the sliding of the crack faces; the area is the energy lost."
         plot.draw_friction_loops(
-            solution, path=picture_files("solution_friction_loops", caption), title=friction_title
+            solution,
+            path=picture_files("solution_friction_loops", caption),
+            title=f"Friction, {frequency_in_words(run.scene, solution.omega)}",
         )
     if run.scene.disk is not None:
         from fenics_crack.disk.plot_disk import draw_wheel
@@ -145,10 +145,11 @@ def _draw_solution_on_mesh(run: Run[PeriodicSolution], picture_files: PictureFil
 
     solution, material = run.result, run.scene.material
     if solution.gap_coefficients.shape[1] > 1:
-        contact_title = "Where and when the crack is closed"
         caption = "Contact of the crack faces along the crack and over the period."
         plot.draw_contact_map(
-            solution, path=picture_files("solution_contact_map", caption), title=contact_title
+            solution,
+            path=picture_files("solution_contact_map", caption),
+            title="Where and when the crack is closed",
         )
     caption = "One period, slowed down and magnified as stated above the plate."
     animate_period(
@@ -169,9 +170,8 @@ def draw_history(run: Run[TimeHistory], picture_files: PictureFiles) -> None:
     period_omega = None
     title = "Free decay"
     if integration_table is None or not integration_table.free:
-        title = (
-            f"The last of {run.result.periods} periods, {frequency_in_words(run.scene, load_omega)}"
-        )
+        frequency_text = frequency_in_words(run.scene, load_omega)
+        title = f"The last of {run.result.periods} periods, {frequency_text}"
         period_omega = load_omega
     caption = "The motion in time: its last periods, or a free decay."
     _draw_waveforms(
@@ -218,14 +218,17 @@ def _draw_waveforms(
     Time is in periods of the frequency ``omega`` [rad/s]; None: in seconds. ``picture_options`` are
     path and title.
     """
-    colours_and_styles = itertools.cycle(CRACK_CLOSING_COLOURS_AND_STYLES)
     time = waveforms.time - waveforms.time[0]
     zero_label = "crack faces touch" if waveforms.closings_by_place else None
     drawn_waves = [plot.Wave(run.watched_description, time, waveforms.displacement[:, 0])]
-    for crack_place, crack_closing in waveforms.closings_by_place.items():
-        drawn_waves.append(
-            plot.Wave(f"closing {crack_place}", time, crack_closing, *next(colours_and_styles))
+    drawn_waves += [
+        plot.Wave(f"closing {crack_place}", time, crack_closing, *colour_and_style)
+        for (crack_place, crack_closing), colour_and_style in zip(
+            waveforms.closings_by_place.items(),
+            itertools.cycle(CRACK_CLOSING_COLOURS_AND_STYLES),
+            strict=False,
         )
+    ]
     period = None if omega is None else 2.0 * np.pi / omega
     plot.draw_waves(
         drawn_waves, quantity="displacement", period=period, zero=zero_label, **picture_options
@@ -240,34 +243,46 @@ def draw_curve_pictures(run: Run[ResponseCurve], picture_files: PictureFiles) ->
     curve, watched_dof, in_hertz = run.result, run.watched_dof, run.scene.is_frequency_in_hertz
     title = f"{run.watched_description}, {curve.method}"
     linear_responses_by_label = _compute_linear_responses(run)
-    caption = "Response. Dashed: unstable; dash-dotted: irregular; dotted: undecided; "
-    caption += "faint: large estimated error."
-    if curve.multipliers is None:
-        caption = "Response; stability was not examined. Faint: large estimated error."
-    picture_path = picture_files("curve", caption)
+    caption = (
+        "Response; stability was not examined. Faint: large estimated error."
+        if curve.multipliers is None
+        else "Response. Dashed: unstable; dash-dotted: irregular; dotted: undecided; "
+        "faint: large estimated error."
+    )
     plot_curve.draw_curve(
         curve,
         watched_dof,
-        path=picture_path,
+        path=picture_files("curve", caption),
         title=title,
         in_hertz=in_hertz,
         behind=linear_responses_by_label,
     )
-    picture_path = picture_files("curve_content", "Amplitudes of the lowest harmonics.")
-    plot_curve.draw_content(curve, watched_dof, path=picture_path, title=title, in_hertz=in_hertz)
+    plot_curve.draw_content(
+        curve,
+        watched_dof,
+        path=picture_files("curve_content", "Amplitudes of the lowest harmonics."),
+        title=title,
+        in_hertz=in_hertz,
+    )
     if run.scene.disk is not None:
         from fenics_crack.disk.plot_disk import draw_blades
 
-        blades_title = f"Every blade, {curve.method}"
-        picture_path = picture_files(
-            "curve_blades", "Response of every blade; cracked blades are orange."
+        draw_blades(
+            curve,
+            path=picture_files(
+                "curve_blades", "Response of every blade; cracked blades are orange."
+            ),
+            title=f"Every blade, {curve.method}",
+            in_hertz=in_hertz,
         )
-        draw_blades(curve, path=picture_path, title=blades_title, in_hertz=in_hertz)
     if curve.multipliers is not None:
         caption = "The orbit is stable where the largest multiplier is below 1."
-        title = "Largest Floquet multiplier along the curve"
-        picture_path = picture_files("curve_multipliers", caption)
-        plot_curve.draw_multipliers(curve, path=picture_path, title=title, in_hertz=in_hertz)
+        plot_curve.draw_multipliers(
+            curve,
+            path=picture_files("curve_multipliers", caption),
+            title="Largest Floquet multiplier along the curve",
+            in_hertz=in_hertz,
+        )
 
 
 def _compute_linear_responses(run: Run[ResponseCurve]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -369,16 +384,14 @@ def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
     is_doubtful = split_pictures(
         sweep_result.converged & (sweep_result.not_stable | sweep_result.inexact)
     )
-    fixed_combinations = itertools.product(
-        *(sweep_result.axes[axis_index].values for axis_index in fixed_axis_indices)
-    )
+    fixed_axes = [sweep_result.axes[axis_index] for axis_index in fixed_axis_indices]
+    fixed_combinations = itertools.product(*(axis.values for axis in fixed_axes))
     for picture_index, fixed_combination in enumerate(
         itertools.islice(fixed_combinations, 12)
     ):  # of each quantity
-        fixed_keys = [sweep_result.axes[axis_index].key for axis_index in fixed_axis_indices]
         fixed_value_texts = [
-            f"{key_in_words(key)} {value_in_words(key, axis_value)}"
-            for key, axis_value in zip(fixed_keys, fixed_combination, strict=True)
+            f"{key_in_words(axis.key)} {value_in_words(axis.key, axis_value)}"
+            for axis, axis_value in zip(fixed_axes, fixed_combination, strict=True)
         ]
         for quantity_name, name_and_unit in sweep_result.quantities.items():
             picture_values = split_pictures(
@@ -484,19 +497,15 @@ def draw_swept_quantity(
             dict(zip(line_labels, picture_grid.T, strict=True))
             for picture_grid in (values, is_doubtful)
         )
-        line_options: dict[str, Any] = {
-            "over": scaled_values_and_labels[0][1],
-            "doubtful": doubts_by_label,
-            "unit": unit,
-        }
-        picture_path = picture_files(file_stem, caption)
         plot.draw_response(
             scaled_values_and_labels[0][0],
             curves_by_label,
             quantity=quantity_name,
-            path=picture_path,
+            path=picture_files(file_stem, caption),
             title=title,
-            **line_options,
+            over=scaled_values_and_labels[0][1],
+            doubtful=doubts_by_label,
+            unit=unit,
         )
     if not has_few_lines or (len(axes) > 1 and min(values.shape) >= 4):
         (x_values, x_label), (y_values, y_label) = scaled_values_and_labels
@@ -505,17 +514,16 @@ def draw_swept_quantity(
             unit_factor, prefixed_unit = choose_factor_and_prefixed_unit(
                 float(np.nanmax(np.abs(values))), unit
             )
-        label_options: dict[str, Any] = {"x_label": x_label, "y_label": y_label}
-        label_options["value_label"] = heading_with_unit(quantity_name, prefixed_unit)
-        picture_path = picture_files(f"{file_stem}_map", caption)
         plot.draw_map(
             x_values,
             y_values,
             unit_factor * values.T,
             doubtful=is_doubtful.T,
-            path=picture_path,
+            path=picture_files(f"{file_stem}_map", caption),
             title=title,
-            **label_options,
+            x_label=x_label,
+            y_label=y_label,
+            value_label=heading_with_unit(quantity_name, prefixed_unit),
         )
 
 
@@ -543,12 +551,12 @@ def draw_campbell_diagram(campbell: Campbell, picture_files: PictureFiles) -> No
     scene = campbell.scene
     engine_orders = sorted({*range(1, MAX_REPORTED_ORDER + 1), scene.excitation.order or 1})
     caption = "Natural frequencies over the speed; grey: engine orders; circles: where both meet."
-    unit_options: dict[str, Any] = {
-        "in_hertz": scene.is_frequency_in_hertz or scene.is_speed_in_rpm,
-        "in_rpm": scene.is_speed_in_rpm,
-    }
     plot_rotor.draw_campbell(
-        campbell, engine_orders, path=picture_files("campbell", caption), **unit_options
+        campbell,
+        engine_orders,
+        path=picture_files("campbell", caption),
+        in_hertz=scene.is_frequency_in_hertz or scene.is_speed_in_rpm,
+        in_rpm=scene.is_speed_in_rpm,
     )
 
 

@@ -24,8 +24,7 @@ from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import Table
 from fenics_crack.basics.untrusted_files import read_regular_file
 from fenics_crack.cli.account import make_printed_table
-from fenics_crack.cli.drawn import PictureFiles
-from fenics_crack.cli.given import Console, make_writable_folder
+from fenics_crack.cli.given import Console, PictureFiles, make_writable_folder
 from fenics_crack.cli.kinds import RESULT_KIND_BY_NAME, build_report, draw_result, restore_result
 from fenics_crack.cli.pictures import draw_scene_mesh
 from fenics_crack.cli.scenes import format_harmonic_count
@@ -226,12 +225,14 @@ def _draw_curves(
     for curve_label, curve_run, line_colour in zip(
         curve_labels, curve_runs, distinct_colours(len(curve_runs)), strict=True
     ):
-        line_options = {
-            "label": curve_label,
-            "colour": line_colour,
-            "in_hertz": curve_run.scene.is_frequency_in_hertz,
-        }
-        plot_curve.draw_curve(curve_run.result, curve_run.watched_dof, axes=axes, **line_options)
+        plot_curve.draw_curve(
+            curve_run.result,
+            curve_run.watched_dof,
+            axes=axes,
+            label=curve_label,
+            colour=line_colour,
+            in_hertz=curve_run.scene.is_frequency_in_hertz,
+        )
     picture.save_with_title()
     return picture_folder / f"overlay_curve.{picture_format}"
 
@@ -284,7 +285,6 @@ def _write_page(
     kind_names = [stored_file.kind for stored_file, _ in files_and_results]
     file_stems = [stored_file.path.stem for stored_file, _ in files_and_results]
     picture_folder = make_folder_until_exit()
-    page_fields = _build_scene_fields(scene_results[0], picture_folder) if scene_results else {}
     fields_of_results = []
     for result_index, (stored_file, result) in enumerate(files_and_results):
         result_fields = _build_result_fields(
@@ -296,7 +296,8 @@ def _write_page(
                 f": {stored_file.path.with_suffix('') if is_repeated else stored_file.path.stem}"
             )
         fields_of_results.append(result_fields)
-    page_fields |= {
+    page_fields = {
+        **(_build_scene_fields(scene_results[0], picture_folder) if scene_results else {}),
         "title": f"Vibration of {files_and_results[0][0].path.resolve().parent.name}",
         "under": f"{datetime.now(UTC).astimezone():{DATE_FORMAT}}, fenics_crack {VERSION}",
         "parts": fields_of_results,

@@ -1,4 +1,4 @@
-"""The command ``check``, which solves nothing, and remarks on harmonics without damping."""
+"""The command ``check``: mesh a scene without solving, and print key figures."""
 
 from __future__ import annotations
 
@@ -21,13 +21,14 @@ from fenics_crack.basics.tables import (
     format_percent,
     format_range,
 )
+from fenics_crack.cli.account import describe_undamped_harmonics
 from fenics_crack.cli.given import CommandInputs, Console
 from fenics_crack.errors.stated import estimate_frequency_mesh_errors
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_rigid
-from fenics_crack.model.modes import damped_count_and_max_omega_or_none
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene, list_requested_extra_quantities, missing_table_error
+from fenics_crack.scene.tables import Curve
 from fenics_crack.scene.words import word_for_crack_faces
 from fenics_crack.study.key_figures import (
     KeyFigures,
@@ -98,30 +99,17 @@ def compute_and_print_key_figures(_: Namespace, inputs: CommandInputs, console: 
         "unknowns of harmonic balance": (2 * n_harmonics + 1) * structure.n_pairs,
         "reduction": _describe_reduction(study),
         "memory, estimated [GiB]": round(memory_bytes / 2**30, 2),
+        **_curve_values_by_label(scene.curve, propose_curve_or_none(study.scene, key_figures)),
+        **_sweep_values_by_label(scene, console),
     }
-    if scene.curve is not None:
-        range_text = f"{scene.curve.start:g} to {scene.curve.stop:g}"
-        values_by_label["curve"] = f"{scene.curve.parameter} from {range_text}"
-    if (proposed_curve_table := propose_curve_or_none(study.scene, key_figures)) is not None:
-        unit = FACTOR_AND_UNIT_BY_CURVE_PARAMETER[proposed_curve_table.parameter][1]
-        values_by_label["proposed curve.parameter"] = proposed_curve_table.parameter
-        values_by_label[f"proposed curve.start [{unit}]"] = proposed_curve_table.start
-        values_by_label[f"proposed curve.stop [{unit}]"] = proposed_curve_table.stop
-    if scene.sweep is not None:
-        values_by_label["sweep"] = " x ".join(
-            f"{len(axis.values)} {axis.key}" for axis in scene.sweep.over
-        )
-        values_by_label["cases of the sweep"] = scene.sweep.n_cases
-        values_by_label["invalid cases"] = on_root(
-            console.comm, lambda: _describe_invalid_cases(scene)
-        )
     damping_remark_text = _describe_undamped_after_reduction(
         scene, structure, highest_harmonic_omega(scene)
     )
     scene_remarks = remarks_on_scene(study.scene, structure, key_figures)
     for structure_file in STRUCTURE_FILES:
         structure_file.write_noted_structure(console.comm)
-    console.print_table(Table(("what", "value"), [*values_by_label.items()]))
+    known_rows = [(label, value) for label, value in values_by_label.items() if value is not None]
+    console.print_table(Table(("what", "value"), known_rows))
     console.print_notes(damping_remark_text)
     console.print_remarks(*scene_remarks)
 
@@ -169,68 +157,60 @@ def _frequencies_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str, ob
     Frequencies are in Hz and rad/s; the load's also over the first natural frequency, with the
     crack open and bonded.
     """
-    faces_text = word_for_crack_faces(scene)
-    frequencies_by_condition = {
-        f", {faces_text} open": key_figures.omega_open,
-        f", {faces_text} bonded": key_figures.omega_tied,
-    }
-    if key_figures.n_face_elements is None:
-        frequencies_by_condition = {"": key_figures.omega_open}
-    frequencies_by_condition = {
-        condition_text: frequencies[np.isfinite(frequencies)]
-        for condition_text, frequencies in frequencies_by_condition.items()
-    }
-    frequencies_by_condition = {
-        condition_text: frequencies
-        for condition_text, frequencies in frequencies_by_condition.items()
-        if len(frequencies)
-    }
+    faces_text, load_omega = word_for_crack_faces(scene), scene.excitation.omega
+    has_faces = key_figures.n_face_elements is not None
+    frequencies_by_condition = {"": key_figures.omega_open}
+    if has_faces:
+        frequencies_by_condition = {
+            f", {faces_text} open": key_figures.omega_open,
+            f", {faces_text} bonded": key_figures.omega_tied,
+        }
     values_by_label: dict[str, object] = {}
-    if key_figures.n_face_elements is not None and scene.structure is None and scene.dimension == 2:
+    if has_faces and scene.structure is None and scene.dimension == 2:
         values_by_label["modes"] = (
             "in the plate's plane: no out-of-plane bending (flap), no torsion"
         )
+    ratios_by_label: dict[str, object] = {}
     for condition_text, frequencies in frequencies_by_condition.items():
-        values_by_label[f"first natural frequency{condition_text} [Hz]"] = (
-            float(frequencies[0]) / RAD_PER_TURN
+        if not np.isfinite(frequencies).any():
+            continue
+        first_omega, *next_omegas = frequencies[np.isfinite(frequencies)].tolist()
+        values_by_label |= {
+            f"first natural frequency{condition_text} [Hz]": first_omega / RAD_PER_TURN,
+            f"first natural frequency{condition_text} [rad/s]": first_omega,
+            f"next natural frequencies{condition_text} [Hz]": ", ".join(
+                f"{next_omega / RAD_PER_TURN:.6g}" for next_omega in next_omegas
+            ),
+        }
+        ratios_by_label[f"load frequency / first natural frequency{condition_text}"] = (
+            load_omega / first_omega if first_omega > 0.0 else None
         )
-        values_by_label[f"first natural frequency{condition_text} [rad/s]"] = float(frequencies[0])
-        values_by_label[f"next natural frequencies{condition_text} [Hz]"] = ", ".join(
-            f"{frequency / RAD_PER_TURN:.6g}" for frequency in frequencies[1:]
-        )
-    load_omega = scene.excitation.omega
-    values_by_label["load frequency [Hz]"] = load_omega / RAD_PER_TURN
-    values_by_label["load frequency [rad/s]"] = load_omega
-    for condition_text, frequencies in frequencies_by_condition.items():
-        if frequencies[0] > 0.0:
-            values_by_label[f"load frequency / first natural frequency{condition_text}"] = (
-                load_omega / float(frequencies[0])
-            )
-    return values_by_label
+    load_values_by_label = {
+        "load frequency [Hz]": load_omega / RAD_PER_TURN,
+        "load frequency [rad/s]": load_omega,
+    }
+    return values_by_label | load_values_by_label | ratios_by_label
 
 
-def _mesh_error_texts_by_label(mesh_errors: Verification) -> dict[str, str]:
+def _mesh_error_texts_by_label(mesh_errors: Verification) -> dict[str, str | None]:
     """Return the errors of frequencies due to the mesh as texts, by label.
 
-    Empty for matrices; a text with the reason if the errors are unknown.
+    Empty for matrices; a text with the reason if the errors are unknown. None without a resonance.
     """
     if mesh_errors.scene.structure is not None:
         return {}
     if mesh_errors.unknown:
         unknown_text = f"unknown: {mesh_errors.unknown['mesh']}"
         return {"error of natural frequencies due to the mesh": unknown_text}
-    error_texts = [
-        format_percent(mesh_errors.stated(name)[0])
-        for name in mesh_errors.values
-        if name.endswith("_1")
-    ]
-    values_by_label = {
-        "error of first natural frequencies due to the mesh": " and ".join(error_texts)
+    error_text_by_name = {
+        name: format_percent(mesh_errors.stated(name)[0]) for name in mesh_errors.values
     }
-    if "resonance" in mesh_errors.values:
-        resonance_error_text = format_percent(mesh_errors.stated("resonance")[0])
-        values_by_label["error of the resonance at the load due to the mesh"] = resonance_error_text
-    return values_by_label
+    return {
+        "error of first natural frequencies due to the mesh": " and ".join(
+            error_text for name, error_text in error_text_by_name.items() if name.endswith("_1")
+        ),
+        "error of the resonance at the load due to the mesh": error_text_by_name.get("resonance"),
+    }
 
 
 def _resonance_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
@@ -244,56 +224,54 @@ def _resonance_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[st
     label = "resonance at the load"
     if scene.contact is not None and scene.contact.friction:
         label += ", without friction"
-    values_by_label: dict[str, object] = {}
-    if math.isfinite(load_resonance.value) and (engine_order is None or scene.disk is not None):
-        values_by_label[f"{label} [Hz]"] = load_resonance.value / RAD_PER_TURN
-        values_by_label[f"{label} [rad/s]"] = load_resonance.value
-    elif math.isfinite(load_resonance.value):
+    if not math.isfinite(load_resonance.value):
+        return {label: load_resonance.in_words}
+    if engine_order is None or scene.disk is not None:
+        values_by_label: dict[str, object] = {
+            f"{label} [Hz]": load_resonance.value / RAD_PER_TURN,
+            f"{label} [rad/s]": load_resonance.value,
+        }
+    else:
         label = f"rotor speed at which order {engine_order} meets the {label}"
-        values_by_label[f"{label} [rad/s]"] = load_resonance.value
-        values_by_label[f"{label} [rpm]"] = load_resonance.value / RAD_PER_S_PER_RPM
-    is_not_proportional = (
-        key_figures.n_closed_pairs
-        or key_figures.opening_under_mean_load
-        or not is_response_proportional_to_load(scene)
+        values_by_label = {
+            f"{label} [rad/s]": load_resonance.value,
+            f"{label} [rpm]": load_resonance.value / RAD_PER_S_PER_RPM,
+        }
+    is_proportional = is_response_proportional_to_load(scene) and not (
+        key_figures.n_closed_pairs or key_figures.opening_under_mean_load or load_resonance.unknown
     )
-    values_by_label["vibration at this resonance" if values_by_label else label] = (
-        load_resonance.in_words
+    values_by_label["vibration at this resonance"] = load_resonance.in_words + (
+        "; proportional to the load" if is_proportional else ""
     )
-    if not (is_not_proportional or load_resonance.unknown):
-        values_by_label["vibration at this resonance"] = (
-            f"{load_resonance.in_words}; proportional to the load"
-        )
     return values_by_label
 
 
 def _rotation_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
     """Return the values for a rotating structure as {label: value}; empty without rotation.
 
-    The values are the rotor speed, and the crack opening due to centrifugal forces and mean load.
+    The values are the rotor speed, and the crack opening due to centrifugal forces and mean load;
+    None without crack faces.
     """
     if scene.speed == 0.0:
         return {}
-    values_by_label: dict[str, object] = {
+    has_faces = key_figures.n_face_elements is not None
+    return {
         "rotor speed [rad/s]": scene.speed,
         "rotor speed [rpm]": scene.speed / RAD_PER_S_PER_RPM,
+        "crack opening by rotation and mean load [m]": (
+            key_figures.opening_under_mean_load if has_faces else None
+        ),
     }
-    if key_figures.n_face_elements is not None:
-        values_by_label["crack opening by rotation and mean load [m]"] = (
-            key_figures.opening_under_mean_load
-        )
-    return values_by_label
 
 
 def _crack_and_contact_values_by_label(study: Study, key_figures: KeyFigures) -> dict[str, object]:
     """Return crack lengths, contact law and static stiffness by printed label.
 
-    Stiffnesses are [N/m] for each contact pair, lengths and openings [m]. Without contact, lengths
-    and the number of pairs alone.
+    Stiffnesses are [N/m] for each contact pair, lengths and openings [m]. None for stiffnesses
+    of a rigid law. Without contact, lengths and the number of pairs alone.
     """
     cracks_by_name = study.scene.crack_by_name
-    contact_law = study.contact
-    contact_table = study.scene.contact
+    contact_law, contact_table = study.contact, study.scene.contact
     values_by_label: dict[str, object] = {}
     for crack_name, crack in cracks_by_name.items():
         if crack.length is not None:
@@ -304,27 +282,60 @@ def _crack_and_contact_values_by_label(study: Study, key_figures: KeyFigures) ->
     values_by_label["contact pairs"] = study.structure.n_pairs
     if contact_law is None or contact_table is None:
         return values_by_label
-    values_by_label["contact law"] = contact_table.law
-    if contact_table.friction:
-        values_by_label["coefficient of friction"] = contact_table.friction
-    if not is_rigid(contact_law):
-        pair_stiffness = np.broadcast_to(contact_law.stiffness, study.structure.n_pairs)
-        values_by_label["contact stiffness, softest pair [N/m]"] = float(pair_stiffness.min())
-        values_by_label["contact stiffness, stiffest pair [N/m]"] = float(pair_stiffness.max())
+    is_rigid_law, stiffness_ratio = is_rigid(contact_law), key_figures.contact_stiffness_ratio
     faces_text = word_for_crack_faces(study.scene)
-    static_stiffness_text = format_range(key_figures.face_stiffness, ".3g")
-    values_by_label[f"static stiffness of the {faces_text}, each pair [N/m]"] = (
-        static_stiffness_text
-    )
-    if key_figures.contact_stiffness_ratio is not None:
-        values_by_label["contact stiffness / static stiffness"] = format_range(
-            key_figures.contact_stiffness_ratio, ".3g"
-        )
-    values_by_label["static opening under the mean load [m]"] = key_figures.opening_under_mean_load
-    values_by_label[f"static motion of the {faces_text} under the load's amplitude [m]"] = (
-        key_figures.largest_static_gap_motion
-    )
+    return values_by_label | {
+        "contact law": contact_table.law,
+        "coefficient of friction": contact_table.friction or None,
+        "contact stiffness, softest pair [N/m]": (
+            None if is_rigid_law else float(np.min(contact_law.stiffness))
+        ),
+        "contact stiffness, stiffest pair [N/m]": (
+            None if is_rigid_law else float(np.max(contact_law.stiffness))
+        ),
+        f"static stiffness of the {faces_text}, each pair [N/m]": format_range(
+            key_figures.face_stiffness, ".3g"
+        ),
+        "contact stiffness / static stiffness": (
+            None if stiffness_ratio is None else format_range(stiffness_ratio, ".3g")
+        ),
+        "static opening under the mean load [m]": key_figures.opening_under_mean_load,
+        f"static motion of the {faces_text} under the load's amplitude [m]": (
+            key_figures.largest_static_gap_motion
+        ),
+    }
+
+
+def _curve_values_by_label(
+    curve_table: Curve | None, proposed_curve_table: Curve | None
+) -> dict[str, object]:
+    """Return the scene's curve and a proposed curve by printed label."""
+    values_by_label: dict[str, object] = {}
+    if curve_table is not None:
+        range_text = f"{curve_table.start:g} to {curve_table.stop:g}"
+        values_by_label["curve"] = f"{curve_table.parameter} from {range_text}"
+    if proposed_curve_table is not None:
+        unit = FACTOR_AND_UNIT_BY_CURVE_PARAMETER[proposed_curve_table.parameter][1]
+        values_by_label |= {
+            "proposed curve.parameter": proposed_curve_table.parameter,
+            f"proposed curve.start [{unit}]": proposed_curve_table.start,
+            f"proposed curve.stop [{unit}]": proposed_curve_table.stop,
+        }
     return values_by_label
+
+
+def _sweep_values_by_label(scene: Scene, console: Console) -> dict[str, object]:
+    """Return axes, cases and invalid cases of the scene's sweep by printed label (collective).
+
+    Empty without a sweep.
+    """
+    if scene.sweep is None:
+        return {}
+    return {
+        "sweep": " x ".join(f"{len(axis.values)} {axis.key}" for axis in scene.sweep.over),
+        "cases of the sweep": scene.sweep.n_cases,
+        "invalid cases": on_root(console.comm, lambda: _describe_invalid_cases(scene)),
+    }
 
 
 def format_harmonic_count(scene: Scene) -> int | str:
@@ -346,8 +357,10 @@ def _describe_reduction(study: Study) -> str:
         return "none"
     modes_text = format_count(scene_reduction.n_modes, "mode")
     if mode_counts:
-        modes_text = f"{format_count(mode_counts[0], 'mode')} or more, until the error is below "
-        modes_text += f"{scene.harmonic_balance.tolerance:g}"
+        modes_text = (
+            f"{format_count(mode_counts[0], 'mode')} or more, until the error is below "
+            f"{scene.harmonic_balance.tolerance:g}"
+        )
     if scene_reduction.method == "massless":
         return f"massless, {modes_text}, {word_for_crack_faces(scene)} without mass"
     return f"{scene_reduction.method}, {modes_text}"
@@ -377,32 +390,6 @@ def _describe_invalid_cases(scene: Scene) -> str:
     return f"{len(reason_texts)}{scope_text}" + (f": {reason_texts[0]}" if reason_texts else "")
 
 
-# --- harmonics without damping --------------------------------------------------------------------
-
-
-def describe_undamped_harmonics(structure: Structure, highest_omega: float) -> str:
-    """Remark that harmonics lie above all damped modes (collective).
-
-    ``highest_omega`` [rad/s] is the frequency of the highest harmonic. The text is empty if modes
-    up to this frequency are damped, or without contact: only contact excites harmonics.
-    """
-    damped_modes_and_highest_omega = (
-        damped_count_and_max_omega_or_none(structure) if structure.n_pairs else None
-    )
-    if damped_modes_and_highest_omega is None or highest_omega <= damped_modes_and_highest_omega[1]:
-        return ""
-    n_damped_modes, highest_damped_omega = damped_modes_and_highest_omega
-    if n_damped_modes == 0:
-        return (
-            f"harmonics reach H w = {highest_omega:g} rad/s, but no mode is damped; set [damping]"
-        )
-    modes_text = "the damped mode" if n_damped_modes == 1 else f"the {n_damped_modes} damped modes"
-    return (
-        f"harmonics reach H w = {highest_omega:g} rad/s, beyond {modes_text} "
-        f"({highest_damped_omega:g} rad/s); higher modes are not damped: raise damping.modes"
-    )
-
-
 def _describe_undamped_after_reduction(
     scene: Scene, structure: Structure, highest_omega: float
 ) -> str:
@@ -417,7 +404,7 @@ def _describe_undamped_after_reduction(
         scene_reduction is not None
         and scene_reduction.method == "massless"
         and damping_ratio is not None
+        and np.ravel(damping_ratio)[-1] > 0.0  # that of all further modes that are kept
     ):
-        if np.ravel(damping_ratio)[-1] > 0.0:  # that of all further modes that are kept
-            return ""
+        return ""
     return describe_undamped_harmonics(structure, highest_omega)

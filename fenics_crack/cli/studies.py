@@ -8,9 +8,9 @@ import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR, PART_NAMES_OF_TOTAL_ERROR, ErrorReport
 from fenics_crack.basics.observables import IN_SPECIAL_POINTS_TABLE, observable_names
-from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import (
     N_SELECTED_ROWS,
+    Report,
     Table,
     format_count,
     format_in_unit,
@@ -232,13 +232,11 @@ def shorten_sweep_table(sweep_result: SweepResult) -> tuple[Table, str]:
         for quantity_name in sweep_result.quantities
         if sweep_result.scene.quantities or quantity_name.rpartition(".")[2] in indicator_names
     ]
-    column_names = [*axis_keys, *quantity_names, "verdict"]
-    if not np.all(sweep_result.converged):
-        column_names.insert(len(axis_keys), "state")
+    state_names = [] if np.all(sweep_result.converged) else ["state"]
     verdict_set = set(sweep_result["verdict"][sweep_result.converged].tolist())
-    if verdict_set <= {""} or verdict_set == {"undecided"}:
-        column_names.remove("verdict")
-    table = sweep_result.table(*column_names)
+    has_verdicts = not (verdict_set <= {""} or verdict_set == {"undecided"})
+    verdict_names = ["verdict"] if has_verdicts else []
+    table = sweep_result.table(*axis_keys, *state_names, *quantity_names, *verdict_names)
     if len(table.rows) <= N_SELECTED_ROWS:
         return table, ""
     axis_index = int(np.argmax(sweep_result.shape))

@@ -30,10 +30,10 @@ from mpi4py import MPI
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import MAX_VALUES_OF_AXIS, InputError, check_count, check_number
-from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import (
     RAD_PER_TURN,
     Conclusion,
+    Report,
     Table,
     Tabular,
     format_count,
@@ -44,7 +44,7 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.disk.cyclic import excited_diameter
 from fenics_crack.disk.wheel import Wheel, WheelInFewCoordinates, count_basis_families
 from fenics_crack.fem.build import assemble_structure
-from fenics_crack.files.saved import SavedResult
+from fenics_crack.files.store import SavedResult
 from fenics_crack.model.structure import DampingRule, Structure
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene

@@ -32,8 +32,7 @@ from fenics_crack.basics.tables import (
 )
 from fenics_crack.errors.convergence import GridConvergence, PartOrReason
 from fenics_crack.files.codec import Datasets, dataclass_from_json, to_json_text
-from fenics_crack.files.saved import SavedResult
-from fenics_crack.files.store import StoredFile
+from fenics_crack.files.store import SavedResult, StoredFile
 from fenics_crack.scene.scene import Scene
 
 DOUBT_TEXT_BY_BEHAVIOUR = {

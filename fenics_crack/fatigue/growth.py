@@ -27,11 +27,11 @@ from mpi4py import MPI
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import ObservableFlag, Place, observable_names
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import (
     N_SELECTED_ROWS,
     RAD_PER_TURN,
     Conclusion,
+    Report,
     Table,
     add_frequency_entries,
     format_count,
@@ -60,7 +60,7 @@ from fenics_crack.fatigue.lengths import (
 )
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.fem.solid import find_reaches_from_crack_middle
-from fenics_crack.files.saved import SavedResult
+from fenics_crack.files.store import SavedResult
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 from fenics_crack.runs.solve import solve
 from fenics_crack.scene.scene import Scene, reason_without_stress_intensity, refuse_for_reason

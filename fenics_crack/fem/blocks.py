@@ -40,7 +40,7 @@ import numpy as np
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.gmsh_process import gmsh
-from fenics_crack.basics.threads import machine_memory
+from fenics_crack.basics.machine import machine_memory
 from fenics_crack.fem import solid_mesher
 from fenics_crack.fem.cracks import CrackPath, Cracks, NamedParts
 from fenics_crack.fem.grading import (

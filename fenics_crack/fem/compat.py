@@ -20,12 +20,10 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenics_crack.basics.caches import replace_unusable_caches
+from fenics_crack.basics.caches import load_or_compile_form, replace_unusable_caches
 from fenics_crack.basics.errors import report_read_errors
-from fenics_crack.basics.form_cache import load_or_compile_form
 from fenics_crack.basics.gmsh_process import gmsh
-from fenics_crack.basics.installation import report_missing_libraries
-from fenics_crack.basics.threads import remaining_address_space
+from fenics_crack.basics.machine import remaining_address_space, report_missing_libraries
 from fenics_crack.basics.untrusted_files import leave_working_folder
 
 

@@ -677,14 +677,15 @@ def _unpack_history(datasets: Datasets, structure: Structure, contact: OptionalL
     """
     dof_signs = _find_dof_signs(structure, datasets["couplings"])
     n_instants, recorded_dofs = datasets["time"].size, datasets["recorded_dofs"]
-    shape_by_name: ShapeByName = {"time": (n_instants,), "recorded_dofs": (recorded_dofs.size,)}
     pair_dataset_names = "gap", "contact_force", "tangential_gap", "tangential_force"
-    shape_by_name |= {name: (n_instants, structure.n_pairs) for name in pair_dataset_names}
-    shape_by_name |= {
+    shape_by_name: ShapeByName = {
+        "time": (n_instants,),
+        **dict.fromkeys(pair_dataset_names, (n_instants, structure.n_pairs)),
+        "recorded_dofs": (recorded_dofs.size,),
         "recorded": (n_instants, recorded_dofs.size),
         "final_state": (2, structure.n_local),
+        "final_places": (structure.n_pairs,),
     }
-    shape_by_name |= {"final_places": (structure.n_pairs,)}
     check_shapes(datasets, shape_by_name)
     if datasets["steps_per_period"] < 1 or n_instants % datasets["steps_per_period"]:
         raise ValueError("its instants are not a whole number of periods")
@@ -743,14 +744,10 @@ def _law_datasets(contact: OptionalLaw, structure: Structure) -> Datasets:
     attribute_names = (
         "stiffness", "sharpness", "coefficient", "tangential_stiffness", "direction", "turning",
     )  # fmt: skip
-    value_by_name = {
-        f"law_{attribute_name}": getattr(contact, attribute_name, None)
-        for attribute_name in attribute_names
-    }
     datasets = {
-        attribute_name: attribute_value
-        for attribute_name, attribute_value in value_by_name.items()
-        if attribute_value is not None
+        f"law_{attribute_name}": attribute_value
+        for attribute_name in attribute_names
+        if (attribute_value := getattr(contact, attribute_name, None)) is not None
     }
     if contact is not None and "law_sharpness" not in datasets and not is_unilateral(contact):
         with np.errstate(all="ignore"):  # gaps far from the structure's

@@ -21,7 +21,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from mpi4py import MPI
@@ -30,7 +30,8 @@ from petsc4py import PETSc
 from fenics_crack.basics.atomic_files import write_file_whole
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import on_root
-from fenics_crack.basics.tables import UNIT_BY_NAME
+from fenics_crack.basics.suggestions import check_calls
+from fenics_crack.basics.tables import UNIT_BY_NAME, Tabular
 from fenics_crack.basics.untrusted_files import (
     file_sha256,
     read_first_bytes,
@@ -38,7 +39,13 @@ from fenics_crack.basics.untrusted_files import (
     run_reader_for_arrays,
 )
 from fenics_crack.fem.model_files import list_included_files
-from fenics_crack.files.codec import DATASET_ERROR_CLASSES, check_arrays
+from fenics_crack.files.codec import (
+    DATASET_ERROR_CLASSES,
+    Datasets,
+    check_arrays,
+    pack_dataclass,
+    unpack_dataclass,
+)
 from fenics_crack.scene.scene import Scene, file_keys_and_paths, with_file_paths
 from fenics_crack.version import VERSION
 
@@ -518,6 +525,64 @@ def _file_digest(path: str) -> str:
         return file_sha256(path)
     except OSError:
         return MISSING_FILE_DIGEST
+
+
+# --- results that need no structure ---------------------------------------------------------------
+
+
+class SavedResult(Tabular):
+    """Base class for a result with a scene that can be saved without a structure.
+
+    Subclasses are frozen dataclasses with a class variable ``KIND``, the kind of contents in a
+    file.
+    """
+
+    KIND: ClassVar[str]
+    scene: Scene | None
+
+    @check_calls
+    def save(self, path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> None:
+        """Write a file that ``load``, ``fenics-crack plot`` and ``report`` read (collective).
+
+        Raises
+        ------
+        InputError
+            The file cannot be written.
+        """
+        write_result_file(self._pack_fields(), path, self.KIND, self.scene, comm)
+
+    @classmethod
+    @check_calls
+    def load(cls, path: str | Path) -> Self:
+        """Read a file of ``save``; nothing is computed.
+
+        Raises
+        ------
+        InputError
+            The file cannot be read, is damaged, or holds something else.
+        """
+        return cls.from_stored_file(read_result_file(path))
+
+    @classmethod
+    def from_stored_file(cls, stored_file: StoredFile) -> Self:
+        """Return the result in a result file that was read.
+
+        Raises as :meth:`load`.
+        """
+        stored_file.check_kind(cls.KIND)
+        with stored_file.yield_checked_datasets() as datasets:
+            result = cls._unpack_fields(datasets, stored_file.scene())
+            repr(result), result.table()  # whose columns are of one length
+            return result
+
+    def _pack_fields(self) -> Datasets:
+        """Return the fields as datasets by name."""
+        return pack_dataclass(self)
+
+    @classmethod
+    def _unpack_fields(cls, datasets: Datasets, scene: Scene | None) -> Self:
+        """Return the result from datasets by name, and the file's scene or None."""
+        return unpack_dataclass(cls, datasets, scene)
 
 
 # --- units ----------------------------------------------------------------------------------------

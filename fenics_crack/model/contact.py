@@ -48,7 +48,7 @@ from typing import Any, Protocol, Self, TypeGuard
 import numpy as np
 
 from fenics_crack.basics.errors import ConvergenceError, InputError
-from fenics_crack.basics.threads import machine_memory
+from fenics_crack.basics.machine import machine_memory
 from fenics_crack.kernel import attach_destructor, kernel, pointer, require_shape
 from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.model.structure import Structure

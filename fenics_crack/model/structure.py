@@ -32,9 +32,9 @@ from fenics_crack.basics.errors import (
     check_number,
     check_rayleigh_damping_ratios,
 )
+from fenics_crack.basics.machine import run_single_threaded
 from fenics_crack.basics.suggestions import check_calls, with_old_names
 from fenics_crack.basics.tables import format_count
-from fenics_crack.basics.threads import run_single_threaded
 from fenics_crack.model.body import (
     DEFAULT_SETTING,
     FIELD_NAMES_THAT_KEEP_MATRIX_CACHE,

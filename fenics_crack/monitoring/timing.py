@@ -13,17 +13,17 @@ from fenics_crack.arrivals.fit_order import TipTrack
 from fenics_crack.arrivals.harmonics import TipFit, format_first_orders
 from fenics_crack.arrivals.passages import PassageFit
 from fenics_crack.arrivals.robust import CONFIDENCE_LEVELS
-from fenics_crack.basics.report import Report
 from fenics_crack.basics.tables import (
     RAD_PER_S_PER_RPM,
     RAD_PER_TURN,
     UNIT_BY_NAME,
     Conclusion,
+    Report,
     Table,
     format_count,
     format_quantity,
 )
-from fenics_crack.files.saved import SavedResult
+from fenics_crack.files.store import SavedResult
 from fenics_crack.scene.scene import Scene
 
 EMPTY_COLUMN_BY_NAME: dict[str, list[Any]] = {"blade": [], "rpm": [], "order": [], "frequency": []}

@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fenics_crack.basics.errors import ConvergenceError, InputError
-from fenics_crack.basics.threads import machine_memory
+from fenics_crack.basics.machine import machine_memory
 from fenics_crack.kernel import NULL, Struct, attach_destructor, kernel, pointer, require_shape
 from fenics_crack.model.contact import (
     SETS_MEMORY_FRACTION,

@@ -33,11 +33,11 @@ from mpi4py import MPI
 from scipy.optimize import brentq
 
 from fenics_crack.basics.errors import InputError, check_choice, check_count
-from fenics_crack.basics.report import Report
 from fenics_crack.basics.suggestions import with_old_names
 from fenics_crack.basics.tables import (
     RAD_PER_S_PER_RPM,
     Conclusion,
+    Report,
     add_frequency_entries,
     choose_speed_factor_name_unit,
     format_count,
@@ -45,8 +45,7 @@ from fenics_crack.basics.tables import (
     hertz_property,
 )
 from fenics_crack.fem.build import with_crack_length
-from fenics_crack.files.saved import SavedResult
-from fenics_crack.files.store import StoredFile
+from fenics_crack.files.store import SavedResult, StoredFile
 from fenics_crack.model.body import Body
 from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.model.modes import (

@@ -16,7 +16,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.basics.errors import ConvergenceError, InputError
-from fenics_crack.basics.threads import machine_memory, process_memory
+from fenics_crack.basics.machine import machine_memory, process_memory
 from fenics_crack.disk.wheel import Wheel, count_basis_families, reduce_wheel
 from fenics_crack.model.contact import (
     ContactLaw,

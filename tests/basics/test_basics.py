@@ -29,7 +29,7 @@ from ranks import LIMIT, run_program
 from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.basics import progress, threads
+from fenics_crack.basics import machine, progress
 from fenics_crack.basics.atomic_files import keep_files, write_file_whole, write_files_together
 from fenics_crack.basics.errors import WriteError
 from fenics_crack.basics.observables import (
@@ -651,9 +651,9 @@ def pool(monkeypatch: pytest.MonkeyPatch) -> Pool:
     """The only OpenBLAS, of a user who has said nothing, on 8 processors."""
     loaded_pool = Pool(8)
     monkeypatch.setattr(
-        threads, "_load_openblas_with_thread_counts", lambda modules: [(loaded_pool, 8)]
+        machine, "_load_openblas_with_thread_counts", lambda modules: [(loaded_pool, 8)]
     )
-    for name in threads.THREAD_COUNT_VARIABLES:
+    for name in machine.THREAD_COUNT_VARIABLES:
         monkeypatch.delenv(name, raising=False)
     return loaded_pool
 
@@ -666,20 +666,20 @@ def test_one_thread_of_openblas(pool: Pool) -> None:
     assert pool.told == [1, 8]
     catch_error(lambda: solve(structure, 2), "count", 2)
     assert pool.told == [1, 8] * 2
-    with threads.run_single_threaded(), threads.run_single_threaded():
+    with machine.run_single_threaded(), machine.run_single_threaded():
         assert pool.threads == 1
     assert pool.told == [1, 8] * 3
 
 
-@pytest.mark.parametrize("name", threads.THREAD_COUNT_VARIABLES)
+@pytest.mark.parametrize("name", machine.THREAD_COUNT_VARIABLES)
 def test_the_user_decides(pool: Pool, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """By a variable, or by a number other than that with which OpenBLAS begins."""
     pool.threads = 3
-    with threads.run_single_threaded():
+    with machine.run_single_threaded():
         assert pool.threads == 3
     pool.threads = 8
     monkeypatch.setenv(name, "8")
-    with threads.run_single_threaded():
+    with machine.run_single_threaded():
         assert pool.threads == 8
     assert pool.told == []
 
@@ -691,12 +691,12 @@ def test_loaded_libraries_are_found() -> None:
 import sys
 from unittest.mock import patch
 import fenics_crack as fc
-from fenics_crack.basics import threads
+from fenics_crack.basics import machine
 from surroundings import main
 fc.prepare, fc.Scene
 
 def counted():
-    pools = threads._load_openblas_with_thread_counts(len(sys.modules))
+    pools = machine._load_openblas_with_thread_counts(len(sys.modules))
     return len(pools), {pool("get_num_threads") == begin for pool, begin in pools}, {
         pool("get_num_threads") for pool, _ in pools}
 
@@ -714,12 +714,12 @@ def test_a_command_has_one_thread_of_each_openblas() -> None:
     times as long."""
     program = """
 from unittest.mock import patch
-from fenics_crack.basics import threads
+from fenics_crack.basics import machine
 from surroundings import main
 
 def counted(*_):
     import scipy.linalg
-    print({pool("get_num_threads") for pool, _ in threads._load_openblas_with_thread_counts(-1)})
+    print({pool("get_num_threads") for pool, _ in machine._load_openblas_with_thread_counts(-1)})
 
 with patch("fenics_crack.cli.command_line._call_command", counted):
     main(["check", "demos/paper_plate.toml"])
@@ -734,9 +734,9 @@ def test_no_thread_of_openmp(chosen: dict[str, str]) -> None:
     program = """
 import os, sys
 import fenics_crack as fc
-from fenics_crack.basics import threads
+from fenics_crack.basics import machine
 study = fc.prepare(fc.Scene.load("demos/breathing_plate.toml"), whole=True)
-library, = threads._load_openmp_libraries(len(sys.modules))
+library, = machine._load_openmp_libraries(len(sys.modules))
 print(library.omp_get_max_active_levels() > 0)
 before = len(os.listdir("/proc/self/task"))
 fc.solve_modes(study.structure, 2)
@@ -757,7 +757,7 @@ def test_functions_can_be_pickled() -> None:
 
 def run(program: str, chosen: dict[str, str] | None = None) -> str:
     """What a program prints in a process of its own, with these settings of threads alone."""
-    settings = dict.fromkeys(threads.THREAD_COUNT_VARIABLES)
+    settings = dict.fromkeys(machine.THREAD_COUNT_VARIABLES)
     environment = {name: value for name, value in os.environ.items() if name not in settings}
     process = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=LIMIT, cwd=ROOT,

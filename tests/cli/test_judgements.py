@@ -28,7 +28,7 @@ from fenics_crack.cli.account import (
     yield_instability_warning,
     yield_large_error_warning,
 )
-from fenics_crack.cli.results import _find_undecided_ranges, shorten_special_points
+from fenics_crack.cli.curves import _find_undecided_ranges, shorten_special_points
 from fenics_crack.cli.studies import (
     list_skipped_peak_remarks,
     shorten_sweep_table,

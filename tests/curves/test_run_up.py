@@ -18,7 +18,7 @@ from fenics_crack import Run, Scene
 from fenics_crack.basics.observables import IN_SPECIAL_POINTS_TABLE
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM
 from fenics_crack.cli.account import select_printed_quantities
-from fenics_crack.cli.results import tabulate_curve_points, tabulate_special_points
+from fenics_crack.cli.curves import tabulate_curve_points, tabulate_special_points
 from fenics_crack.curves.balance_equations import BalanceAlongSpeed
 
 ORDER = 12

@@ -17,7 +17,7 @@ from rotating import cracked
 from surroundings import DEMOS, main
 
 import fenics_crack as fc
-from fenics_crack.files.saved import SavedResult
+from fenics_crack.files.store import SavedResult
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
 

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from fenics_crack.basics.errors import InputError
-from fenics_crack.basics.report import Report
-from fenics_crack.basics.tables import Conclusion, Table
+from fenics_crack.basics.tables import Conclusion, Report, Table
 from fenics_crack.basics.untrusted_files import read_regular_file
 from fenics_crack.files.store import IDENTIFICATION_KIND, StoredFile
 from fenics_crack.scene.scene import Scene

@@ -1,4 +1,7 @@
-"""Set up the machine: Debian's modules, a single thread at a time, memory limits.
+"""Know and set up the machine: libraries, C compiler, MPI launcher, threads, memory.
+
+What the program needs is checked before a library fails with an unclear message: an error of one
+line says what to do.
 
 The package's functions run one at a time, each with one thread of OpenBLAS and OpenMP. gmsh, PETSc
 and MUMPS keep their state in global variables: with two Python threads in them, the process ends.
@@ -16,15 +19,16 @@ import re
 import resource
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from functools import cache, lru_cache
 from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
+from shutil import which as program_on_path
 from typing import Any, NamedTuple
 
-from fenics_crack.basics.errors import InputError
+from fenics_crack.basics.errors import DISK_FULL_ERROR_NUMBERS, InputError
 
 THREAD_COUNT_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS")
 """Environment variables that set the number of OpenBLAS's threads."""
@@ -39,6 +43,15 @@ ONE_PROCESS_VARIABLES = {
 
 A daemon would take as long as all other work before the first command.
 """
+INSTALLATION_ADVICE = (
+    "pip install 'fenics-crack[dolfinx]' (Linux on x86-64, Python 3.12 or newer), "
+    "conda env create -f environment.yml, or sh install.sh on Debian 12 or 13 (docs/install.md)"
+)
+"""The three ways to get DOLFINx and the libraries around it."""
+OUT_OF_MEMORY_TEXTS = ("PetscMalloc", "failed to map segment")
+"""Texts in errors of PETSc and the library loader if memory is short."""
+RANK_COUNT_VARIABLES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
+"""Environment variables with the number of ranks, set by Open MPI and MPICH."""
 _lock = threading.RLock()
 
 
@@ -67,10 +80,119 @@ def check_debian_module_versions() -> None:
         if version(module_name) != version_by_module[module_name]:
             remedy_text = f"run 'sh install.sh' again, or remove {Path(module_path).parent}"
             requirement_text = (
-                f"{version_by_module[module_name]}, the version for which Debian's DOLFINx is built"
+                f"{version_by_module[module_name]}, the version for which Debian's DOLFINx is "
+                f"built: {remedy_text}"
             )
-            requirement_text += f": {remedy_text}"
             raise InputError(module_name, version(module_name), requirement_text)
+
+
+@contextmanager
+def report_missing_libraries() -> Iterator[None]:
+    """Turn the import error for a missing library into an InputError.
+
+    The library itself may be missing, or a system library under it. The error says how to install
+    it; other errors stay.
+    """
+    try:
+        yield
+    except (ImportError, OSError) as error:
+        if isinstance(error, ModuleNotFoundError):
+            raise InputError(
+                error.name or "a library", None, f"installed: {INSTALLATION_ADVICE}"
+            ) from error
+        library_name, _, reason_text = str(error).partition(": ")
+        if not reason_text.startswith("cannot open shared object file"):
+            raise
+        requirement_text = (
+            "installed with the system's package manager (docs/install.md lists the packages)"
+        )
+        raise InputError(library_name, None, requirement_text) from error
+
+
+def find_c_compiler() -> str:
+    """Find the C compiler for DOLFINx, and return the command.
+
+    If the variable CC is set, only this compiler counts; otherwise Python's compiler, gcc or clang.
+
+    Raises
+    ------
+    InputError
+        There is no compiler, or Python's headers are missing.
+    """
+    import shlex
+    import sysconfig  # takes a while: not for the program's start
+
+    user_command = os.environ.get("CC")
+    candidate_commands = (
+        [user_command] if user_command else [sysconfig.get_config_var("CC") or "cc", "gcc", "clang"]
+    )
+    present_commands = [
+        command for command in candidate_commands if program_on_path(shlex.split(command)[0])
+    ]
+    if not present_commands:
+        requirement_text = (
+            "an installed C compiler, which DOLFINx needs: install gcc or clang, or correct CC"
+        )
+        raise InputError("CC", candidate_commands[0], requirement_text)
+    header_file = Path(sysconfig.get_path("include"), "Python.h")
+    if not header_file.exists():
+        requirement_text = (
+            "an existing file: install python3-dev (Debian, Ubuntu) or python3-devel (Fedora)"
+        )
+        raise InputError("Python.h", str(header_file), requirement_text)
+    return present_commands[0]
+
+
+def read_version_line(command: str) -> str:
+    """Return the first line that a program prints with ``--version``."""
+    import shlex
+    import subprocess  # takes a while: not for the program's start
+
+    command_words = [*shlex.split(command), "--version"]
+    finished_process = subprocess.run(
+        command_words, capture_output=True, text=True, timeout=30, check=False
+    )
+    return finished_process.stdout.partition("\n")[0]
+
+
+def check_launcher(
+    n_ranks: int, mpi_library: str, variable_names: Sequence[str] = RANK_COUNT_VARIABLES
+) -> None:
+    """Raise InputError if mpirun belongs to another MPI library than this process.
+
+    The ranks would then not know each other, and each would solve everything alone.
+
+    Parameters
+    ----------
+    n_ranks : int
+        Number of ranks according to the library. 0 before the library is started: then any mpirun
+        that sets one of the variables is wrong.
+    mpi_library : str
+        Name of the library, for the error.
+    variable_names : sequence of str
+        Environment variables with the number of ranks according to mpirun.
+    """
+    n_launched_programs = max(
+        int(os.environ.get(variable_name, n_ranks)) for variable_name in variable_names
+    )
+    if n_ranks <= 1 and n_ranks < n_launched_programs:
+        raise foreign_launcher_error(
+            f"{n_launched_programs} programs of one rank each", mpi_library
+        )
+
+
+def foreign_launcher_error(launcher_description: str, mpi_library: str) -> InputError:
+    """Return the error for an mpirun of another MPI library.
+
+    ``launcher_description`` says what mpirun started; ``mpi_library`` is this program's library.
+    """
+    mpirun_path = Path(sys.prefix, "bin", "mpirun")
+    return InputError(
+        "mpirun",
+        launcher_description,
+        f"the mpirun of {mpi_library}, this program's MPI library"
+        f"{f': run {mpirun_path}' if mpirun_path.exists() else ''}",
+    )
 
 
 def is_started_by_mpirun() -> bool:
@@ -86,35 +208,22 @@ def run_single_threaded() -> Iterator[None]:
     stays: by a variable of :data:`THREAD_COUNT_VARIABLES` (for OpenMP only the first), or in
     OpenBLAS by threadpoolctl.
     """
-    with _lock:
-        openblas_count_pairs = (
-            []
-            if any(map(os.environ.get, THREAD_COUNT_VARIABLES))
-            else _load_openblas_with_thread_counts(len(sys.modules))
-        )
-        limited_openblas_pairs = [
-            (openblas, n_default_threads)
-            for openblas, n_default_threads in openblas_count_pairs
-            if openblas("get_num_threads") == n_default_threads > 1
-        ]
-        for openblas, _ in limited_openblas_pairs:
-            openblas("set_num_threads", 1)
-        has_user_setting = os.environ.get(THREAD_COUNT_VARIABLES[0], "1") != "1"
-        openmp_libraries = [] if has_user_setting else _load_openmp_libraries(len(sys.modules))
-        previous_max_levels = [
-            openmp_library.omp_get_max_active_levels() for openmp_library in openmp_libraries
-        ]
-        for openmp_library in openmp_libraries:
-            openmp_library.omp_set_max_active_levels(0)
-        try:
-            yield
-        finally:
-            for openmp_library, previous_max_level in zip(
-                openmp_libraries, previous_max_levels, strict=True
-            ):
-                openmp_library.omp_set_max_active_levels(previous_max_level)
-            for openblas, n_default_threads in limited_openblas_pairs:
-                openblas("set_num_threads", n_default_threads)
+    with _lock, ExitStack() as restored_settings:
+        if not any(map(os.environ.get, THREAD_COUNT_VARIABLES)):
+            for openblas, n_default_threads in _load_openblas_with_thread_counts(len(sys.modules)):
+                if openblas("get_num_threads") == n_default_threads > 1:
+                    restored_settings.callback(
+                        openblas.__call__, "set_num_threads", n_default_threads
+                    )
+                    openblas("set_num_threads", 1)
+        if os.environ.get(THREAD_COUNT_VARIABLES[0], "1") == "1":
+            for openmp_library in _load_openmp_libraries(len(sys.modules)):
+                previous_max_level = openmp_library.omp_get_max_active_levels()
+                restored_settings.callback(
+                    openmp_library.omp_set_max_active_levels, previous_max_level
+                )
+                openmp_library.omp_set_max_active_levels(0)
+        yield
 
 
 class _OpenBlas(NamedTuple):
@@ -217,6 +326,24 @@ def address_space_limit() -> float:
 def remaining_address_space() -> float:
     """Return the address space that this process may still use [byte]; inf without a limit."""
     return address_space_limit() - process_memory("VmSize")
+
+
+def describe_resource_shortage(error: Exception) -> str:
+    """Describe the lack of memory or disk space behind an error; "" for any other error.
+
+    Memory counts as short, too, above 90 % of the process's address space limit.
+    """
+    is_reported = any(shortage_text in str(error) for shortage_text in OUT_OF_MEMORY_TEXTS)
+    # Few libraries name their need.
+    is_near_limit = process_memory("VmPeak") > 0.9 * address_space_limit()
+    if isinstance(error, MemoryError) or is_reported or is_near_limit:
+        return "not enough memory; use a coarser mesh, fewer modes or a machine with more memory"
+    if isinstance(error, OSError) and error.errno in DISK_FULL_ERROR_NUMBERS:
+        return (
+            f"{error.filename or 'standard output'} cannot be written ({error.strerror}); free "
+            "disk space"
+        )
+    return ""
 
 
 @contextmanager
