@@ -40,6 +40,7 @@ from fenics_crack.arrivals.arrival_times import (
     interpolate_by_splines,
 )
 from fenics_crack.arrivals.robust import find_least_squares_residuals, fit_noise_by_reweighting
+from fenics_crack.basics.errors import InputError, check_number
 from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 
@@ -47,6 +48,8 @@ RELATIVE_SPEED_HALF_WIDTH = 0.035
 """Half width of the fitted speeds about a resonance, relative to the resonance's speed."""
 DAMPING_RATIO_BOUNDS = 1e-5, RELATIVE_SPEED_HALF_WIDTH / 2.0
 """Minimum and maximum of fitted damping ratios; a wider resonance looks like drift."""
+MAX_STIFFENING = 0.9
+"""Maximum of |d ln w_n / d ln W|: orders hardly meet frequencies with a steeper dependence."""
 
 StiffeningFunction = Callable[[float, float], float]
 """Function s(speed, natural frequency), both in rad/s, as ``Campbell.stiffening``.
@@ -340,6 +343,30 @@ class Record:
                 run.has_arrival &= run.has_arrival.sum(axis=0) >= MIN_REQUIRED_REVOLUTIONS
                 runs += [run] * bool(np.any(run.has_arrival))
         return runs
+
+
+def make_stiffening_function(stiffening: float | StiffeningFunction) -> StiffeningFunction:
+    """Return the stiffening s as a function of speed and natural frequency [rad/s].
+
+    A number holds at all speeds; InputError outside -0.9 to 0.9. Values of a function are clipped
+    to this range; InputError for nan.
+    """
+    if callable(stiffening):
+
+        def clipped_function(speed: float, omega: float) -> float:
+            stiffening_value = float(
+                np.clip(stiffening(speed, omega), -MAX_STIFFENING, MAX_STIFFENING)
+            )
+            check_number(f"stiffening({speed:.6g}, {omega:.6g})", stiffening_value)
+            return stiffening_value
+
+        return clipped_function
+    check_number("stiffening", stiffening)
+    if abs(stiffening_value := float(stiffening)) > MAX_STIFFENING:
+        raise InputError(
+            "stiffening", stiffening, f"a number from -{MAX_STIFFENING} to {MAX_STIFFENING}"
+        )
+    return lambda speed, omega: stiffening_value
 
 
 def compute_poles(omegas: np.ndarray, damping_ratio: float) -> np.ndarray:
