@@ -249,9 +249,7 @@ class _ResonanceSearch:
 
         The factor is -1 to subtract the motion, 1 to restore it.
         """
-        self.residuals += factor * resonance.best_fit.compute_motion(
-            self.record, len(self.residuals)
-        )
+        self.residuals += factor * resonance.best_fit.compute_motion(self.record)
 
     def add_resonances_up_to(self, max_resonances: int) -> None:
         """Search for further resonances, until ``max_resonances`` are found in all.
