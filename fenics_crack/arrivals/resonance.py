@@ -228,22 +228,17 @@ class PassageFit(Tabular):
         arrivals = arrivals.without(np.flatnonzero(np.isin(arrivals.probes, self.blind)))
         mode_pole = complex(compute_poles(self.omega, self.damping / (1.0 - self.stiffening)))
         record = Record(arrivals, make_stiffening_function(self.stiffening))
+        runs = [Run(record, arrivals.displacement, *map(int, run_ends)) for run_ends in self.ends]
         passage_comparisons = []
-        for (begin_revolution, end_revolution), complex_force in zip(
-            self.ends, self.forces, strict=True
-        ):
-            run = Run(record, arrivals.displacement, int(begin_revolution), int(end_revolution))
+        for run, complex_force in zip(runs, self.forces, strict=True):
             fitted_motion = (complex_force * run.compute_wave(Mode(self.order, mode_pole))).real
-            weighted_residuals = run.subtract_weighted_drifts(
+            drift_free_residuals = run.subtract_weighted_drifts(
                 run.displacements - fitted_motion, run.has_arrival.astype(float)
             )
-            passage_comparisons.append(
-                (
-                    run.revolution_speeds,
-                    np.where(run.has_arrival, weighted_residuals + fitted_motion, np.nan),
-                    fitted_motion,
-                )
+            measured_motion = np.where(
+                run.has_arrival, drift_free_residuals + fitted_motion, np.nan
             )
+            passage_comparisons.append((run.revolution_speeds, measured_motion, fitted_motion))
         return passage_comparisons
 
     def to_dict(self) -> dict[str, Any]:
@@ -259,31 +254,25 @@ class PassageFit(Tabular):
             "frequency_error",
             "damping",
             "damping_error",
+            "stiffening",
+            "amplitude",
         )
-        number_by_name = {
-            number_name: getattr(self, number_name)
-            for number_name in (*number_names, "stiffening", "amplitude")
-        }
-        number_by_name = {
+        return {
             "speed": self.speed,
             "rpm": self.speed / RAD_PER_S_PER_RPM,
-        } | number_by_name
-        statistic_by_name = {
+            **{number_name: getattr(self, number_name) for number_name in number_names},
             "passages": len(self.ends),
             "apart": self.apart,
             "whiteness": self.whiteness,
         }
-        return number_by_name | statistic_by_name
 
     def _repr_text(self) -> str:
-        frequency_text = f"{self.frequency:.6g} ± {self.frequency_error:.2g} Hz"
-        damping_text = f"damping {self.damping:.3g} ± {self.damping_error:.2g}"
         title_parts = [
             f"order {self.order:g}, {self.speed / RAD_PER_S_PER_RPM:.6g} rpm",
-            frequency_text,
-            damping_text,
+            f"{self.frequency:.6g} ± {self.frequency_error:.2g} Hz",
+            f"damping {self.damping:.3g} ± {self.damping_error:.2g}",
+            format_quantity(self.amplitude, "m"),
         ]
-        title_parts.append(format_quantity(self.amplitude, "m"))
         if self.untested:
             title_parts.append(f"order untested by {format_count(self.probes, 'probe')}")
         elif self.ambiguous:
@@ -421,12 +410,9 @@ class Resonance:
         The larger resonance has the same order, and a width that includes this speed.
         """
         larger_fit, own_fit = other_resonance.best_fit, self.best_fit
-        is_covered_at_order = (
+        return (
             other_resonance.has_within_width(self)
             and larger_fit.first_mode.order == own_fit.first_mode.order
-        )
-        return (
-            is_covered_at_order
             and larger_fit.largest_first_mode_amplitude > own_fit.largest_first_mode_amplitude
         )
 

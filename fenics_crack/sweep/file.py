@@ -673,52 +673,29 @@ def _read_columns_and_find_damage(
     is_damaged : (n_cases,) bool
         True for cases whose stored state does not match the checksum.
     """
-    column_by_name, is_damaged = _replace_unconfirmed_states(
-        _read_flat_column_by_name(sweep_header, scene)
-    )
+    column_by_name, is_damaged = _read_columns_and_find_damage_once(sweep_header, scene)
     if is_damaged.any():  # or is being written at this moment
-        column_by_name, is_damaged_again = _replace_unconfirmed_states(
-            _read_flat_column_by_name(sweep_header, scene)
-        )
+        column_by_name, is_damaged_again = _read_columns_and_find_damage_once(sweep_header, scene)
         is_damaged &= is_damaged_again
     return column_by_name, is_damaged
 
 
-def _read_flat_column_by_name(
+def _read_columns_and_find_damage_once(
     sweep_header: store.StoredFile, scene: Scene
-) -> dict[str, np.ndarray]:
-    """Read all stored columns by name, flattened to (n_cases,), without checks.
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Read all columns of a sweep's file, and compare states with checksums.
 
-    A file that cannot be read raises InputError.
+    A case is converged or failed if its checksum fits this state, otherwise pending. Returns are
+    those of :func:`_read_columns_and_find_damage`. A file that cannot be read raises InputError.
     """
     try:  # the state first: what is written later counts as pending
-        column_names = [
-            column_name
+        column_by_name = {
+            column_name: sweep_header.columns[column_name].read_numbers(sweep_header.path).ravel()
             for column_name in _unit_and_type_by_dataset(scene)
             if column_name in sweep_header.columns
-        ]
-        return {
-            column_name: sweep_header.columns[column_name].read_numbers(sweep_header.path).ravel()
-            for column_name in column_names
         }
     except (OSError, ValueError):
         raise sweep_header.refusal(COLUMNS_REQUIREMENT_TEXT) from None
-
-
-def _replace_unconfirmed_states(
-    column_by_name: dict[str, np.ndarray],
-) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Replace stored states by states that match the checksums.
-
-    A case is converged or failed if its checksum fits this state, otherwise pending.
-
-    Returns
-    -------
-    column_by_name : dict of str to (n_cases,)
-        ``state`` and the columns, without the case checksum.
-    is_damaged : (n_cases,) bool
-        True for cases with a stored state that no checksum confirms.
-    """
     stored_states, stored_checksums = map(column_by_name.pop, ("state", CASE_CHECKSUM_COLUMN_NAME))
     written_case_numbers = np.flatnonzero(stored_checksums)
     case_states = np.full(len(stored_states), CaseState.PENDING, stored_states.dtype)

@@ -207,14 +207,8 @@ def _receive_message(comm: MPI.Comm, message_status: MPI.Status) -> Any:
     wait_until(lambda: comm.iprobe(status=message_status))
     message_buffer = bytearray(message_status.Get_count(MPI.BYTE))
     receive_request = comm.irecv(message_buffer, message_status.source, message_status.tag)
-    arrival_and_message = list[Any]()
-
-    def has_arrived() -> bool:
-        arrival_and_message[:] = receive_request.test()
-        return bool(arrival_and_message[0])
-
-    wait_until(has_arrived)
-    return arrival_and_message[1]
+    wait_until(receive_request.Get_status)
+    return receive_request.wait()
 
 
 class Manager:
