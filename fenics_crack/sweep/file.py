@@ -300,17 +300,13 @@ class SweepFile:
             ]
             for wave_name in UNIT_BY_WAVE
         }
-        column_by_name = {}
-        for column_name in self._unit_and_type_by_column:
-            column_type = self.sweep_header.columns[column_name].dtype
-            encoded_column_values = [
-                _encode_value(
-                    case_values.get(column_name, BLANK_VALUE_BY_TYPE_KIND[column_type.kind]),
-                    column_type.itemsize,
-                )
-                for case_values in values_of_cases
-            ]
-            column_by_name[column_name] = np.array(encoded_column_values, column_type)
+        column_by_name = {
+            column_name: _encode_column(
+                [case_values.get(column_name) for case_values in values_of_cases],
+                self.sweep_header.columns[column_name].dtype,
+            )
+            for column_name in self._unit_and_type_by_column
+        }
         wave_checksums = [
             _compute_waves_checksum(*gap_and_force)
             for gap_and_force in zip(*waves_by_name.values(), strict=True)
@@ -399,14 +395,22 @@ def _pad_waves(waves: list[np.ndarray], n_columns: int) -> np.ndarray:
     return padded_waves
 
 
-def _encode_value(value: Any, max_bytes: int) -> Any:
-    """Return a value in the form stored in the file.
+def _encode_column(column_values: Sequence[Any], column_type: np.dtype[Any]) -> np.ndarray:
+    """Return a column's values (n,) in the form stored in the file.
 
-    A text becomes at most ``max_bytes`` bytes of UTF-8, cut between characters. Other values stay.
+    A text becomes UTF-8, cut between characters to the column's size. None becomes the value that
+    means "no value".
     """
-    if not isinstance(value, str):
-        return value
-    return value.encode()[:max_bytes].decode("utf-8", "ignore").encode()
+    encoded_values = [
+        value.encode()[: column_type.itemsize].decode("utf-8", "ignore").encode()
+        if isinstance(value, str)
+        else value
+        for value in column_values
+    ]
+    blank_value = BLANK_VALUE_BY_TYPE_KIND[column_type.kind]
+    return np.array(
+        [blank_value if value is None else value for value in encoded_values], column_type
+    )
 
 
 def _make_file_and_header_or_none(

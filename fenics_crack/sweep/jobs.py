@@ -111,13 +111,11 @@ class Worker:
 
         Nothing is built for the same structure as in the last job, or if all cases are refused.
         """
-        scenes_and_reasons = (
-            scene_or_reason for chunk in chunks for scene_or_reason in chunk.scenes_or_reasons
-        )
         scene = next(
             (
                 scene_or_reason
-                for scene_or_reason in scenes_and_reasons
+                for chunk in chunks
+                for scene_or_reason in chunk.scenes_or_reasons
                 if isinstance(scene_or_reason, Scene)
             ),
             None,

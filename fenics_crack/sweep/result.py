@@ -469,8 +469,11 @@ class SweepResult(Tabular):
         try:
             raw_index = index if isinstance(index, tuple) else np.unravel_index(index, self.shape)
             case_index = tuple(map(operator.index, raw_index))
-            is_converged = len(case_index) == len(self.shape) and min(case_index) >= 0
-            is_converged = is_converged and bool(self.converged[case_index])
+            is_converged = (
+                len(case_index) == len(self.shape)
+                and min(case_index) >= 0
+                and bool(self.converged[case_index])
+            )
         except (IndexError, ValueError, TypeError):
             is_converged = False
         if not is_converged:
