@@ -138,16 +138,16 @@ def _fit_best_order(
         Candidates, and harmonics as multiples of the load's frequency.
     """
     n_unknowns = 2 * len(multiples) + 1
-    fit_or_none_by_index = {
-        index: means.fit_order_or_none(order, multiples) for index, order in enumerate(orders)
+    fit_by_index = {
+        index: fit
+        for index, order in enumerate(orders)
+        if (fit := means.fit_order_or_none(order, multiples)) is not None
     }
-    fit_by_index = {index: fit for index, fit in fit_or_none_by_index.items() if fit is not None}
     if not fit_by_index:
         raise_too_few_probes(arrivals, n_unknowns)
-    is_hidden = np.full(len(orders), True)
     residual_square_sums, vibration_sizes, costs = np.full((3, len(orders)), np.inf)
     for order_index, fit in fit_by_index.items():
-        is_hidden[order_index], residual_square_sums[order_index] = False, fit.sum_of_squares
+        residual_square_sums[order_index] = fit.sum_of_squares
         vibration_sizes[order_index] = np.linalg.norm(fit.coefficients[1:])
     variance_ratio, misfit, freedom = means.run_misfit_f_test(
         float(residual_square_sums.min()), n_unknowns
@@ -198,7 +198,11 @@ def _fit_best_order(
         misfit=misfit,
         folded=means.compute_folding_chance(best_fit),
         candidates=Candidates(
-            orders, rms_residuals, np.array(condition_numbers), is_equivalent, is_hidden
+            orders,
+            rms_residuals,
+            np.array(condition_numbers),
+            is_equivalent,
+            np.isinf(residual_square_sums),
         ),
         spare=len(means.displacements) - n_unknowns,
         asynchronous=means.lines,

@@ -366,15 +366,17 @@ def _refit_groups_with_omitted_harmonics(
     neighbours on either side: few probes in one group do not determine the size. Neighbours with
     wrong arrivals do not count.
     """
-    group_costs, group_fits = [], []
-    for sample, fit in sample_fit_by_group.values():
-        omitted_sizes = np.minimum(
-            np.linalg.norm(fit.coefficients[1:]) * FOLDED_SIZE_RATIOS,
-            sample.max_allowed_omitted_size,
+    costs_and_fits_of_groups = [
+        sample.list_costs_and_fits_by_omitted_size(
+            fit,
+            np.minimum(
+                np.linalg.norm(fit.coefficients[1:]) * FOLDED_SIZE_RATIOS,
+                sample.max_allowed_omitted_size,
+            ),
         )
-        size_costs, size_fits = sample.list_costs_and_fits_by_omitted_size(fit, omitted_sizes)
-        group_costs.append(size_costs)
-        group_fits.append(size_fits)
+        for sample, fit in sample_fit_by_group.values()
+    ]
+    cost_rows = np.array([costs for costs, _ in costs_and_fits_of_groups])
     residual_square_sums = np.array([fit.sum_of_squares for _, fit in sample_fit_by_group.values()])
     spare_counts = [
         len(sample.displacements) - len(fit.coefficients)
@@ -391,13 +393,12 @@ def _refit_groups_with_omitted_harmonics(
             residual_square_sums[window_slice], freedoms[window_slice]
         ) * chdtri(freedoms[window_slice], CONFIDENCE_LEVELS.misfit_significance_level)
         # Groups above the limit have wrong arrivals.
-        trusted_cost_rows = np.array(group_costs[window_slice])[
+        trusted_cost_rows = cost_rows[window_slice][
             residual_square_sums[window_slice] <= max_trusted_squares
         ]
-        joint_fit_by_group[group_index] = (
-            sample,
-            group_fits[sample_position][int(np.argmin(trusted_cost_rows.sum(axis=0)))],
-        )
+        best_size_index = int(np.argmin(trusted_cost_rows.sum(axis=0)))
+        _, group_fits = costs_and_fits_of_groups[sample_position]
+        joint_fit_by_group[group_index] = sample, group_fits[best_size_index]
     return joint_fit_by_group
 
 
