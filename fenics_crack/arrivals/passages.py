@@ -7,7 +7,7 @@ module subtracts, until no significant one remains.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -165,19 +165,20 @@ def find_passages(
         return tuple(replace(fit, blind=(*blind_probe_angles, *fit.blind)) for fit in fits)
     if asynchronous:
         line_fits, line_motion = _find_lines_and_motion(
-            arrivals, search.residuals, candidate_orders, asynchronous
+            arrivals, search.subtract_resonances(), candidate_orders, asynchronous
         )
         if line_fits:
             search = _ResonanceSearch(record, displacements - line_motion, candidate_orders)
         search.add_resonances_up_to(most)
         if len(search.resonances) > 1:
             line_fits, line_motion = _find_lines_and_motion(
-                arrivals, search.residuals + line_motion, candidate_orders, asynchronous
+                arrivals, search.subtract_resonances() + line_motion, candidate_orders, asynchronous
             )
             if line_fits:
                 search.refit_resonances(displacements - line_motion)
+    residuals = search.subtract_resonances()
     return tuple(
-        resonance.to_passage_fit(record, search.residuals, search.resonances, line_fits)
+        resonance.to_passage_fit(record, residuals, search.resonances, line_fits)
         for resonance in search.resonances
     )
 
@@ -227,14 +228,12 @@ class _ResonanceSearch:
     ----------
     resonances : list of Resonance
         Resonances found until now.
-    residuals : (revolutions, probes) [m]
-        Displacements without the motion in the resonances.
     """
 
     def __init__(
         self, record: Record, displacements: np.ndarray, candidate_orders: np.ndarray
     ) -> None:
-        self.record, self.residuals, self.orders = record, np.array(displacements), candidate_orders
+        self.record, self.displacements, self.orders = record, displacements, candidate_orders
         self.resonances: list[Resonance] = []
         lowest_speed, highest_speed = record.revolution_speeds.min(), record.revolution_speeds.max()
         n_centres = int(np.log(highest_speed / lowest_speed) / RELATIVE_SPEED_SPACING)
@@ -244,12 +243,17 @@ class _ResonanceSearch:
         # Of :func:`_compute_gain_and_squares_reduction`; nan: not known yet.
         self._gains_and_reductions = np.full((n_centres, 2), np.nan)
 
-    def add_scaled_motion_to_residuals(self, resonance: Resonance, factor: float) -> None:
-        """Add a resonance's fitted displacements, times a factor, to the residuals.
+    def subtract_resonances(self, kept_resonances: Sequence[Resonance] = ()) -> np.ndarray:
+        """Return displacements without the motion in resonances: (revolutions, probes) [m].
 
-        The factor is -1 to subtract the motion, 1 to restore it.
+        The motion in ``kept_resonances`` stays.
         """
-        self.residuals += factor * resonance.best_fit.compute_motion(self.record)
+        subtracted_motions = [
+            resonance.best_fit.motions[0]
+            for resonance in self.resonances
+            if resonance not in kept_resonances
+        ]
+        return np.asarray(self.displacements - sum(subtracted_motions))
 
     def add_resonances_up_to(self, max_resonances: int) -> None:
         """Search for further resonances, until ``max_resonances`` are found in all.
@@ -259,10 +263,11 @@ class _ResonanceSearch:
         """
         centre_speeds, gains_and_reductions = self._centre_speeds, self._gains_and_reductions
         while len(self.resonances) < max_resonances:
+            residuals = self.subtract_resonances()
             begin_stage("search of the speed range for resonances")
             for centre_index in np.flatnonzero(np.isnan(gains_and_reductions[:, 0])):
                 gains_and_reductions[centre_index] = _compute_gain_and_squares_reduction(
-                    self.record, self.residuals, centre_speeds[centre_index]
+                    self.record, residuals, centre_speeds[centre_index]
                 )
             if not np.any(gains_and_reductions[:, 0] > CONFIDENCE_LEVELS.min_likelihood_gain):
                 break
@@ -281,18 +286,17 @@ class _ResonanceSearch:
             ] = 0.0
             if (
                 _compute_gain_and_squares_reduction(
-                    self.record, self.residuals, clearest_speed, MAX_SEARCH_ROUNDS
+                    self.record, residuals, clearest_speed, MAX_SEARCH_ROUNDS
                 )[0]
                 < CONFIDENCE_LEVELS.min_likelihood_gain
             ):
                 continue
             new_resonance = Resonance(
-                self.record.find_runs(self.residuals, clearest_speed), clearest_speed, self.orders
+                self.record.find_runs(residuals, clearest_speed), clearest_speed, self.orders
             )
             if not new_resonance.is_clear:
                 continue
             self.resonances.append(new_resonance)
-            self.add_scaled_motion_to_residuals(new_resonance, -1.0)
             self._compare_orders_with_neighbour(new_resonance)
             self._refit_neighbours_until_settled()
             gains_and_reductions[
@@ -306,10 +310,9 @@ class _ResonanceSearch:
             ):
                 continue
             if not self._compare_orders_with_neighbour(resonance):
-                self.add_scaled_motion_to_residuals(resonance, 1.0)
-                if runs := self.record.find_runs(self.residuals, resonance.speed):
+                residuals = self.subtract_resonances([resonance])
+                if runs := self.record.find_runs(residuals, resonance.speed):
                     resonance.compare_orders(runs, resonance.speed, self.orders)
-                self.add_scaled_motion_to_residuals(resonance, -1.0)
             resonance.compared_neighbours = resonance.list_neighbours(self.resonances)
         self._refit_neighbours_until_settled()
 
@@ -318,9 +321,7 @@ class _ResonanceSearch:
 
         Resonances may be dropped, as by :meth:`_refit_or_drop`.
         """
-        self.residuals = np.array(displacements)
-        for resonance in self.resonances:
-            self.add_scaled_motion_to_residuals(resonance, -1.0)
+        self.displacements = displacements
         for resonance in [*self.resonances]:
             self._refit_or_drop(resonance)
         self._refit_neighbours_until_settled()
@@ -331,13 +332,10 @@ class _ResonanceSearch:
         The resonance is dropped if it is no longer clear (:attr:`Resonance.is_clear`), or may be
         the residual of a larger resonance.
         """
-        self.add_scaled_motion_to_residuals(resonance, 1.0)
-        is_clear = resonance.refit_and_test_clarity(self.record, self.residuals)
-        if is_clear and not any(
+        residuals = self.subtract_resonances([resonance])
+        if not resonance.refit_and_test_clarity(self.record, residuals) or any(
             resonance.may_be_residual_of(other_resonance) for other_resonance in self.resonances
         ):
-            self.add_scaled_motion_to_residuals(resonance, -1.0)
-        else:
             self.resonances.remove(resonance)
 
     def _compare_orders_with_neighbour(self, resonance: Resonance) -> bool:
@@ -352,11 +350,10 @@ class _ResonanceSearch:
             False if nothing is compared: with a single candidate order, without a neighbour, or if
             this resonance is within the width of a larger one.
         """
-        resonances = self.resonances
         resonance_amplitude = resonance.best_fit.largest_first_mode_amplitude
         larger_resonances = [
             neighbour
-            for neighbour in resonances
+            for neighbour in self.resonances
             if neighbour.best_fit.largest_first_mode_amplitude > resonance_amplitude
         ]
         if len(self.orders) < 2 or any(
@@ -365,7 +362,7 @@ class _ResonanceSearch:
             return False
         neighbours = [
             neighbour
-            for neighbour in resonances
+            for neighbour in self.resonances
             if resonance.is_near(neighbour, RELATIVE_SPEED_HALF_WIDTH)
             and not resonance.has_within_width(neighbour)
         ]
@@ -375,21 +372,19 @@ class _ResonanceSearch:
             resonance,
             max(neighbours, key=lambda neighbour: neighbour.best_fit.largest_first_mode_amplitude),
         )
-        for covered_resonance in [*resonances]:
-            if covered_resonance in resonance_pair or any(
-                pair_member.has_within_width(covered_resonance) for pair_member in resonance_pair
-            ):
-                self.add_scaled_motion_to_residuals(covered_resonance, 1.0)
-            if covered_resonance not in resonance_pair and any(
-                pair_member.has_within_width(covered_resonance) for pair_member in resonance_pair
-            ):
-                resonances.remove(covered_resonance)
+        self.resonances = [
+            other_resonance
+            for other_resonance in self.resonances
+            if other_resonance in resonance_pair
+            or not any(
+                pair_member.has_within_width(other_resonance) for pair_member in resonance_pair
+            )
+        ]
         resonance.compare_order_pairs_with(
-            resonance_pair[1], self.record, self.residuals, self.orders
+            resonance_pair[1], self.record, self.subtract_resonances(resonance_pair), self.orders
         )
         for pair_member in resonance_pair:
-            self.add_scaled_motion_to_residuals(pair_member, -1.0)
-            pair_member.compared_neighbours = pair_member.list_neighbours(resonances)
+            pair_member.compared_neighbours = pair_member.list_neighbours(self.resonances)
         return True
 
     def _refit_neighbours_until_settled(self) -> None:
@@ -446,12 +441,11 @@ def _compute_gain_and_squares_reduction(
     """
     total_gain = total_reduction = 0.0
     for run in record.find_runs(displacements, speed):
-        probe_series = [
-            series[has_arrival]
-            for series, has_arrival in zip(run.displacements.T, run.has_arrival.T, strict=True)
-        ]
         successive_differences = np.concatenate(
-            [series[1:] - series[:-1] for series in probe_series]
+            [
+                np.diff(series[has_arrival])
+                for series, has_arrival in zip(run.displacements.T, run.has_arrival.T, strict=True)
+            ]
         )
         # Median of the difference of two normal errors.
         noise_scale = max(

@@ -471,7 +471,7 @@ class Resonance:
         )
         mode_lists: list[list[Mode]] = []
         for pair_member, pair_partner in (resonance_pair, resonance_pair[::-1]):
-            member_displacements = displacements - pair_partner.best_fit.compute_motion(record)
+            member_displacements = displacements - pair_partner.best_fit.motions[0]
             run_weight_pairs = zip(
                 record.find_runs(member_displacements, self.speed), best_fit.weights, strict=True
             )
@@ -503,7 +503,7 @@ class Resonance:
             pair_member.margins = _compute_margin_by_order(
                 max_gain_by_order, fit_by_modes.values(), best_fit, member_index
             )
-            member_displacements = displacements - best_fit.compute_motion(record, 1 - member_index)
+            member_displacements = displacements - best_fit.motions[1 - member_index]
             pair_member.refit_and_test_clarity(
                 record, member_displacements, best_fit.modes[member_index]
             )
@@ -540,8 +540,7 @@ class Resonance:
         modes = [fitted_resonance.best_fit.first_mode for fitted_resonance in (self, *neighbours)]
         if neighbours:
             resonance_motions = [
-                fitted_resonance.best_fit.compute_motion(record)
-                for fitted_resonance in (self, *neighbours)
+                fitted_resonance.best_fit.motions[0] for fitted_resonance in (self, *neighbours)
             ]
             runs = record.find_runs(residuals + sum(resonance_motions), self.speed)
             best_fit = Fit(runs, modes, self._make_initial_weights(runs))

@@ -78,7 +78,7 @@ class Run:
     ) -> None:
         arrivals, revolution_slice = record.arrivals, slice(begin_revolution, end_revolution)
         self.begin_revolution, self.end_revolution = begin_revolution, end_revolution
-        self._stiffening = record.stiffening
+        self.record = record
         self.has_arrival = np.isfinite(displacements[revolution_slice])
         self.displacements = np.where(self.has_arrival, displacements[revolution_slice], 0.0)
         self.nominal_angle = arrivals.nominal_angle[revolution_slice]
@@ -174,7 +174,7 @@ class Run:
         """
         omega = float(np.abs(poles).mean())
         angles_and_times = np.stack([self.nominal_angle.ravel(), self.expected_times.ravel()])
-        angles_and_times *= 1.0 - self._stiffening(omega / order, omega)
+        angles_and_times *= 1.0 - self.record.stiffening(omega / order, omega)
         max_exponent = -float(poles.real.min()) * float(np.ptp(angles_and_times[1]))
         n_parts = int(max_exponent // 300.0) + 1
         edge_indices = [
@@ -573,13 +573,14 @@ class Fit:
             )
         )
 
-    def compute_motion(self, record: Record, mode_index: int = 0) -> np.ndarray:
-        """Return the displacements by a mode in the whole record: (revolutions, probes) [m].
+    @cached_property
+    def motions(self) -> list[np.ndarray]:
+        """Displacements by each mode in the whole record: (revolutions, probes) [m].
 
         The fit has a motion for each run, the consecutive revolutions near a resonance. Each motion
-        is continued beyond its run, halfway to the next one. ``mode_index`` counts the fitted modes
-        from 0.
+        is continued beyond its run, halfway to the next one.
         """
+        record = self._runs[0].record
         halfway_revolutions = [
             (run.end_revolution + next_run.begin_revolution) // 2
             for run, next_run in itertools.pairwise(self._runs)
@@ -590,11 +591,15 @@ class Fit:
             Run(record, zero_displacements, begin_revolution, end_revolution)
             for begin_revolution, end_revolution in itertools.pairwise(edge_revolutions)
         ]
-        run_motions = [
-            (complex_force * run.compute_wave(self.modes[mode_index])).real
-            for run, complex_force in zip(continued_runs, self.forces[mode_index], strict=True)
+        return [
+            np.concatenate(
+                [
+                    (complex_force * run.compute_wave(mode)).real
+                    for run, complex_force in zip(continued_runs, mode_forces, strict=True)
+                ]
+            )
+            for mode, mode_forces in zip(self.modes, self.forces, strict=True)
         ]
-        return np.concatenate(run_motions)
 
     @property
     def whiteness_p_value(self) -> float:
