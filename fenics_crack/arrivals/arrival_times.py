@@ -125,7 +125,7 @@ class ArrivalTimes(Tabular):
     def __len__(self) -> int:
         return len(self.time)
 
-    @property
+    @cached_property
     def speed(self) -> np.ndarray:
         """Mean speed of each revolution: (revolutions,) [rad/s]."""
         return np.asarray(2.0 * np.pi / np.diff(self.marks))

@@ -235,7 +235,7 @@ class _ResonanceSearch:
     ) -> None:
         self.record, self.displacements, self.orders = record, displacements, candidate_orders
         self.resonances: list[Resonance] = []
-        lowest_speed, highest_speed = record.revolution_speeds.min(), record.revolution_speeds.max()
+        lowest_speed, highest_speed = record.arrivals.speed.min(), record.arrivals.speed.max()
         n_centres = int(np.log(highest_speed / lowest_speed) / RELATIVE_SPEED_SPACING)
         self._centre_speeds = lowest_speed * np.exp(
             RELATIVE_SPEED_SPACING * (0.5 + np.arange(n_centres))

@@ -86,7 +86,7 @@ class Run:
         self.angle = np.where(
             self.has_arrival, arrivals.angle[revolution_slice], self.nominal_angle
         )
-        self.revolution_speeds = record.revolution_speeds[revolution_slice]
+        self.revolution_speeds = arrivals.speed[revolution_slice]
         self.displacement_rounding = arrivals.displacement_rounding
         self.scaled_speed = (self.revolution_speeds - self.revolution_speeds.mean()) / (
             self.revolution_speeds.max() - self.revolution_speeds.min()
@@ -283,11 +283,6 @@ class Record:
     arrivals: ArrivalTimes
     stiffening: StiffeningFunction
 
-    @cached_property
-    def revolution_speeds(self) -> np.ndarray:
-        """Mean speed of each revolution: (revolutions,) [rad/s]."""
-        return self.arrivals.speed
-
     def find_runs(self, displacements: np.ndarray, speed: float) -> list[Run]:
         """Return the runs through a speed [rad/s]; an empty list without one.
 
@@ -295,7 +290,7 @@ class Record:
         revolutions begins a new run. Probes with fewer than 10 arrivals in a run are left out.
         ``displacements`` are (revolutions, probes) [m].
         """
-        relative_offsets = self.revolution_speeds / speed - 1.0
+        relative_offsets = self.arrivals.speed / speed - 1.0
         near_rows = np.flatnonzero(np.abs(relative_offsets) < RELATIVE_SPEED_HALF_WIDTH)
         runs = []
         for run_rows in np.split(
@@ -490,14 +485,8 @@ class Fit:
                 np.concatenate([run.displacements[None], weighted_waves]), run_weights
             )
             weighted_displacements, *weighted_waves = displacements_and_waves[:, run.has_arrival]
-            wave_parts = np.stack(
-                [
-                    wave_part
-                    for weighted_wave in weighted_waves
-                    for wave_part in (weighted_wave.real, -weighted_wave.imag)
-                ]
-            )
             # Mode, wave and slope, parts.
+            wave_parts = np.stack([np.real(weighted_waves), -np.imag(weighted_waves)], axis=1)
             wave_parts = wave_parts.reshape(-1, 2, 2, len(weighted_displacements))
             wave_columns = wave_parts[:, 0].reshape(-1, len(weighted_displacements))
             residual_rows = np.vstack(

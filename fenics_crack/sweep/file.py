@@ -642,20 +642,17 @@ def scene_of_sweep(sweep_header: store.StoredFile) -> Scene:
     scene = sweep_header.scene()
     if scene is None or scene.sweep is None:
         raise sweep_header.refusal("a sweep with its scene; compute it again in a new folder")
-    n_column_bytes, unit_and_type_by_dataset = 0, _unit_and_type_by_dataset(scene)
-    for column_name in sorted(
-        unit_and_type_by_dataset.keys() & (sweep_header.columns.keys() | REQUIRED_COLUMN_NAMES)
-    ):
-        stored_column = sweep_header.columns.get(column_name)
-        if stored_column is None:
-            requirement_text = (
-                f"a sweep with the column {column_name!r}; this one is of an older version"
-            )
-            raise sweep_header.refusal(f"{requirement_text}: compute it again in a new folder")
-        column_type = np.dtype(unit_and_type_by_dataset[column_name][1])
-        if stored_column.shape != scene.given("sweep").shape or stored_column.dtype != column_type:
-            raise sweep_header.refusal(COLUMNS_REQUIREMENT_TEXT)
-        n_column_bytes += stored_column.n_bytes
+    if missing_column_names := sorted(REQUIRED_COLUMN_NAMES - sweep_header.columns.keys()):
+        requirement_text = (
+            f"a sweep with the column {missing_column_names[0]!r}; this one is of an older version"
+        )
+        raise sweep_header.refusal(f"{requirement_text}: compute it again in a new folder")
+    axes_shape, n_column_bytes = scene.given("sweep").shape, 0
+    for column_name, (_, type_name) in _unit_and_type_by_dataset(scene).items():
+        if (stored_column := sweep_header.columns.get(column_name)) is not None:
+            if stored_column.shape != axes_shape or stored_column.dtype != np.dtype(type_name):
+                raise sweep_header.refusal(COLUMNS_REQUIREMENT_TEXT)
+            n_column_bytes += stored_column.n_bytes
     if n_column_bytes > MAX_FILE_BYTES:
         raise sweep_header.refusal(
             f"a sweep with at most {MAX_FILE_BYTES / 2**30:g} GiB of columns; sweep fewer values"

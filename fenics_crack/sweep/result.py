@@ -452,10 +452,10 @@ class SweepResult(Tabular):
             "iterations": int(self["iterations"][case_index]),
             "error_penetration": float(self["penetration_share"][case_index]),
             "error_displacement": 0.0,
-        }
-        value_by_field |= {
-            f"error_{error_part_name}": float(self[f"{error_part_name}_error"][case_index])
-            for error_part_name in PART_NAMES_OF_TOTAL_ERROR
+            **{
+                f"error_{error_part_name}": float(self[f"{error_part_name}_error"][case_index])
+                for error_part_name in PART_NAMES_OF_TOTAL_ERROR
+            },
         }
         if problem.has_projected_constraint:
             value_by_field["weight"] = default_projection_weight(problem.compliance_model())
