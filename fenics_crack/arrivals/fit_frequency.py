@@ -229,6 +229,7 @@ class _FrequencySearch:
             constant_numbers[has_arrival][:, None] == np.unique(constant_numbers[has_arrival])
         ).astype(float)
         self._n_unknowns = 2 * n_harmonics + 1 + self._constant_columns.shape[1]
+        self._displacement_rounding = arrivals.displacement_rounding
         self._constants_deviation = constants_deviation * arrivals.tip_radius
         self._constants_stiffness = 0.0
         self._set_constants_stiffness(
@@ -241,7 +242,7 @@ class _FrequencySearch:
         self._null_noise = fit_noise_by_reweighting(
             lambda weights: self._subtract_constants(self._displacements, weights),
             np.ones(len(revolution_indices)), self._constant_columns.shape[1],
-            arrivals.displacement_rounding,
+            self._displacement_rounding,
         )  # fmt: skip
 
     def _set_constants_stiffness(self, displacement_scatter: float) -> None:
@@ -458,10 +459,7 @@ class _FrequencySearch:
             return np.asarray(residuals)
 
         self.noise = fit_noise_by_reweighting(
-            solve,
-            np.ones(len(self._displacements)),
-            self._n_unknowns,
-            self._arrivals.displacement_rounding,
+            solve, np.ones(len(self._displacements)), self._n_unknowns, self._displacement_rounding
         )
         self._set_constants_stiffness(self.noise.scale)
 

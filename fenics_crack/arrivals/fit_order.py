@@ -183,10 +183,6 @@ def _fit_best_order(
         best_fit,
         covariance=covariance_factor * student_variance_ratio(freedom) * best_fit.covariance,
     )
-    rms_residuals = np.array([means.compute_rms_residual(order, multiples) for order in orders])
-    condition_numbers = [
-        condition_number(fourier_basis(order * means.nominal_angles, multiples)) for order in orders
-    ]
     return TipFit(
         order=float(orders[best_index]),
         order_error=0.0,
@@ -197,15 +193,31 @@ def _fit_best_order(
         scatter=means.scatter * float(np.sqrt(finite_ratio)),
         misfit=misfit,
         folded=means.compute_folding_chance(best_fit),
-        candidates=Candidates(
-            orders,
-            rms_residuals,
-            np.array(condition_numbers),
-            is_equivalent,
-            np.isinf(residual_square_sums),
+        candidates=_make_candidates(
+            means, orders, multiples, is_equivalent, np.isinf(residual_square_sums)
         ),
         spare=len(means.displacements) - n_unknowns,
         asynchronous=means.lines,
+    )
+
+
+def _make_candidates(
+    means: ProbeMeans,
+    orders: np.ndarray,
+    multiples: np.ndarray,
+    is_equivalent: np.ndarray,
+    is_hidden: np.ndarray,
+) -> Candidates:
+    """Return candidate orders with residuals and condition numbers.
+
+    Arrays have the shape (n,) of ``orders``; ``multiples`` are (K,).
+    """
+    condition_numbers = [
+        condition_number(fourier_basis(order * means.nominal_angles, multiples)) for order in orders
+    ]
+    rms_residuals = [means.compute_rms_residual(order, multiples) for order in orders]
+    return Candidates(
+        orders, np.array(rms_residuals), np.array(condition_numbers), is_equivalent, is_hidden
     )
 
 

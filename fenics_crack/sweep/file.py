@@ -401,7 +401,7 @@ def _encode_column(column_values: Sequence[Any], column_type: np.dtype[Any]) -> 
     A text becomes UTF-8, cut between characters to the column's size. None becomes the value that
     means "no value".
     """
-    encoded_values = [
+    encoded_column = [
         value.encode()[: column_type.itemsize].decode("utf-8", "ignore").encode()
         if isinstance(value, str)
         else value
@@ -409,7 +409,7 @@ def _encode_column(column_values: Sequence[Any], column_type: np.dtype[Any]) -> 
     ]
     blank_value = BLANK_VALUE_BY_TYPE_KIND[column_type.kind]
     return np.array(
-        [blank_value if value is None else value for value in encoded_values], column_type
+        [blank_value if value is None else value for value in encoded_column], column_type
     )
 
 
@@ -642,9 +642,9 @@ def scene_of_sweep(sweep_header: store.StoredFile) -> Scene:
     scene = sweep_header.scene()
     if scene is None or scene.sweep is None:
         raise sweep_header.refusal("a sweep with its scene; compute it again in a new folder")
-    if missing_column_names := sorted(REQUIRED_COLUMN_NAMES - sweep_header.columns.keys()):
+    if column_name := min(REQUIRED_COLUMN_NAMES - sweep_header.columns.keys(), default=""):
         requirement_text = (
-            f"a sweep with the column {missing_column_names[0]!r}; this one is of an older version"
+            f"a sweep with the column {column_name!r}; this one is of an older version"
         )
         raise sweep_header.refusal(f"{requirement_text}: compute it again in a new folder")
     axes_shape, n_column_bytes = scene.given("sweep").shape, 0
