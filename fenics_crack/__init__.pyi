@@ -4,13 +4,13 @@ from fenics_crack.arrivals.arrival_times import ArrivalTimes as ArrivalTimes
 from fenics_crack.arrivals.arrival_times import read_record as read_record
 from fenics_crack.arrivals.arrival_times import write_record as write_record
 from fenics_crack.arrivals.fit_frequency import fit_frequency as fit_frequency
-from fenics_crack.arrivals.fit_order import TipTrack as TipTrack
 from fenics_crack.arrivals.fit_order import fit_order as fit_order
-from fenics_crack.arrivals.fit_order import track_order as track_order
 from fenics_crack.arrivals.harmonics import TipFit as TipFit
-from fenics_crack.arrivals.passages import PassageFit as PassageFit
 from fenics_crack.arrivals.passages import find_passages as find_passages
 from fenics_crack.arrivals.passages import fit_passage as fit_passage
+from fenics_crack.arrivals.resonance import PassageFit as PassageFit
+from fenics_crack.arrivals.track_order import TipTrack as TipTrack
+from fenics_crack.arrivals.track_order import track_order as track_order
 from fenics_crack.balance.error_report import ErrorReport as ErrorReport
 from fenics_crack.balance.harmonic_balance import linear_response as linear_response
 from fenics_crack.balance.harmonic_balance import slide_along_lines as slide_along_lines

@@ -4,9 +4,11 @@ The folder needs ``basics`` and ``numerics`` alone. ``monitoring`` connects it w
 structures and scenes.
 
 - ``arrival_times`` holds the times for one blade, and reads and writes records.
-- ``fit_order`` finds engine orders, and tracks one through a run-up.
+- ``fit_order`` finds engine orders.
+- ``track_order`` follows one order through a run-up.
 - ``fit_frequency`` finds a frequency that is no multiple of the speed.
 - ``passages`` finds the resonances in a run-up.
+- ``resonance`` fits a mode and an engine order to one of them.
 - ``harmonics`` holds the result of a fit.
 - ``robust`` and ``transient`` hold the numerical methods.
 """

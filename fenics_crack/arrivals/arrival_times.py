@@ -125,7 +125,7 @@ class ArrivalTimes(Tabular):
     def __len__(self) -> int:
         return len(self.time)
 
-    @property
+    @cached_property
     def speed(self) -> np.ndarray:
         """Mean speed of each revolution: (revolutions,) [rad/s]."""
         return np.asarray(2.0 * np.pi / np.diff(self.marks))
@@ -151,8 +151,12 @@ class ArrivalTimes(Tabular):
 
         phi + 2 pi n, with the probe's angle phi and the number n of the revolution.
         """
-        revolution_numbers = self.first + np.arange(len(self))
-        return np.asarray(2.0 * np.pi * revolution_numbers[:, None] + self.probes)
+        return self._mark_angles[:-1, None] + self.probes
+
+    @property
+    def _mark_angles(self) -> np.ndarray:
+        """Rotor angle at the marks: (revolutions + 1,) [rad]."""
+        return find_mark_angles(self.first, len(self.marks))
 
     @cached_property
     def angle(self) -> np.ndarray:
@@ -160,8 +164,7 @@ class ArrivalTimes(Tabular):
 
         nan for a missing arrival.
         """
-        mark_revolution_numbers = self.first + np.arange(len(self.marks))
-        return interpolate_by_splines(self.marks, RAD_PER_TURN * mark_revolution_numbers, self.time)
+        return interpolate_by_splines(self.marks, self._mark_angles, self.time)
 
     @cached_property
     def expected(self) -> np.ndarray:
@@ -169,10 +172,7 @@ class ArrivalTimes(Tabular):
 
         Entries for missing arrivals are numbers, too.
         """
-        mark_revolution_numbers = self.first + np.arange(len(self.marks))
-        return interpolate_by_splines(
-            RAD_PER_TURN * mark_revolution_numbers, self.marks, self.nominal_angle
-        )
+        return interpolate_by_splines(self._mark_angles, self.marks, self.nominal_angle)
 
     @cached_property
     def displacement(self) -> np.ndarray:
@@ -303,7 +303,9 @@ class ArrivalTimes(Tabular):
             file_radii,
         ) = _read_passages_and_radii(path)
         tip_radius = choose_tip_radius(path, file_radii, tip_radius)
-        revolution_numbers, row_indices = np.unique(passage_revolutions, return_inverse=True)
+        revolution_numbers, first_row_indices, row_indices = np.unique(
+            passage_revolutions, return_index=True, return_inverse=True
+        )
         probe_angles, probe_indices = np.unique(passage_angles, return_inverse=True)
         if np.any(np.diff(revolution_numbers) != 1.0):
             raise InputError(
@@ -316,20 +318,16 @@ class ArrivalTimes(Tabular):
             raise InputError(
                 "path", f"{path}: {size_text}", f"at most {MAX_ALLOWED_PASSAGES:.0e} passages"
             )
-        begin_times = np.empty(len(revolution_numbers))
-        end_times = np.empty(len(revolution_numbers))
-        begin_times[row_indices], end_times[row_indices] = passage_marks, passage_next_marks
+        begin_times = passage_marks[first_row_indices]
+        end_times = passage_next_marks[first_row_indices]
         time = np.full((len(revolution_numbers), len(probe_angles)), np.nan)
         time[row_indices, probe_indices] = arrival_times
-        check_results = [
-            begin_times[row_indices] == passage_marks,
-            end_times[row_indices] == passage_next_marks,
-        ]
-        check_results += [
-            begin_times[1:] == end_times[:-1],
-            len(set(zip(row_indices, probe_indices, strict=True))) == len(row_indices),
-        ]
-        if not all(map(np.all, check_results)):
+        if (
+            np.any(begin_times[row_indices] != passage_marks)
+            or np.any(end_times[row_indices] != passage_next_marks)
+            or np.any(begin_times[1:] != end_times[:-1])
+            or len(set(zip(row_indices, probe_indices, strict=True))) < len(row_indices)
+        ):
             requirement_text = (
                 "a file with one row per revolution and probe, in which next_mark is the mark of "
             )
@@ -363,13 +361,22 @@ class ArrivalTimes(Tabular):
 
     def _repr_text(self) -> str:
         speed, n_missing = self.speed, int(np.isnan(self.time).sum())
+        is_steady = np.ptp(speed) <= 1e-6 * speed[0]
         title_parts = [
             format_count(len(self), "revolution"),
             format_count(len(self.probes), "probe"),
+            f"{speed[0]:.6g}{'' if is_steady else f' to {speed[-1]:.6g}'} rad/s",
+            *[f"{n_missing} missing"] * (n_missing > 0),
         ]
-        is_steady = np.ptp(speed) <= 1e-6 * speed[0]
-        title_parts.append(f"{speed[0]:.6g}{'' if is_steady else f' to {speed[-1]:.6g}'} rad/s")
-        return ", ".join(title_parts + [f"{n_missing} missing"] * (n_missing > 0))
+        return ", ".join(title_parts)
+
+
+def find_mark_angles(first_revolution: int, n_marks: int) -> np.ndarray:
+    """Return the rotor angles at successive marks: (n_marks,) [rad].
+
+    The first mark begins ``first_revolution``; the angle is 0 at the mark that begins revolution 0.
+    """
+    return RAD_PER_TURN * (first_revolution + np.arange(n_marks))
 
 
 def interpolate_by_splines(knots: np.ndarray, values: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -870,10 +877,8 @@ def _read_arrival_angles(
                 "path", f"{path}: {heading} = {np.nanmedian(column):g}", requirement_text
             )
         return angles
-    mark_revolution_numbers = np.arange(revolution_numbers[0], revolution_numbers[0] + len(marks))
-    return RAD_PER_TURN * (
-        interpolate_by_splines(marks, mark_revolution_numbers, column) - revolution_numbers
-    )
+    mark_angles = find_mark_angles(int(revolution_numbers[0]), len(marks))
+    return interpolate_by_splines(marks, mark_angles, column) - RAD_PER_TURN * revolution_numbers
 
 
 def _build_arrivals(
@@ -923,10 +928,6 @@ def _build_arrivals(
         angles[:, probe_index] = np.nan
         angles[kept_row_indices, probe_index] = moved_angles
     angles = angles[:, probe_order]
-    mark_revolution_numbers = first_revolution + np.arange(len(marks))
-    time = interpolate_by_splines(
-        RAD_PER_TURN * mark_revolution_numbers,
-        marks,
-        RAD_PER_TURN * mark_revolution_numbers[:-1, None] + angles,
-    )
+    mark_angles = find_mark_angles(first_revolution, len(marks))
+    time = interpolate_by_splines(mark_angles, marks, mark_angles[:-1, None] + angles)
     return ArrivalTimes(time, marks, probe_angles[probe_order], tip_radius, first_revolution)

@@ -28,6 +28,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import chdtrc
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
@@ -356,19 +357,15 @@ class _FrequencySearch:
         chance : float
             Probability of a vibration as large in noise alone; 1 if constants absorb the vibration.
         """
-        refined_peaks: list[tuple[bool, float, float]] = []
         weights = self._null_noise.weights
-        for initial_omega in self._find_peak_omegas().tolist():
-            omega, (_, residuals, harmonic_columns) = self._refine_omega_and_fit(
-                initial_omega, weights
-            )
-            refined_peaks.append(
-                (
-                    self._constants_absorb_vibration(harmonic_columns),
-                    float(weights @ residuals**2),
-                    omega,
-                )
-            )
+        refined_omegas_and_fits = [
+            self._refine_omega_and_fit(initial_omega, weights)
+            for initial_omega in self._find_peak_omegas().tolist()
+        ]
+        refined_peaks = [
+            (self._constants_absorb_vibration(columns), float(weights @ residuals**2), omega)
+            for omega, (_, residuals, columns) in refined_omegas_and_fits
+        ]
         separate_omegas: list[float] = []
         for _, _, omega in sorted(refined_peaks):  # nearer to a higher one they are its side lobes
             if all(
@@ -428,33 +425,26 @@ class _FrequencySearch:
             )
             raise InputError("high - low", max_omega - min_omega, requirement_text)
         noise_psi = self._null_noise.psi
-        step_numbers = np.arange(first_step, end_step)
         power = np.zeros(end_step - first_step)
         block_size = 10**6  # at once, for the memory
         for multiple, block_start in itertools.product(
-            self._multiples, range(0, end_step - first_step, block_size)
+            self._multiples, range(0, len(power), block_size)
         ):
             power_block = power[block_start : block_start + block_size]
-            step_phases = multiple * omega_step * self._times
-            power_block += (
-                np.abs(
-                    _compute_spectrum(
-                        step_phases, noise_psi, first_step + block_start, len(power_block)
-                    )
-                )
-                ** 2
+            spectrum = _compute_spectrum(
+                multiple * omega_step * self._times,
+                noise_psi,
+                first_step + block_start,
+                len(power_block),
             )
+            power_block += np.abs(spectrum) ** 2
         padded_power = np.concatenate([[-np.inf], power, [-np.inf]])
         peak_indices = np.flatnonzero((power >= padded_power[:-2]) & (power >= padded_power[2:]))
         peak_indices = peak_indices[np.argsort(-power[peak_indices])[:MAX_REFINED_PEAKS]]
-        if power[peak_indices[0]] < np.log(len(step_numbers)) * float(noise_psi @ noise_psi):
+        if power[peak_indices[0]] < np.log(len(power)) * float(noise_psi @ noise_psi):
             peak_indices = peak_indices[:1]  # as high as in noise: exponentially distributed
-        return np.asarray(
-            omega_step
-            * step_numbers[
-                peak_indices[power[peak_indices] > MIN_RELATIVE_PEAK * power[peak_indices[0]]]
-            ]
-        )
+        is_high = power[peak_indices] > MIN_RELATIVE_PEAK * power[peak_indices[0]]
+        return np.asarray(omega_step * (first_step + peak_indices[is_high]))
 
     def _fit_with_reweighting(self) -> None:
         """Fit frequency, harmonics and constants, in turns with the arrivals' weights.
@@ -485,52 +475,46 @@ class _FrequencySearch:
         """
         weights = self.noise.weights
         allowed_difference = CONFIDENCE_LEVELS.allowed_cost_difference * self.noise.scale**2
-        harmonic_fits = [
-            self._fit_harmonics(omega, weights, self._displacements, self._times)
-            for omega in omegas
-        ]
-        residual_square_sums = np.array(
-            [weights @ residuals**2 for _, residuals, _ in harmonic_fits]
+        coefficient_rows, residual_rows, columns_of_omegas = zip(
+            *[
+                self._fit_harmonics(omega, weights, self._displacements, self._times)
+                for omega in omegas
+            ],
+            strict=True,
         )
-        vibration_sizes = np.array(
-            [np.linalg.norm(coefficients) for coefficients, _, _ in harmonic_fits]
-        )
-        condition_numbers = np.array(
-            [condition_number(harmonic_columns[:, :-1]) for _, _, harmonic_columns in harmonic_fits]
-        )
-        is_hidden = np.array(
-            [
-                self._constants_absorb_vibration(harmonic_columns)
-                for _, _, harmonic_columns in harmonic_fits
-            ]
-        )
+        residual_square_sums = np.square(residual_rows) @ weights
+        is_hidden = np.array([*map(self._constants_absorb_vibration, columns_of_omegas)])
         is_equivalent, best_index = select_candidate(
-            residual_square_sums, vibration_sizes, allowed_difference, ~is_hidden
+            residual_square_sums,
+            np.linalg.norm(coefficient_rows, axis=1),
+            allowed_difference,
+            ~is_hidden,
         )
         # Arrivals that are not where they were expected distinguish aliases, but not reliably.
         expected_wave = (
             fourier_basis(omegas[best_index] * self._expected_times, self._multiples)[:, 1:]
-            @ harmonic_fits[best_index][0]
+            @ coefficient_rows[best_index]
         )
         wave_residuals = [
             self._fit_harmonics(omega, weights, expected_wave, self._expected_times)[1]
             for omega in omegas
         ]
-        is_equivalent |= (
-            np.array([weights @ residuals**2 for residuals in wave_residuals]) < allowed_difference
+        is_equivalent |= np.square(wave_residuals) @ weights < allowed_difference
+        candidates = Candidates(
+            omegas / self._arrivals.mean_speed,
+            np.sqrt(residual_square_sums / len(self._displacements)),
+            np.array([condition_number(columns[:, :-1]) for columns in columns_of_omegas]),
+            is_equivalent,
+            is_hidden,
         )
-        rms_residuals = np.sqrt(residual_square_sums / len(self._displacements))
-        orders = omegas / self._arrivals.mean_speed
-        return Candidates(
-            orders, rms_residuals, condition_numbers, is_equivalent, is_hidden
-        ), float(omegas[best_index])
+        return candidates, float(omegas[best_index])
 
     def _build_tip_fit(self, candidates: Candidates) -> TipFit:
         """Return the result, with the refined order among the candidates.
 
         The refined order replaces the nearest candidate.
         """
-        mean_speed, n_coefficients = self._arrivals.mean_speed, 2 * len(self._multiples) + 1
+        mean_speed = self._arrivals.mean_speed
         order = self.omega / mean_speed
         orders = candidates.orders.copy()
         orders[np.abs(orders - order).argmin()] = order
@@ -538,11 +522,10 @@ class _FrequencySearch:
         fit_covariance = student_variance_ratio(n_spare) * self.noise.coefficient_covariance(
             self.columns, self._places
         )
-        covariance = np.zeros((n_coefficients, n_coefficients))
-        covariance[1:, 1:] = fit_covariance[:-1, :-1]
-        covariance[0, 0] = (
+        mean_variance = (
             student_variance_ratio(n_spare) * self.noise.variance / len(self._displacements)
         )
+        covariance = block_diag(mean_variance, fit_covariance[:-1, :-1])
         fitted_wave = (
             fourier_basis(self.omega * self._times, self._multiples)[:, 1:] @ self.coefficients
         )

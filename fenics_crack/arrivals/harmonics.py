@@ -329,29 +329,25 @@ def compute_amplitudes_and_errors(
     cosine_sine_pairs = np.stack([coefficients[..., 1::2], coefficients[..., 2::2]])
     amplitudes = np.hypot(*cosine_sine_pairs)
     unit_directions = np.stack([np.ones_like(amplitudes), np.zeros_like(amplitudes)])
-    direction_cosines, direction_sines = np.divide(
+    cosines, sines = np.divide(
         cosine_sine_pairs, amplitudes, out=unit_directions, where=amplitudes > 0.0
     )
     cosine_indices = np.arange(1, coefficients.shape[-1], 2)
-    cosine_variances = covariance[..., cosine_indices, cosine_indices]
-    sine_variances = covariance[..., cosine_indices + 1, cosine_indices + 1]
-    cosine_sine_covariances = covariance[..., cosine_indices, cosine_indices + 1]
-    radial_variances = (
-        direction_cosines**2 * cosine_variances
-        + 2.0 * direction_cosines * direction_sines * cosine_sine_covariances
-        + direction_sines**2 * sine_variances
+    pair_covariances = np.array(
+        [
+            [covariance[..., cosine_indices + row, cosine_indices + column] for column in (0, 1)]
+            for row in (0, 1)
+        ]
     )
-    tangential_variances = np.maximum(
-        direction_sines**2 * cosine_variances
-        - 2.0 * direction_cosines * direction_sines * cosine_sine_covariances
-        + direction_cosines**2 * sine_variances,
-        0.0,
+    radial_variances, tangential_variances = (
+        np.maximum(np.einsum("i...,ij...,j...->...", direction, pair_covariances, direction), 0.0)
+        for direction in (np.stack([cosines, sines]), np.stack([-sines, cosines]))
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         mean_lengthenings = np.nan_to_num(
             tangential_variances / np.maximum(amplitudes, np.sqrt(tangential_variances))
         )
-    return amplitudes, np.sqrt(np.maximum(radial_variances, 0.0) + 0.75 * mean_lengthenings**2)
+    return amplitudes, np.sqrt(radial_variances + 0.75 * mean_lengthenings**2)
 
 
 # --- fits -----------------------------------------------------------------------------------------

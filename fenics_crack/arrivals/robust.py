@@ -73,8 +73,6 @@ class ConfidenceLevels:
 
 CONFIDENCE_LEVELS = ConfidenceLevels()
 
-SumAndCount = tuple[float, float]
-"""Sum of products of residuals, and their number."""
 RevolutionsAndProbes = tuple[np.ndarray, np.ndarray]
 """Indices of revolutions and probes for n arrivals: two arrays (n,)."""
 
@@ -204,18 +202,14 @@ class StudentNoise:
         ``places`` are the arrivals' revolutions and probes.
         """
         (
-            (same_probe_sum_count, cross_probe_sum_count),
+            ((same_probe_sum, n_same_probe_products), (cross_probe_sum, n_cross_probe_products)),
             lag,
-            ((lagged_sum, n_lagged_products), lagged_cross_sum_count),
+            ((lagged_sum, n_lagged_products), (_, n_lagged_cross_products)),
         ) = _sum_products_with_next_revolution(self.psi, places)
-        psi_variance = same_probe_sum_count[0] / same_probe_sum_count[1]
+        psi_variance = same_probe_sum / n_same_probe_products
         if not n_lagged_products or not psi_variance:
             return np.nan
-        mark_covariance = (
-            max(cross_probe_sum_count[0] / cross_probe_sum_count[1], 0.0)
-            if cross_probe_sum_count[1]
-            else 0.0
-        )
+        mark_covariance = max(cross_probe_sum / max(n_cross_probe_products, 1.0), 0.0)
         share_products = mark_shares.T @ mark_shares
         lagged_share_products = (mark_shares[lag:] * mark_shares[:-lag]).sum(axis=0)
         cross_probe_share_products = share_products[~np.eye(len(share_products), dtype=bool)]
@@ -225,7 +219,7 @@ class StudentNoise:
             else 0.0
         )
         lagged_sum_deviation = psi_variance * np.sqrt(
-            n_lagged_products + (mark_covariance / psi_variance) ** 2 * lagged_cross_sum_count[1]
+            n_lagged_products + (mark_covariance / psi_variance) ** 2 * n_lagged_cross_products
         )
         lower_tail_probability = float(
             ndtr((lagged_sum - n_lagged_products * lagged_mark_covariance) / lagged_sum_deviation)
@@ -296,26 +290,25 @@ class StudentNoise:
             Revolutions and probes for the arrivals.
         """
         covariance_pairs: list[tuple[float, float]] = []
-        for lag, sum_count_pairs in enumerate(
+        for lag, sums_and_counts in enumerate(
             _yield_product_sums_by_lag(self.psi, itertools.count(), places)
         ):
-            covariance_pair = []
-            for product_sum, n_products in sum_count_pairs:
-                max_insignificant_sum = (
-                    CONFIDENCE_LEVELS.allowed_standard_errors
-                    * psi_variance
-                    * np.sqrt(n_products if lag else 2.0 * n_products)
-                )
-                covariance_pair.append(
-                    product_sum / n_products
-                    if n_products and abs(product_sum) > max_insignificant_sum
-                    else 0.0
-                )
+            product_sums, counts = sums_and_counts.T
+            max_insignificant_sums = (
+                CONFIDENCE_LEVELS.allowed_standard_errors
+                * psi_variance
+                * np.sqrt(counts if lag else 2.0 * counts)
+            )
+            same_probe_covariance, probe_pair_covariance = np.where(
+                np.abs(product_sums) > max_insignificant_sums,
+                product_sums / np.maximum(counts, 1.0),
+                0.0,
+            ).tolist()
             if lag == 0:
-                covariance_pair[0] = 0.0
-            elif not any(covariance_pair):
+                same_probe_covariance = 0.0
+            elif not (same_probe_covariance or probe_pair_covariance):
                 break
-            covariance_pairs.append((covariance_pair[0], covariance_pair[1]))
+            covariance_pairs.append((same_probe_covariance, probe_pair_covariance))
         return covariance_pairs
 
 
@@ -346,60 +339,46 @@ def correlation_p_value(values: np.ndarray, places: RevolutionsAndProbes) -> flo
 
 def _sum_products_with_next_revolution(
     values: np.ndarray, places: RevolutionsAndProbes
-) -> tuple[list[SumAndCount], int, list[SumAndCount]]:
+) -> tuple[np.ndarray, int, np.ndarray]:
     """Sum products of values (n,) within revolutions, and with the next revolution.
 
     ``places`` are the values' revolutions and probes.
 
     Returns
     -------
-    unlagged_sums : list of (sum, count)
-        Products of values in the same revolution: at one probe, and at two probes.
+    unlagged_sums : (2, 2)
+        Products of values in the same revolution, as by :func:`_yield_product_sums_by_lag`.
     lag : int
         Distance to the next revolution: 1, or up to 5 if most revolutions between are missing.
-    lagged_sums : list of (sum, count)
-        Products of values ``lag`` revolutions apart: at one probe, and at two probes.
+    lagged_sums : (2, 2)
+        Products of values ``lag`` revolutions apart.
     """
-    unlagged_sum_count_pairs, *lagged_sum_count_pairs = _yield_product_sums_by_lag(
-        values, range(6), places
-    )
-    lag = 1 + int(
-        np.argmax(
-            [
-                sum_and_count[1] / lag
-                for lag, (sum_and_count, _) in enumerate(lagged_sum_count_pairs, 1)
-            ]
-        )
-    )
-    return unlagged_sum_count_pairs, lag, lagged_sum_count_pairs[lag - 1]
+    sums_and_counts = np.array([*_yield_product_sums_by_lag(values, range(6), places)])
+    lag = 1 + int(np.argmax(sums_and_counts[1:, 0, 1] / np.arange(1, 6)))
+    return sums_and_counts[0], lag, sums_and_counts[lag]
 
 
 def _yield_product_sums_by_lag(
     values: np.ndarray, lags: Iterable[int], places: RevolutionsAndProbes
-) -> Iterator[list[SumAndCount]]:
+) -> Iterator[np.ndarray]:
     """Yield sums of products of values (n,), for each distance in revolutions.
 
-    For each of ``lags`` a list of two pairs (sum, number of products): at the same probe, and at
-    two probes. ``places`` are the values' revolutions and probes.
+    For each of ``lags`` an array (2, 2). The first row has the sum of products at the same probe
+    and their number, the second row those at two probes. ``places`` are the values' revolutions and
+    probes.
     """
-    value_and_count_tables = [
-        _arrange_by_revolution_and_probe(values_or_ones, places)
-        for values_or_ones in (values, np.ones(len(values)))
-    ]
-    table_revolution_sums = [table.sum(axis=1) for table in value_and_count_tables]
+    tables = np.stack(
+        [
+            _arrange_by_revolution_and_probe(values_or_ones, places)
+            for values_or_ones in (values, np.ones(len(values)))
+        ]
+    )
+    revolution_sums = tables.sum(axis=2)
     for lag in lags:
-        n_rows, probe_sum_pairs = max(len(value_and_count_tables[0]) - lag, 0), []
-        for table, revolution_sums in zip(
-            value_and_count_tables, table_revolution_sums, strict=True
-        ):
-            same_probe_sum = float((table[lag:] * table[:n_rows]).sum())
-            probe_sum_pairs.append(
-                (
-                    same_probe_sum,
-                    float(revolution_sums[lag:] @ revolution_sums[:n_rows]) - same_probe_sum,
-                )
-            )
-        yield list(zip(*probe_sum_pairs, strict=True))
+        n_rows = max(revolution_sums.shape[1] - lag, 0)
+        same_probe_sums = (tables[:, lag:] * tables[:, :n_rows]).sum(axis=(1, 2))
+        all_sums = (revolution_sums[:, lag:] * revolution_sums[:, :n_rows]).sum(axis=1)
+        yield np.array([same_probe_sums, all_sums - same_probe_sums])
 
 
 def _arrange_by_revolution_and_probe(

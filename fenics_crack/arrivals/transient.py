@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -40,6 +40,7 @@ from fenics_crack.arrivals.arrival_times import (
     interpolate_by_splines,
 )
 from fenics_crack.arrivals.robust import find_least_squares_residuals, fit_noise_by_reweighting
+from fenics_crack.basics.errors import InputError, check_number
 from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 
@@ -47,6 +48,8 @@ RELATIVE_SPEED_HALF_WIDTH = 0.035
 """Half width of the fitted speeds about a resonance, relative to the resonance's speed."""
 DAMPING_RATIO_BOUNDS = 1e-5, RELATIVE_SPEED_HALF_WIDTH / 2.0
 """Minimum and maximum of fitted damping ratios; a wider resonance looks like drift."""
+MAX_STIFFENING = 0.9
+"""Maximum of |d ln w_n / d ln W|: orders hardly meet frequencies with a steeper dependence."""
 
 StiffeningFunction = Callable[[float, float], float]
 """Function s(speed, natural frequency), both in rad/s, as ``Campbell.stiffening``.
@@ -75,7 +78,7 @@ class Run:
     ) -> None:
         arrivals, revolution_slice = record.arrivals, slice(begin_revolution, end_revolution)
         self.begin_revolution, self.end_revolution = begin_revolution, end_revolution
-        self._stiffening = record.stiffening
+        self.record = record
         self.has_arrival = np.isfinite(displacements[revolution_slice])
         self.displacements = np.where(self.has_arrival, displacements[revolution_slice], 0.0)
         self.nominal_angle = arrivals.nominal_angle[revolution_slice]
@@ -83,7 +86,7 @@ class Run:
         self.angle = np.where(
             self.has_arrival, arrivals.angle[revolution_slice], self.nominal_angle
         )
-        self.revolution_speeds = record.revolution_speeds[revolution_slice]
+        self.revolution_speeds = arrivals.speed[revolution_slice]
         self.displacement_rounding = arrivals.displacement_rounding
         self.scaled_speed = (self.revolution_speeds - self.revolution_speeds.mean()) / (
             self.revolution_speeds.max() - self.revolution_speeds.min()
@@ -99,36 +102,17 @@ class Run:
 
         ``order`` is p; ``poles`` (m,) [1/s] are values of lambda at equal distances.
         """
-        times, wave_phases, phase_rates, rotations = self._compute_times_phases_rotations(order)
-        one_minus_stiffening = self._compute_one_minus_stiffening(order, poles)
-        poles = poles[:, None]
-        envelopes = np.empty((len(poles), len(times)), dtype=complex)
-        envelopes[:, :1] = 1.0 / (1j * phase_rates[0] - poles)
-        steady_responses = 1.0 / (1j * phase_rates - poles)
-        for part_slice in self._list_slices_without_overflow(
-            one_minus_stiffening * poles.real.min()
-        ):
-            durations = one_minus_stiffening * (times[part_slice] - times[part_slice.start])
-            first_growths = np.exp(
-                1j
-                * one_minus_stiffening
-                * (wave_phases[part_slice] - wave_phases[part_slice.start])
-                - poles[0] * durations
-            )
-            growth_ratios = np.exp((poles[0] - poles[-1]) / max(len(poles) - 1, 1) * durations)
-            growths_by_pole = np.cumprod(
-                [first_growths, *[growth_ratios] * (len(poles) - 1)], axis=0
-            )
-            response_sums = (growths_by_pole[:, 1:] - growths_by_pole[:, :-1]) * steady_responses[
-                :, part_slice.start : part_slice.stop - 1
-            ]
-            np.cumsum(response_sums, axis=1, out=response_sums)
+        column_poles = poles[:, None]
+        steady_responses = 1.0 / (1j * order * self._expected_speeds - column_poles)
+        envelopes = np.empty((len(poles), self.angle.size), dtype=complex)
+        envelopes[:, 0] = steady_responses[:, 0]
+        for part_slice, _, growths in self._yield_growths(order, poles):
+            part_responses = steady_responses[:, part_slice.start : part_slice.stop - 1]
+            response_sums = np.cumsum((growths[:, 1:] - growths[:, :-1]) * part_responses, axis=1)
             response_sums += envelopes[:, [part_slice.start]]
-            envelopes[:, part_slice.start + 1 : part_slice.stop] = (
-                response_sums / growths_by_pole[:, 1:]
-            )
-        envelopes *= -poles.real * rotations
-        return envelopes.reshape(-1, *self.nominal_angle.shape)
+            envelopes[:, part_slice.start + 1 : part_slice.stop] = response_sums / growths[:, 1:]
+        envelopes *= -column_poles.real * np.exp(1j * order * self.angle.ravel())
+        return envelopes.reshape(-1, *self.angle.shape)
 
     def compute_wave(self, mode: Mode) -> np.ndarray:
         """Return the wave a(t) exp(i p alpha) of a mode for F = 1: (R, P) complex.
@@ -144,19 +128,10 @@ class Run:
         w_n held constant.
         """
         order, mode_pole = mode.order, mode.pole
-        times, wave_phases, phase_rates, rotations = self._compute_times_phases_rotations(order)
-        one_minus_stiffening = self._compute_one_minus_stiffening(order, np.array([mode_pole]))
-        envelopes = np.empty((2, len(times)), dtype=complex)
-        steady_responses = 1.0 / (1j * phase_rates - mode_pole)
-        envelopes[0, 0], envelopes[1, 0] = steady_responses[0], steady_responses[0] ** 2
-        for part_slice in self._list_slices_without_overflow(one_minus_stiffening * mode_pole.real):
-            durations = one_minus_stiffening * (times[part_slice] - times[part_slice.start])
-            growths = np.exp(
-                1j
-                * one_minus_stiffening
-                * (wave_phases[part_slice] - wave_phases[part_slice.start])
-                - mode_pole * durations
-            )
+        steady_responses = 1.0 / (1j * order * self._expected_speeds - mode_pole)
+        envelopes = np.empty((2, self.angle.size), dtype=complex)
+        envelopes[:, 0] = steady_responses[0], steady_responses[0] ** 2
+        for part_slice, durations, [growths] in self._yield_growths(order, np.array([mode_pole])):
             growth_and_slope = np.stack([growths, -durations * growths])
             part_responses = steady_responses[part_slice.start : part_slice.stop - 1]
             envelope_changes = (growth_and_slope[:, 1:] - growth_and_slope[:, :-1]) * part_responses
@@ -166,57 +141,52 @@ class Run:
             ) / growths[1:]
             part_envelopes[1] += durations[1:] * part_envelopes[0]
             envelopes[:, part_slice.start + 1 : part_slice.stop] = part_envelopes
-        envelopes *= -mode_pole.real * rotations
+        envelopes *= -mode_pole.real * np.exp(1j * order * self.angle.ravel())
         envelopes[1] *= mode_pole
-        return envelopes.reshape(2, *self.nominal_angle.shape)
-
-    def _compute_times_phases_rotations(self, order: float) -> tuple[np.ndarray, ...]:
-        """Return times and phases of the n = R P arrivals under an order p.
-
-        Returns
-        -------
-        time, phase, phase_rate : (n,) [s], (n,) [rad], (n - 1,) [rad/s]
-            Times and p alpha without vibration, and p W to the next arrival.
-        rotation : (n,)
-            exp(i p alpha) with vibration.
-        """
-        wave_phases = order * self.nominal_angle.ravel()
-        rotations = np.exp(1j * order * self.angle.ravel())
-        return (
-            self._elapsed_times,
-            wave_phases,
-            np.diff(wave_phases) / np.diff(self._elapsed_times),
-            rotations,
-        )
+        return envelopes.reshape(2, *self.angle.shape)
 
     @cached_property
-    def _elapsed_times(self) -> np.ndarray:
-        """Expected times of the R P arrivals since the first: (R P,) [s]."""
-        return np.asarray((self.expected_times - self.expected_times[0, 0]).ravel())
+    def _expected_speeds(self) -> np.ndarray:
+        """Rotor speed from each arrival without vibration to the next: (R P - 1,) [rad/s]."""
+        return np.diff(self.nominal_angle.ravel()) / np.diff(self.expected_times.ravel())
 
-    def _compute_one_minus_stiffening(self, order: float, poles: np.ndarray) -> float:
-        """Return 1 - s at the speed of the resonance.
+    def _yield_growths(
+        self, order: float, poles: np.ndarray
+    ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """Yield exp(i p alpha - lambda t) at arrivals without vibration, in parts.
 
-        At this speed ``order`` excites the mean frequency of ``poles`` lambda (m,) [1/s].
+        In a part the growth stays below about e^300. With stiffening, alpha and t are multiplied by
+        1 - s at the speed where ``order`` p excites the mean frequency of ``poles``.
+
+        Parameters
+        ----------
+        order, poles : float, (m,) [1/s]
+            Order p, and values of lambda at equal distances.
+
+        Yields
+        ------
+        part_slice : slice
+            Part of the R P arrivals; it begins with the last arrival of the previous part.
+        durations : (n,) [s]
+            Times since the begin of the part, multiplied by 1 - s.
+        growths : (m, n) complex
+            The growth since the begin of the part, for each pole.
         """
         omega = float(np.abs(poles).mean())
-        return 1.0 - self._stiffening(omega / order, omega)
-
-    def _list_slices_without_overflow(self, decay_rate: float) -> list[slice]:
-        """Split the arrivals into parts in which the inverse decay does not overflow.
-
-        ``decay_rate`` [1/s] is negative; exp(-decay_rate t) stays below about e^300 in a part. Each
-        part begins with the last arrival of the previous part.
-        """
-        n_parts = int(-decay_rate * self._elapsed_times[-1] // 300.0) + 1
+        angles_and_times = np.stack([self.nominal_angle.ravel(), self.expected_times.ravel()])
+        angles_and_times *= 1.0 - self.record.stiffening(omega / order, omega)
+        max_exponent = -float(poles.real.min()) * float(np.ptp(angles_and_times[1]))
+        n_parts = int(max_exponent // 300.0) + 1
         edge_indices = [
-            (len(self._elapsed_times) - 1) * part_index // n_parts
-            for part_index in range(n_parts + 1)
+            (self.angle.size - 1) * part_index // n_parts for part_index in range(n_parts + 1)
         ]
-        return [
-            slice(begin_index, end_index + 1)
-            for begin_index, end_index in itertools.pairwise(edge_indices)
-        ]
+        for begin_index, end_index in itertools.pairwise(edge_indices):
+            part_slice = slice(begin_index, end_index + 1)
+            angles, durations = angles_and_times[:, part_slice] - angles_and_times[:, [begin_index]]
+            first_growths = np.exp(1j * order * angles - poles[0] * durations)
+            growth_ratios = np.exp((poles[0] - poles[-1]) / max(len(poles) - 1, 1) * durations)
+            growths = np.cumprod([first_growths, *[growth_ratios] * (len(poles) - 1)], axis=0)
+            yield part_slice, durations, growths
 
     def _compute_orthonormal_drifts(self, sqrt_weights: np.ndarray) -> np.ndarray:
         """Return the drift functions of each probe, weighted and orthonormal: (2, R, P).
@@ -313,11 +283,6 @@ class Record:
     arrivals: ArrivalTimes
     stiffening: StiffeningFunction
 
-    @cached_property
-    def revolution_speeds(self) -> np.ndarray:
-        """Mean speed of each revolution: (revolutions,) [rad/s]."""
-        return self.arrivals.speed
-
     def find_runs(self, displacements: np.ndarray, speed: float) -> list[Run]:
         """Return the runs through a speed [rad/s]; an empty list without one.
 
@@ -325,7 +290,7 @@ class Record:
         revolutions begins a new run. Probes with fewer than 10 arrivals in a run are left out.
         ``displacements`` are (revolutions, probes) [m].
         """
-        relative_offsets = self.revolution_speeds / speed - 1.0
+        relative_offsets = self.arrivals.speed / speed - 1.0
         near_rows = np.flatnonzero(np.abs(relative_offsets) < RELATIVE_SPEED_HALF_WIDTH)
         runs = []
         for run_rows in np.split(
@@ -340,6 +305,30 @@ class Record:
                 run.has_arrival &= run.has_arrival.sum(axis=0) >= MIN_REQUIRED_REVOLUTIONS
                 runs += [run] * bool(np.any(run.has_arrival))
         return runs
+
+
+def make_stiffening_function(stiffening: float | StiffeningFunction) -> StiffeningFunction:
+    """Return the stiffening s as a function of speed and natural frequency [rad/s].
+
+    A number holds at all speeds; InputError outside -0.9 to 0.9. Values of a function are clipped
+    to this range; InputError for nan.
+    """
+    if callable(stiffening):
+
+        def clipped_function(speed: float, omega: float) -> float:
+            stiffening_value = float(
+                np.clip(stiffening(speed, omega), -MAX_STIFFENING, MAX_STIFFENING)
+            )
+            check_number(f"stiffening({speed:.6g}, {omega:.6g})", stiffening_value)
+            return stiffening_value
+
+        return clipped_function
+    check_number("stiffening", stiffening)
+    if abs(stiffening_value := float(stiffening)) > MAX_STIFFENING:
+        raise InputError(
+            "stiffening", stiffening, f"a number from -{MAX_STIFFENING} to {MAX_STIFFENING}"
+        )
+    return lambda speed, omega: stiffening_value
 
 
 def compute_poles(omegas: np.ndarray, damping_ratio: float) -> np.ndarray:
@@ -496,14 +485,8 @@ class Fit:
                 np.concatenate([run.displacements[None], weighted_waves]), run_weights
             )
             weighted_displacements, *weighted_waves = displacements_and_waves[:, run.has_arrival]
-            wave_parts = np.stack(
-                [
-                    wave_part
-                    for weighted_wave in weighted_waves
-                    for wave_part in (weighted_wave.real, -weighted_wave.imag)
-                ]
-            )
             # Mode, wave and slope, parts.
+            wave_parts = np.stack([np.real(weighted_waves), -np.imag(weighted_waves)], axis=1)
             wave_parts = wave_parts.reshape(-1, 2, 2, len(weighted_displacements))
             wave_columns = wave_parts[:, 0].reshape(-1, len(weighted_displacements))
             residual_rows = np.vstack(
@@ -550,14 +533,11 @@ class Fit:
     @property
     def revolutions_and_probes(self) -> tuple[np.ndarray, np.ndarray]:
         """Indices of revolutions and probes for the n arrivals: two arrays (n,)."""
-        row_probe_pairs = [np.nonzero(run.has_arrival) for run in self._runs]
-        revolution_indices = [
-            run.begin_revolution + row_indices
-            for run, (row_indices, _) in zip(self._runs, row_probe_pairs, strict=True)
+        places_of_runs = [
+            np.add(np.nonzero(run.has_arrival), [[run.begin_revolution], [0]]) for run in self._runs
         ]
-        return np.concatenate(revolution_indices), np.concatenate(
-            [probe_indices for _, probe_indices in row_probe_pairs]
-        )
+        revolution_indices, probe_indices = np.concatenate(places_of_runs, axis=1)
+        return revolution_indices, probe_indices
 
     @cached_property
     def omega_and_damping_errors(self) -> np.ndarray:
@@ -582,28 +562,33 @@ class Fit:
             )
         )
 
-    def compute_motion(self, record: Record, n_revolutions: int, mode_index: int = 0) -> np.ndarray:
-        """Return the displacements by a mode in the whole record: (revolutions, probes) [m].
+    @cached_property
+    def motions(self) -> list[np.ndarray]:
+        """Displacements by each mode in the whole record: (revolutions, probes) [m].
 
         The fit has a motion for each run, the consecutive revolutions near a resonance. Each motion
-        is continued beyond its run, halfway to the next one. ``record`` has ``n_revolutions``;
-        ``mode_index`` counts the fitted modes from 0.
+        is continued beyond its run, halfway to the next one.
         """
-        run_motions = []
+        record = self._runs[0].record
         halfway_revolutions = [
             (run.end_revolution + next_run.begin_revolution) // 2
             for run, next_run in itertools.pairwise(self._runs)
         ]
-        revolution_ranges = itertools.pairwise([0, *halfway_revolutions, n_revolutions])
+        edge_revolutions = [0, *halfway_revolutions, len(record.arrivals)]
         zero_displacements = np.zeros(record.arrivals.time.shape)
-        for (begin_revolution, end_revolution), complex_force in zip(
-            revolution_ranges, self.forces[mode_index], strict=True
-        ):
-            wave = Run(record, zero_displacements, begin_revolution, end_revolution).compute_wave(
-                self.modes[mode_index]
+        continued_runs = [
+            Run(record, zero_displacements, begin_revolution, end_revolution)
+            for begin_revolution, end_revolution in itertools.pairwise(edge_revolutions)
+        ]
+        return [
+            np.concatenate(
+                [
+                    (complex_force * run.compute_wave(mode)).real
+                    for run, complex_force in zip(continued_runs, mode_forces, strict=True)
+                ]
             )
-            run_motions.append((complex_force * wave).real)
-        return np.concatenate(run_motions)
+            for mode, mode_forces in zip(self.modes, self.forces, strict=True)
+        ]
 
     @property
     def whiteness_p_value(self) -> float:

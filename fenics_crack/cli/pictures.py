@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.arrivals.fit_order import TipTrack
 from fenics_crack.arrivals.harmonics import TipFit
+from fenics_crack.arrivals.track_order import TipTrack
 from fenics_crack.balance.harmonic_balance import linear_response
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.atomic_files import write_file_whole

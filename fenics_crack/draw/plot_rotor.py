@@ -28,9 +28,9 @@ from fenics_crack.draw.figure import (
 
 if TYPE_CHECKING:  # which load SciPy's interpolation, and DOLFINx
     from fenics_crack.arrivals.arrival_times import ArrivalTimes
-    from fenics_crack.arrivals.fit_order import TipTrack
     from fenics_crack.arrivals.harmonics import Candidates, TipFit
-    from fenics_crack.arrivals.passages import PassageFit
+    from fenics_crack.arrivals.resonance import PassageFit
+    from fenics_crack.arrivals.track_order import TipTrack
     from fenics_crack.study.campbell import Campbell
 
 

@@ -10,9 +10,12 @@ import numpy as np
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes, find_probe_angles_by_blade
 from fenics_crack.arrivals.fit_frequency import fit_frequency
-from fenics_crack.arrivals.fit_order import TipTrack, fit_order, track_order
+from fenics_crack.arrivals.fit_order import fit_order
 from fenics_crack.arrivals.harmonics import ORDERS, TipFit
-from fenics_crack.arrivals.passages import PassageFit, StiffeningFunction, find_passages
+from fenics_crack.arrivals.passages import find_passages
+from fenics_crack.arrivals.resonance import PassageFit
+from fenics_crack.arrivals.track_order import TipTrack, track_order
+from fenics_crack.arrivals.transient import StiffeningFunction
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.progress import begin_stage

@@ -9,10 +9,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.arrivals.fit_order import TipTrack
 from fenics_crack.arrivals.harmonics import TipFit, format_first_orders
-from fenics_crack.arrivals.passages import PassageFit
+from fenics_crack.arrivals.resonance import PassageFit
 from fenics_crack.arrivals.robust import CONFIDENCE_LEVELS
+from fenics_crack.arrivals.track_order import TipTrack
 from fenics_crack.basics.tables import (
     RAD_PER_S_PER_RPM,
     RAD_PER_TURN,

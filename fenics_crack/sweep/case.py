@@ -256,20 +256,15 @@ def _find_watched_row_by_name(study: Study) -> dict[str, np.ndarray]:
 
     Names are "tip.ux" for points in ``[output.points]``, and "" for the load's point.
     """
-    named_watched_displacements = [
-        watched_displacement for watched_displacement in study.watched if watched_displacement.name
-    ]
-    displacement_rows = dof_selection_rows(
-        study.structure,
-        [watched_displacement.dof for watched_displacement in named_watched_displacements],
-    )
-    row_by_name = {
-        watched_displacement.name: row
-        for watched_displacement, row in zip(
-            named_watched_displacements, displacement_rows, strict=True
-        )
+    dof_by_name = {
+        watched_displacement.name: watched_displacement.dof
+        for watched_displacement in study.watched
+        if watched_displacement.name
     }
-    return _find_load_point_row_by_name(study.scene, study.structure) | row_by_name
+    displacement_rows = dof_selection_rows(study.structure, [*dof_by_name.values()])
+    return _find_load_point_row_by_name(study.scene, study.structure) | dict(
+        zip(dof_by_name, displacement_rows, strict=True)
+    )
 
 
 def _find_load_point_row_by_name(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
@@ -330,56 +325,30 @@ def solve_chunk(
         reason in ``status``.
     """
     solver, chunk_case_values = CaseSolver(geometry), []
+    has_only_frequencies = case_options.has_only_frequencies_by_position
     for case_number, case in zip(chunk.case_numbers.tolist(), chunk.scenes_or_reasons, strict=True):
         if not may_continue():
             break
         if isinstance(case, str):
             chunk_case_values.append({"status": case})
-            solver = CaseSolver(geometry)
+            solver.forget_last_case()
             continue
         start_time = time.perf_counter()
-        n_harmonics = case.harmonic_balance.harmonics
         value_by_column: CaseValues = {
             "crack_length": geometry.crack_length,
-            "harmonics": n_harmonics,
+            "harmonics": case.harmonic_balance.harmonics,
+            **_load_and_nearest_frequency_by_column(
+                case.excitation.omega, geometry.bilinear_frequencies
+            ),
+            **_natural_frequency_by_column(geometry.bilinear_frequencies),
         }
-        value_by_column |= _load_and_nearest_frequency_by_column(
-            case.excitation.omega, geometry.bilinear_frequencies
-        )
-        value_by_column |= _natural_frequency_by_column(geometry.bilinear_frequencies)
-        if case_options.has_only_frequencies_by_position[
-            case_number % len(case_options.has_only_frequencies_by_position)
-        ]:
-            chunk_case_values.append(
-                value_by_column
-                | {"status": FREQUENCIES_ONLY_STATUS, "seconds": time.perf_counter() - start_time}
-            )
-            continue
         try:
-            solution = solver.solve_as_requested(case, case_options)
-            tolerance = case.harmonic_balance.tolerance
-            while (
-                tolerance and lacks_modes(solution, tolerance) and geometry.geometry_with_more_modes
-            ):
-                geometry = geometry.geometry_with_more_modes  # for the cases behind it, too
-                solver = CaseSolver(geometry)
-                solution = solver.solve_as_requested(case, case_options)
-            value_by_column |= _observe_value_by_column(solution, case, geometry)
-            value_by_column |= (
-                _load_and_nearest_frequency_by_column(solution.omega, geometry.bilinear_frequencies)
-                | solution.to_dict()
-            )
-            if not case_options.with_reduction_error:
-                value_by_column.pop("reduction_error")
-            if case_options.with_verdicts and case.harmonic_balance.error:
-                value_by_column |= solver.assess_stability_by_name(solution)
-                value_by_column["status"] += value_by_column.pop("remark", "")
-            value_by_column |= {
-                "gap": solution.row_gap_coefficients,
-                "force": solution.row_force_coefficients,
-            }
+            if has_only_frequencies[case_number % len(has_only_frequencies)]:
+                value_by_column["status"] = FREQUENCIES_ONLY_STATUS
+            else:
+                value_by_column |= solver.solve_and_observe(case, case_options)
         except REFUSAL_EXCEPTIONS as error:
-            solver = CaseSolver(geometry)
+            solver.forget_last_case()
             value_by_column["status"] = str(error)
         chunk_case_values.append(value_by_column | {"seconds": time.perf_counter() - start_time})
     return chunk_case_values
@@ -389,24 +358,50 @@ class CaseSolver:
     """Solver for sweep cases with a shared structure.
 
     Each case starts from the last. The last solution is the initial guess. Cases that differ only
-    in frequency share structure, law and equations.
+    in frequency share structure, law and equations. A case that needs more modes for its tolerance
+    gets them, and so do all further cases.
     """
 
     def __init__(self, geometry: SweepGeometry) -> None:
         self._geometry = geometry
+        self.forget_last_case()
+
+    def forget_last_case(self) -> None:
+        """Solve the next case from the linear solution."""
         self._last_case_without_frequency: Scene | None = None
         self._last_solution: PeriodicSolution | None = None
 
-    def solve_as_requested(self, case: Scene, case_options: SharedCaseOptions) -> PeriodicSolution:
-        """Solve a case at its frequency or, if requested, at resonance.
+    def solve_and_observe(self, case: Scene, case_options: SharedCaseOptions) -> CaseValues:
+        """Solve a case at its frequency or, if requested, at resonance; return its values.
 
         Raises as :meth:`solve_at_given_frequency`.
         """
-        return (
-            self.solve_at_resonance(case)
-            if case_options.at_resonance
-            else self.solve_at_given_frequency(case)
+        solve = (
+            self.solve_at_resonance if case_options.at_resonance else self.solve_at_given_frequency
         )
+        solution, tolerance = solve(case), case.harmonic_balance.tolerance
+        while (
+            tolerance
+            and lacks_modes(solution, tolerance)
+            and (geometry_with_more_modes := self._geometry.geometry_with_more_modes)
+        ):
+            self._geometry = geometry_with_more_modes
+            self.forget_last_case()
+            solution = solve(case)
+        value_by_column = (
+            _observe_value_by_column(solution, case, self._geometry)
+            | _load_and_nearest_frequency_by_column(
+                solution.omega, self._geometry.bilinear_frequencies
+            )
+            | solution.to_dict()
+            | {"gap": solution.row_gap_coefficients, "force": solution.row_force_coefficients}
+        )
+        if not case_options.with_reduction_error:
+            value_by_column.pop("reduction_error")
+        if case_options.with_verdicts and case.harmonic_balance.error:
+            value_by_column |= self.assess_stability_by_name(solution)
+            value_by_column["status"] += value_by_column.pop("remark", "")
+        return value_by_column
 
     def solve_at_given_frequency(self, case: Scene) -> PeriodicSolution:
         """Solve a case at its own load frequency.
@@ -417,10 +412,9 @@ class CaseSolver:
         omega, balance_table = case.excitation.omega, case.harmonic_balance
         self._set_structure_and_law(case)
         structure, law = self._structure, self._law
-        if law is not None:
-            law = slide_along_lines(structure, omega, law)
         if law is None:
             return solve_linear(structure, omega, harmonics=balance_table.harmonics)
+        law = slide_along_lines(structure, omega, law)
         check_memory(structure, balance_table.harmonics)
         problem = Problem(structure, omega, law, balance_table.harmonics, balance_table.samples)
         neighbour_solution, self._last_solution = self._last_solution, None

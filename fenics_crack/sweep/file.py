@@ -300,17 +300,13 @@ class SweepFile:
             ]
             for wave_name in UNIT_BY_WAVE
         }
-        column_by_name = {}
-        for column_name in self._unit_and_type_by_column:
-            column_type = self.sweep_header.columns[column_name].dtype
-            encoded_column_values = [
-                _encode_value(
-                    case_values.get(column_name, BLANK_VALUE_BY_TYPE_KIND[column_type.kind]),
-                    column_type.itemsize,
-                )
-                for case_values in values_of_cases
-            ]
-            column_by_name[column_name] = np.array(encoded_column_values, column_type)
+        column_by_name = {
+            column_name: _encode_column(
+                [case_values.get(column_name) for case_values in values_of_cases],
+                self.sweep_header.columns[column_name].dtype,
+            )
+            for column_name in self._unit_and_type_by_column
+        }
         wave_checksums = [
             _compute_waves_checksum(*gap_and_force)
             for gap_and_force in zip(*waves_by_name.values(), strict=True)
@@ -399,14 +395,22 @@ def _pad_waves(waves: list[np.ndarray], n_columns: int) -> np.ndarray:
     return padded_waves
 
 
-def _encode_value(value: Any, max_bytes: int) -> Any:
-    """Return a value in the form stored in the file.
+def _encode_column(column_values: Sequence[Any], column_type: np.dtype[Any]) -> np.ndarray:
+    """Return a column's values (n,) in the form stored in the file.
 
-    A text becomes at most ``max_bytes`` bytes of UTF-8, cut between characters. Other values stay.
+    A text becomes UTF-8, cut between characters to the column's size. None becomes the value that
+    means "no value".
     """
-    if not isinstance(value, str):
-        return value
-    return value.encode()[:max_bytes].decode("utf-8", "ignore").encode()
+    encoded_column = [
+        value.encode()[: column_type.itemsize].decode("utf-8", "ignore").encode()
+        if isinstance(value, str)
+        else value
+        for value in column_values
+    ]
+    blank_value = BLANK_VALUE_BY_TYPE_KIND[column_type.kind]
+    return np.array(
+        [blank_value if value is None else value for value in encoded_column], column_type
+    )
 
 
 def _make_file_and_header_or_none(
@@ -638,20 +642,17 @@ def scene_of_sweep(sweep_header: store.StoredFile) -> Scene:
     scene = sweep_header.scene()
     if scene is None or scene.sweep is None:
         raise sweep_header.refusal("a sweep with its scene; compute it again in a new folder")
-    n_column_bytes, unit_and_type_by_dataset = 0, _unit_and_type_by_dataset(scene)
-    for column_name in sorted(
-        unit_and_type_by_dataset.keys() & (sweep_header.columns.keys() | REQUIRED_COLUMN_NAMES)
-    ):
-        stored_column = sweep_header.columns.get(column_name)
-        if stored_column is None:
-            requirement_text = (
-                f"a sweep with the column {column_name!r}; this one is of an older version"
-            )
-            raise sweep_header.refusal(f"{requirement_text}: compute it again in a new folder")
-        column_type = np.dtype(unit_and_type_by_dataset[column_name][1])
-        if stored_column.shape != scene.given("sweep").shape or stored_column.dtype != column_type:
-            raise sweep_header.refusal(COLUMNS_REQUIREMENT_TEXT)
-        n_column_bytes += stored_column.n_bytes
+    if column_name := min(REQUIRED_COLUMN_NAMES - sweep_header.columns.keys(), default=""):
+        requirement_text = (
+            f"a sweep with the column {column_name!r}; this one is of an older version"
+        )
+        raise sweep_header.refusal(f"{requirement_text}: compute it again in a new folder")
+    axes_shape, n_column_bytes = scene.given("sweep").shape, 0
+    for column_name, (_, type_name) in _unit_and_type_by_dataset(scene).items():
+        if (stored_column := sweep_header.columns.get(column_name)) is not None:
+            if stored_column.shape != axes_shape or stored_column.dtype != np.dtype(type_name):
+                raise sweep_header.refusal(COLUMNS_REQUIREMENT_TEXT)
+            n_column_bytes += stored_column.n_bytes
     if n_column_bytes > MAX_FILE_BYTES:
         raise sweep_header.refusal(
             f"a sweep with at most {MAX_FILE_BYTES / 2**30:g} GiB of columns; sweep fewer values"
@@ -673,52 +674,29 @@ def _read_columns_and_find_damage(
     is_damaged : (n_cases,) bool
         True for cases whose stored state does not match the checksum.
     """
-    column_by_name, is_damaged = _replace_unconfirmed_states(
-        _read_flat_column_by_name(sweep_header, scene)
-    )
+    column_by_name, is_damaged = _read_columns_and_find_damage_once(sweep_header, scene)
     if is_damaged.any():  # or is being written at this moment
-        column_by_name, is_damaged_again = _replace_unconfirmed_states(
-            _read_flat_column_by_name(sweep_header, scene)
-        )
+        column_by_name, is_damaged_again = _read_columns_and_find_damage_once(sweep_header, scene)
         is_damaged &= is_damaged_again
     return column_by_name, is_damaged
 
 
-def _read_flat_column_by_name(
+def _read_columns_and_find_damage_once(
     sweep_header: store.StoredFile, scene: Scene
-) -> dict[str, np.ndarray]:
-    """Read all stored columns by name, flattened to (n_cases,), without checks.
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Read all columns of a sweep's file, and compare states with checksums.
 
-    A file that cannot be read raises InputError.
+    A case is converged or failed if its checksum fits this state, otherwise pending. Returns are
+    those of :func:`_read_columns_and_find_damage`. A file that cannot be read raises InputError.
     """
     try:  # the state first: what is written later counts as pending
-        column_names = [
-            column_name
+        column_by_name = {
+            column_name: sweep_header.columns[column_name].read_numbers(sweep_header.path).ravel()
             for column_name in _unit_and_type_by_dataset(scene)
             if column_name in sweep_header.columns
-        ]
-        return {
-            column_name: sweep_header.columns[column_name].read_numbers(sweep_header.path).ravel()
-            for column_name in column_names
         }
     except (OSError, ValueError):
         raise sweep_header.refusal(COLUMNS_REQUIREMENT_TEXT) from None
-
-
-def _replace_unconfirmed_states(
-    column_by_name: dict[str, np.ndarray],
-) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Replace stored states by states that match the checksums.
-
-    A case is converged or failed if its checksum fits this state, otherwise pending.
-
-    Returns
-    -------
-    column_by_name : dict of str to (n_cases,)
-        ``state`` and the columns, without the case checksum.
-    is_damaged : (n_cases,) bool
-        True for cases with a stored state that no checksum confirms.
-    """
     stored_states, stored_checksums = map(column_by_name.pop, ("state", CASE_CHECKSUM_COLUMN_NAME))
     written_case_numbers = np.flatnonzero(stored_checksums)
     case_states = np.full(len(stored_states), CaseState.PENDING, stored_states.dtype)

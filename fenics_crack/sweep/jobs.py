@@ -97,27 +97,31 @@ class Worker:
     ) -> Iterator[tuple[np.ndarray, ChunkOutcome]]:
         """Solve a job's chunks; yield case numbers (n,) and outcome of each.
 
-        ``may_continue`` is called before each chunk and each case; False ends the job.
+        ``may_continue`` is called before each chunk and each case; False ends the job, and so does
+        an unexpected exception.
         """
         chunks = list(map(self._plan.make_chunk, job.chunk_case_numbers))
         for chunk in chunks:
             if not may_continue():
                 return
-            self._build_geometry(job.geometry_number, chunks)
-            yield self._solve_chunk(chunk, may_continue)
+            try:
+                self._build_geometry(job.geometry_number, chunks)
+                yield self._solve_chunk(chunk, may_continue)
+            except Exception:
+                message_text = f"a job of the sweep ended with\n{traceback.format_exc()}"
+                yield chunk.case_numbers, RuntimeError(message_text)
+                return
 
     def _build_geometry(self, geometry_number: int, chunks: list[Chunk]) -> None:
         """Build the shared structure for a job's cases, or keep the error.
 
         Nothing is built for the same structure as in the last job, or if all cases are refused.
         """
-        scenes_and_reasons = (
-            scene_or_reason for chunk in chunks for scene_or_reason in chunk.scenes_or_reasons
-        )
         scene = next(
             (
                 scene_or_reason
-                for scene_or_reason in scenes_and_reasons
+                for chunk in chunks
+                for scene_or_reason in chunk.scenes_or_reasons
                 if isinstance(scene_or_reason, Scene)
             ),
             None,
@@ -135,8 +139,6 @@ class Worker:
             )
         except REFUSAL_EXCEPTIONS as error:
             self._geometry_or_error = error
-        except Exception:
-            self._geometry_or_error = _make_error_with_traceback()
         self._geometry_number = geometry_number
 
     def _solve_chunk(
@@ -145,20 +147,16 @@ class Worker:
         """Solve a chunk; return the numbers (n,) of cases tried, and outcome."""
         geometry_or_error = self._geometry_or_error
         if isinstance(geometry_or_error, SweepGeometry):
-            try:
-                chunk_case_values = solve_chunk(
-                    geometry_or_error, chunk, self._case_options, may_continue
-                )
-                return chunk.case_numbers[: len(chunk_case_values)], chunk_case_values
-            except Exception:
-                return chunk.case_numbers, _make_error_with_traceback()
+            chunk_case_values = solve_chunk(
+                geometry_or_error, chunk, self._case_options, may_continue
+            )
+            return chunk.case_numbers[: len(chunk_case_values)], chunk_case_values
         is_too_large = (
             isinstance(geometry_or_error, InputError)
             and geometry_or_error.key == "reduction.method"
         )
-        if geometry_or_error is None or (
-            isinstance(geometry_or_error, REFUSAL_EXCEPTIONS)
-            and not (is_too_large and self._case_options.ends_at_large_structure)
+        if geometry_or_error is None or not (
+            is_too_large and self._case_options.ends_at_large_structure
         ):
             reasons = [
                 scene_or_reason if isinstance(scene_or_reason, str) else str(geometry_or_error)
@@ -166,11 +164,6 @@ class Worker:
             ]
             return chunk.case_numbers, [{"status": reason} for reason in reasons]
         return chunk.case_numbers, geometry_or_error
-
-
-def _make_error_with_traceback() -> RuntimeError:
-    """Return a RuntimeError whose message has the traceback of the present exception."""
-    return RuntimeError(f"a job of the sweep ended with\n{traceback.format_exc()}")
 
 
 def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
@@ -207,14 +200,8 @@ def _receive_message(comm: MPI.Comm, message_status: MPI.Status) -> Any:
     wait_until(lambda: comm.iprobe(status=message_status))
     message_buffer = bytearray(message_status.Get_count(MPI.BYTE))
     receive_request = comm.irecv(message_buffer, message_status.source, message_status.tag)
-    arrival_and_message = list[Any]()
-
-    def has_arrived() -> bool:
-        arrival_and_message[:] = receive_request.test()
-        return bool(arrival_and_message[0])
-
-    wait_until(has_arrived)
-    return arrival_and_message[1]
+    wait_until(receive_request.Get_status)
+    return receive_request.wait()
 
 
 class Manager:

@@ -452,10 +452,10 @@ class SweepResult(Tabular):
             "iterations": int(self["iterations"][case_index]),
             "error_penetration": float(self["penetration_share"][case_index]),
             "error_displacement": 0.0,
-        }
-        value_by_field |= {
-            f"error_{error_part_name}": float(self[f"{error_part_name}_error"][case_index])
-            for error_part_name in PART_NAMES_OF_TOTAL_ERROR
+            **{
+                f"error_{error_part_name}": float(self[f"{error_part_name}_error"][case_index])
+                for error_part_name in PART_NAMES_OF_TOTAL_ERROR
+            },
         }
         if problem.has_projected_constraint:
             value_by_field["weight"] = default_projection_weight(problem.compliance_model())
@@ -469,8 +469,11 @@ class SweepResult(Tabular):
         try:
             raw_index = index if isinstance(index, tuple) else np.unravel_index(index, self.shape)
             case_index = tuple(map(operator.index, raw_index))
-            is_converged = len(case_index) == len(self.shape) and min(case_index) >= 0
-            is_converged = is_converged and bool(self.converged[case_index])
+            is_converged = (
+                len(case_index) == len(self.shape)
+                and min(case_index) >= 0
+                and bool(self.converged[case_index])
+            )
         except (IndexError, ValueError, TypeError):
             is_converged = False
         if not is_converged:

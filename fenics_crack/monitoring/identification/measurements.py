@@ -34,7 +34,7 @@ from fenics_crack.scene.fields import (
 from fenics_crack.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from fenics_crack.arrivals.passages import PassageFit  # SciPy
+    from fenics_crack.arrivals.resonance import PassageFit  # SciPy
 
 NATURAL_FREQUENCY_STATE_NAMES = ("open", "tied", "bilinear", "resonance", "uncracked")
 """States of the crack in the names of natural frequencies, "frequency_open" and so on.

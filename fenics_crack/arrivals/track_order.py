@@ -1,0 +1,447 @@
+"""Track the harmonics of a known engine order through a run-up.
+
+Groups of revolutions are fitted one by one, as in :mod:`fit_order`. Neighbouring groups together
+give the variance of an arrival, and the size of omitted harmonics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.special import chdtri
+
+from fenics_crack.arrivals.arrival_times import ArrivalTimes, smooth_series
+from fenics_crack.arrivals.fit_order import FOLDED_SIZE_RATIOS, OrderFit, Sample
+from fenics_crack.arrivals.harmonics import (
+    HarmonicFit,
+    compute_amplitudes_and_errors,
+    condition_number,
+    make_orders_and_multiples,
+    raise_too_few_probes,
+)
+from fenics_crack.arrivals.robust import (
+    CONFIDENCE_LEVELS,
+    correlation_p_value,
+    student_variance_ratio,
+)
+from fenics_crack.basics.errors import InputError, check_count
+from fenics_crack.basics.tables import (
+    RAD_PER_TURN,
+    UNIT_BY_NAME,
+    add_frequency_entries,
+    format_count,
+    hertz_property,
+)
+from fenics_crack.numerics.fourier import fourier_basis
+
+N_NEIGHBOURS_PER_SIDE = 16
+"""Number of neighbouring groups on either side in a run-up.
+
+A group and its neighbours share the size ratio of omitted harmonics.
+"""
+
+
+@dataclass(frozen=True, repr=False)
+class TipTrack(HarmonicFit):
+    """Hold harmonics at a known engine order, revolution by revolution.
+
+    Attributes
+    ----------
+    order : float
+        Periods of the load in a revolution.
+    speed : (n,) [rad/s]
+        Mean speed of each group of revolutions.
+    multiples : (K,)
+        Harmonics, as in :class:`TipFit`.
+    coefficients : (n, 2K+1) [m]
+        a0, a1, b1, ....
+    amplitudes, amplitude_errors : (n, K) [m]
+        Amplitudes with standard errors. Both are nan if too many arrivals are missing; errors also
+        without a spare arrival, or with two or fewer degrees of freedom in all.
+    misfit : float
+        Probability that chance correlates residuals as much between revolutions. If it is tiny,
+        harmonics are missing, and folded onto the fitted ones. nan without more probes than
+        unknowns, since anything then fits.
+    folded : float
+        As in :class:`TipFit`, for the groups with the largest amplitude of a harmonic.
+    """
+
+    order: float
+    speed: np.ndarray
+    multiples: np.ndarray
+    coefficients: np.ndarray
+    amplitudes: np.ndarray
+    amplitude_errors: np.ndarray
+    misfit: float
+    folded: float = np.nan
+
+    @property
+    def in_doubt(self) -> bool:
+        """True if a test of the fit fails, or cannot be made.
+
+        A misfit has a probability below 0.001, or omitted harmonics may shift an amplitude. A
+        probability is nan without a test, for instance with as many unknowns as probes.
+        """
+        is_chance_unknown = np.isnan([self.misfit, self.folded])
+        return self.does_not_fit or self.may_be_folded or bool(np.any(is_chance_unknown))
+
+    frequency = hertz_property()
+
+    @property
+    def omega(self) -> np.ndarray:
+        """Angular frequency of the load for each group of revolutions: (n,) [rad/s]."""
+        return np.asarray(self.order * self.speed)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return columns by name, with a row for every group of revolutions."""
+        column_by_name = add_frequency_entries(
+            {"speed": self.speed.tolist(), "omega": self.omega.tolist()}
+        )
+        for multiple_index, multiple in enumerate(self.multiples):
+            column_by_name[f"amplitude_{multiple:g}"] = self.amplitudes[:, multiple_index].tolist()
+            column_by_name[f"amplitude_error_{multiple:g}"] = self.amplitude_errors[
+                :, multiple_index
+            ].tolist()
+        return column_by_name
+
+    def _unit_by_name(self) -> Mapping[str, str]:
+        return UNIT_BY_NAME | {name: "m" for name in self.to_dict() if name.startswith("amplitude")}
+
+    def _repr_text(self) -> str:
+        speeds_text = f"{self.speed[0]:.6g} to {self.speed[-1]:.6g} rad/s"
+        points_text = format_count(len(self.speed), "point")
+        return ", ".join([f"order {self.order:g}", speeds_text, points_text, *self._doubt_texts])
+
+
+def track_order(
+    arrivals: ArrivalTimes,
+    order: float,
+    *,
+    harmonics: int = 1,
+    subharmonic: int = 1,
+    revolutions: int = 1,
+    angle_deviation: float = 0.0,
+) -> TipTrack:
+    """Fit the harmonics of a known engine order in a run-up.
+
+    :func:`fit_order` with one candidate is applied to groups of ``revolutions`` revolutions. A
+    vibration with twice the load's period and an odd order needs two or more revolutions. Linear
+    changes within a group are subtracted. The errors include the uncertain position of the fit
+    within the group. Differences between residuals of neighbouring fits give the variance of an
+    arrival.
+
+    Residuals that repeat are a misfit by omitted harmonics. As in :func:`fit_order`, omitted
+    harmonics are further unknowns, here with the same ratio to the vibration in neighbouring fits.
+    If they are significant, the standard errors include their folding; otherwise ``folded`` is the
+    risk.
+
+    Parameters
+    ----------
+    arrivals, harmonics, subharmonic, angle_deviation
+        As in :func:`fit_order`.
+    order : float
+        Periods of the load in a revolution.
+    revolutions : int
+        Number of revolutions in each fit.
+
+    Returns
+    -------
+    TipTrack
+        Amplitudes and phases with standard errors, and the speed of each fit.
+
+    Raises
+    ------
+    InputError
+        A value cannot be used, or these probes cannot measure this order in so few revolutions.
+
+    Examples
+    --------
+    >>> track = fc.track_order(arrivals, 6)
+    """
+    _, multiples = make_orders_and_multiples([order], harmonics, subharmonic)
+    check_count("revolutions", revolutions, 1)
+    arrivals.check_places(angle_deviation)
+    n_groups, n_unknowns = len(arrivals) // revolutions, 2 * len(multiples) + 1
+    n_probes = len(arrivals.probes)
+    if not n_groups:
+        raise InputError("revolutions", revolutions, f"at most {len(arrivals)}, all of the record")
+    first_phases = order * arrivals.nominal_angle[:revolutions].ravel()
+    if np.isinf(condition_number(fourier_basis(first_phases, multiples))):
+        raise_too_few_probes(arrivals, n_unknowns)
+    angles, nominal_angles, displacements = (
+        source_array[: n_groups * revolutions].reshape(n_groups, revolutions * n_probes)
+        for source_array in (arrivals.angle, arrivals.nominal_angle, arrivals.displacement)
+    )
+    has_arrival = np.isfinite(displacements)
+    n_arrivals, displacements = has_arrival.sum(axis=1), np.where(has_arrival, displacements, 0.0)
+    wave_columns, nominal_columns = (
+        np.where(has_arrival[..., None], fourier_basis(order * angle_array, multiples), 0.0)
+        for angle_array in (np.nan_to_num(angles), nominal_angles)
+    )
+    has_fit = np.linalg.matrix_rank(nominal_columns, tol=1e-6) == n_unknowns
+    column_pseudoinverses = np.linalg.pinv(wave_columns)
+    group_angle = RAD_PER_TURN * revolutions
+    positions = (nominal_angles - nominal_angles[:, :1] + arrivals.probes[0]) / group_angle - 0.5
+    displacements, coefficient_changes = _subtract_linear_changes(
+        displacements, column_pseudoinverses, wave_columns, positions, np.flatnonzero(has_fit)
+    )
+    coefficients = column_pseudoinverses @ displacements[..., None]
+    residuals = np.where(
+        has_arrival & has_fit[:, None], displacements - (wave_columns @ coefficients)[..., 0], 0.0
+    )
+    places = np.nonzero(has_arrival.reshape(-1, n_probes))
+    n_spare = n_probes * (subharmonic if revolutions > 1 else 1) - n_unknowns
+    misfit = np.nan
+    if n_spare > 0:
+        misfit = correlation_p_value(residuals.reshape(-1, n_probes)[places], places)
+    variance, freedom = _estimate_variance_and_freedom(
+        residuals, has_arrival, np.where(has_fit, n_arrivals - n_unknowns, 0)
+    )
+    variance = max(variance, arrivals.displacement_rounding**2)
+    sample_fit_by_group = _fit_samples_by_group(
+        arrivals, order, multiples, nominal_angles, displacements, has_arrival,
+        np.flatnonzero(has_fit), variance, freedom, angle_deviation,
+    )  # fmt: skip
+    if n_spare > 1 and freedom > 0:
+        sample_fit_by_group = _refit_groups_with_omitted_harmonics(sample_fit_by_group)
+    coefficients, covariances = _find_coefficients_and_covariances(
+        sample_fit_by_group, n_arrivals, coefficient_changes, freedom
+    )
+    amplitudes, errors = compute_amplitudes_and_errors(coefficients, covariances)
+    fold_risk = np.nan
+    if n_spare > 1 and freedom > 0 and sample_fit_by_group:
+        peak_groups = {int(np.nanargmax(group_amplitudes)) for group_amplitudes in amplitudes.T}
+        fold_risk = max(
+            sample.compute_folding_chance(fit)
+            for sample, fit in map(sample_fit_by_group.__getitem__, peak_groups)
+        )
+    group_marks = arrivals.marks[: n_groups * revolutions + 1 : revolutions]
+    speeds = 2.0 * np.pi * revolutions / np.diff(group_marks)
+    return TipTrack(order, speeds, multiples, coefficients, amplitudes, errors, misfit, fold_risk)
+
+
+def _fit_samples_by_group(
+    arrivals: ArrivalTimes,
+    order: float,
+    multiples: np.ndarray,
+    nominal_angles: np.ndarray,
+    displacements: np.ndarray,
+    has_arrival: np.ndarray,
+    fitted_groups: np.ndarray,
+    variance: float,
+    freedom: int,
+    angle_deviation: float,
+) -> dict[int, tuple[Sample, OrderFit]]:
+    """Fit an order to each group of revolutions.
+
+    There are n groups with up to m arrivals each.
+
+    Parameters
+    ----------
+    arrivals, order, multiples, angle_deviation
+        Record, order p, multiples (K,), and probe angles' standard deviation [rad].
+    nominal_angles, displacements, has_arrival : (n, m)
+        Rotor angles without vibration [rad], displacements [m], and True for an arrival.
+    fitted_groups : (k,)
+        Indices for groups with enough arrivals.
+    variance, freedom : float [m^2], int
+        Displacement variance, and its degrees of freedom.
+
+    Returns
+    -------
+    dict of int to (Sample, OrderFit)
+        Displacements and fit by group index, without groups of which the probes cannot measure the
+        order.
+    """
+    probe_indices = np.arange(has_arrival.shape[1]) % len(arrivals.probes)
+    shares_probe_matrix = probe_indices[:, None] == probe_indices
+    covariance = variance * np.eye(len(probe_indices))
+    covariance += (arrivals.tip_radius * angle_deviation) ** 2 * shares_probe_matrix
+    sample_fit_by_group = {}
+    for group_index in fitted_groups.tolist():
+        is_used = has_arrival[group_index]
+        sample = Sample(
+            nominal_angles[group_index, is_used],
+            displacements[group_index, is_used],
+            covariance[np.ix_(is_used, is_used)],
+            freedom,
+            arrivals.tip_radius,
+        )
+        if (fit := sample.fit_order_or_none(order, multiples)) is not None:
+            sample_fit_by_group[group_index] = sample, fit
+    return sample_fit_by_group
+
+
+def _find_coefficients_and_covariances(
+    sample_fit_by_group: dict[int, tuple[Sample, OrderFit]],
+    n_arrivals: np.ndarray,
+    coefficient_changes: np.ndarray,
+    freedom: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return coefficients and covariances of n groups; nan without a fit.
+
+    Parameters
+    ----------
+    sample_fit_by_group : dict
+        Samples and fits by group index.
+    n_arrivals, coefficient_changes : (n,), (n, 2K+1) [m]
+        Arrivals in each group, and changes by :func:`_subtract_linear_changes`.
+    freedom : int
+        Degrees of freedom of the displacement variance.
+
+    Returns
+    -------
+    coefficients : (n, 2K+1) [m]
+        a0, a1, b1, ....
+    covariances : (n, 2K+1, 2K+1) [m^2]
+        Covariances of the coefficients; nan also without a spare arrival.
+    """
+    coefficients = np.full(coefficient_changes.shape, np.nan)
+    n_unknowns = coefficient_changes.shape[1]
+    covariances = np.full((len(n_arrivals), n_unknowns, n_unknowns), np.nan)
+    for group_index, (sample, fit) in sample_fit_by_group.items():
+        coefficients[group_index] = fit.coefficients
+        if n_arrivals[group_index] > n_unknowns:
+            factor, _, total_freedom = sample.run_misfit_f_test(fit.sum_of_squares, n_unknowns)
+            factor = max(factor, 1.0) if freedom else factor
+            covariances[group_index] = (
+                factor * student_variance_ratio(total_freedom) * fit.covariance
+            )
+            covariances[group_index] += np.outer(
+                coefficient_changes[group_index], coefficient_changes[group_index]
+            )
+    return coefficients, covariances
+
+
+def _subtract_linear_changes(
+    displacements: np.ndarray,
+    column_pseudoinverses: np.ndarray,
+    wave_columns: np.ndarray,
+    group_positions: np.ndarray,
+    fitted_groups: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Subtract the linear change of the vibration within each group.
+
+    The change would look like further harmonics. There are n groups with m arrivals each.
+
+    Parameters
+    ----------
+    displacements, group_positions : (n, m)
+        Displacements [m], and arrivals' distances behind the group's middle, in group lengths.
+    column_pseudoinverses, wave_columns : (n, 2K+1, m), (n, m, 2K+1)
+        Pseudoinverses of the columns, and columns of the fits.
+    fitted_groups : (k,)
+        Indices for groups with enough arrivals.
+
+    Returns
+    -------
+    displacements : (n, m) [m]
+        Displacements without the change.
+    coefficient_changes : (n, 2K+1) [m]
+        Change of the coefficients between the group's middle and the middle of its arrivals.
+    """
+    coefficient_rates = np.zeros(column_pseudoinverses.shape[:2])
+    if len(fitted_groups) > 1:
+        coefficient_rows = (column_pseudoinverses @ displacements[..., None])[fitted_groups, :, 0].T
+        coefficient_rates[fitted_groups] = np.gradient(
+            [smooth_series(coefficient_series) for coefficient_series in coefficient_rows],
+            fitted_groups,
+            axis=1,
+        ).T
+    displacement_changes = group_positions * (wave_columns @ coefficient_rates[..., None])[..., 0]
+    return displacements - displacement_changes, group_positions.mean(
+        axis=1, keepdims=True
+    ) * coefficient_rates
+
+
+def _refit_groups_with_omitted_harmonics(
+    sample_fit_by_group: dict[int, tuple[Sample, OrderFit]],
+) -> dict[int, tuple[Sample, OrderFit]]:
+    """Repeat the fits of all groups with omitted harmonics.
+
+    The size of omitted harmonics, relative to the vibration, is the likeliest in a group and 16
+    neighbours on either side: few probes in one group do not determine the size. Neighbours with
+    wrong arrivals do not count.
+    """
+    costs_and_fits_of_groups = [
+        sample.list_costs_and_fits_by_omitted_size(
+            fit,
+            np.minimum(
+                np.linalg.norm(fit.coefficients[1:]) * FOLDED_SIZE_RATIOS,
+                sample.max_allowed_omitted_size,
+            ),
+        )
+        for sample, fit in sample_fit_by_group.values()
+    ]
+    cost_rows = np.array([costs for costs, _ in costs_and_fits_of_groups])
+    residual_square_sums = np.array([fit.sum_of_squares for _, fit in sample_fit_by_group.values()])
+    spare_counts = [
+        len(sample.displacements) - len(fit.coefficients)
+        for sample, fit in sample_fit_by_group.values()
+    ]
+    freedoms = np.maximum(spare_counts, 1)
+    joint_fit_by_group = {}
+    for sample_position, (group_index, (sample, _)) in enumerate(sample_fit_by_group.items()):
+        window_slice = slice(
+            max(sample_position - N_NEIGHBOURS_PER_SIDE, 0),
+            sample_position + N_NEIGHBOURS_PER_SIDE + 1,
+        )
+        max_trusted_squares = _estimate_quartile_variance(
+            residual_square_sums[window_slice], freedoms[window_slice]
+        ) * chdtri(freedoms[window_slice], CONFIDENCE_LEVELS.misfit_significance_level)
+        # Groups above the limit have wrong arrivals.
+        trusted_cost_rows = cost_rows[window_slice][
+            residual_square_sums[window_slice] <= max_trusted_squares
+        ]
+        best_size_index = int(np.argmin(trusted_cost_rows.sum(axis=0)))
+        _, group_fits = costs_and_fits_of_groups[sample_position]
+        joint_fit_by_group[group_index] = sample, group_fits[best_size_index]
+    return joint_fit_by_group
+
+
+def _estimate_variance_and_freedom(
+    residuals: np.ndarray, has_arrival: np.ndarray, freedoms: np.ndarray
+) -> tuple[float, int]:
+    """Estimate the variance of an arrival from the residuals of groups.
+
+    The variance follows from differences between neighbouring groups, and wrong arrivals hardly
+    change it. Without differences, it is the mean square per degree of freedom; 1 without degrees
+    of freedom.
+
+    Parameters
+    ----------
+    residuals, has_arrival : (n, m) [m]
+        Residuals in n groups, and True for an arrival.
+    freedoms : (n,)
+        Arrivals less unknowns of each group.
+
+    Returns
+    -------
+    variance : float [m^2]
+        Displacement variance.
+    freedom : int
+        Degrees of freedom of the variance; 0 without differences.
+    """
+    total_freedom, has_arrival_pair = freedoms.sum(), has_arrival[1:] & has_arrival[:-1]
+    freedoms = np.minimum(freedoms[1:], freedoms[:-1])
+    is_usable = freedoms > 0
+    if not np.any(is_usable):
+        return (float((residuals**2).sum()) / total_freedom if total_freedom else 1.0), 0
+    difference_square_sums = 0.5 * (
+        np.where(has_arrival_pair, np.diff(residuals, axis=0), 0.0) ** 2
+    ).sum(axis=1)
+    return _estimate_quartile_variance(difference_square_sums[is_usable], freedoms[is_usable]), int(
+        freedoms[is_usable].sum()
+    ) // 2
+
+
+def _estimate_quartile_variance(residual_square_sums: np.ndarray, freedoms: np.ndarray) -> float:
+    """Estimate a variance from the lower quartile of sums of squares.
+
+    ``residual_square_sums`` (n,) have degrees of freedom ``freedoms`` (n,). Nearly three quarters
+    of the sums may have wrong arrivals.
+    """
+    return float(np.quantile(residual_square_sums / chdtri(freedoms, 0.75), 0.25))
