@@ -32,8 +32,8 @@ from fenics_crack.model.modes import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.runs.conclusion import explain_unknown_amplitude_error
 from fenics_crack.runs.run import Run
+from fenics_crack.study.key_figures import highest_harmonic_omega
 from fenics_crack.study.observer import observe_quantities
-from fenics_crack.study.plausibility import highest_harmonic_omega
 
 ColumnsByHeading = dict[str, np.ndarray]
 """Columns (n_points,) by heading with unit, "tip.ux.amplitude [m]"."""
