@@ -27,7 +27,8 @@ from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modes import damped_count_and_max_omega_or_none
 from fenics_crack.model.structure import Structure
-from fenics_crack.scene.scene import Scene, list_requested_extra_quantities, missing_table_error
+from fenics_crack.scene.keys import missing_table_error
+from fenics_crack.scene.scene import Scene, list_requested_extra_quantities
 from fenics_crack.scene.words import word_for_crack_faces
 from fenics_crack.study.plausibility import (
     FACTOR_AND_UNIT_BY_CURVE_PARAMETER,

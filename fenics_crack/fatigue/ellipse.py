@@ -19,7 +19,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from fenics_crack.scene.tables import Growth as Law
+from fenics_crack.scene.result_tables import Growth as Law
 
 GrowthEnd = Literal["reached", "arrested", "broken", "side"]
 N_PATH_ROWS = 200

@@ -53,8 +53,8 @@ from fenics_crack.model.receptance import ResidualFlexibility
 from fenics_crack.model.rotation import relative_coriolis_shifts
 from fenics_crack.model.structure import ModalDamping, RayleighDamping, Structure
 from fenics_crack.numerics.fourier import to_complex
+from fenics_crack.scene.result_tables import Curve
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import Curve
 from fenics_crack.scene.words import word_for_crack_faces
 from fenics_crack.study.prepare import Study, modal_reduction_or_none
 from fenics_crack.study.resonance import (
