@@ -14,7 +14,7 @@ from copy import copy
 from dataclasses import MISSING, Field, dataclass, field, fields
 from functools import partial
 from numbers import Integral, Real
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -547,6 +547,42 @@ def use_table_name_in_errors(table_name: str) -> Iterator[None]:
         ) from None
 
 
+class Rule(NamedTuple):
+    """Keys that a condition excludes or restricts.
+
+    Attributes
+    ----------
+    condition : str
+        Condition as errors print it: a given key, "geometry.file"; a given table, "[disk]"; a
+        value, "mesh.layout = 'file'"; or the contrary, "without geometry.file".
+    keys : tuple
+        Restricted keys in a table.
+    reason : str
+        Text after the condition in errors.
+    choices : tuple
+        Allowed values under the condition; empty: the keys are left out.
+    """
+
+    condition: str
+    keys: tuple[str, ...]
+    reason: str = ""
+    choices: tuple[Any, ...] = ()
+
+
+def condition_holds(condition: str, table_by_name: Mapping[str, Any]) -> bool:
+    """Return True if a condition in a :class:`Rule` holds for the given tables.
+
+    Missing tables, and the values None, 0 and False, count as not given.
+    """
+    name, _, value_text = condition.removeprefix("without ").partition(" = ")
+    table_name, _, key = name.strip("[]").partition(".")
+    value = table_by_name.get(table_name)
+    if key:
+        value = getattr(value, key, None)
+    is_fulfilled = repr(value) == value_text if value_text else bool(value)
+    return is_fulfilled != condition.startswith("without ")
+
+
 class Table:
     """Base class for a scene's tables, with checks of all values.
 
@@ -558,6 +594,8 @@ class Table:
     """Name of the first table, "loads.1", if all tables of the class stand in a list."""
     SHORTHAND_KEY: ClassVar[str | None] = None
     """Key whose value may replace the whole table: ``reduction = "off"``; None if not allowed."""
+    _RULES: ClassVar[tuple[Rule, ...]] = ()
+    """Rules for keys, with conditions on other keys in the table."""
     _ADVICE_TEXT_BY_MISTAKE: ClassVar[Mapping[str, str]] = {}
     """Advice for errors, by an unknown key, "name", or by a wrong value, "edge = top"."""
 
@@ -599,6 +637,25 @@ class Table:
                 )
                 self.require(getattr(self, si_key) in (None, si_value), twin_key, requirement_text)
                 object.__setattr__(self, si_key, si_value)
+        self.check_rules(self._RULES, {self.full_key(): self})
+
+    def check_rules(self, rules: Iterable[Rule], table_by_name: Mapping[str, Any]) -> None:
+        """Raise InputError if keys break a rule.
+
+        ``table_by_name`` has the tables in the rules' conditions.
+        """
+        for rule in rules:
+            if not condition_holds(rule.condition, table_by_name):
+                continue
+            if not rule.choices:
+                self.forbid_keys(rule.keys, rule.condition + rule.reason)
+            for key in rule.keys if rule.choices else ():
+                values_text = " or ".join(map(repr, rule.choices))
+                self.require(
+                    getattr(self, key) in (None, *rule.choices),
+                    key,
+                    f"{values_text} with {rule.condition}{rule.reason}",
+                )
 
     @classmethod
     def convert_value(cls, key: str, value: object) -> Any:

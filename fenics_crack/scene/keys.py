@@ -61,11 +61,26 @@ class SceneTables:
     output: result_tables.Output | None = None
 
     @property
+    def table_by_name(self) -> dict[str, Table]:
+        """Present tables by their names in errors: "contact", "cracks.1"."""
+        table_by_name: dict[str, Table] = {}
+        for table_name, table_or_list in vars(self).items():
+            if table_name in LIST_TABLE_NAMES:
+                table_by_name |= {
+                    f"{table_name}.{list_position}": table
+                    for list_position, table in enumerate(table_or_list, 1)
+                }
+            elif table_or_list is not None:
+                table_by_name[table_name] = table_or_list
+        return table_by_name
+
+    @property
     def crack_by_name(self) -> dict[str, kinds.Crack]:
         """Cracks by name: "crack", "cracks.1", "cracks.2"."""
-        first_crack_by_name = {} if self.crack is None else {"crack": self.crack}
-        return first_crack_by_name | {
-            f"cracks.{crack_number}": crack for crack_number, crack in enumerate(self.cracks, 1)
+        return {
+            name: table
+            for name, table in self.table_by_name.items()
+            if isinstance(table, kinds.Crack)
         }
 
     @property

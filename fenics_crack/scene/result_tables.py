@@ -19,6 +19,7 @@ from fenics_crack.scene.fields import (
     Axis,
     MeshFile,
     NamedPoint,
+    Rule,
     Table,
     bounded_field,
     choice_field,
@@ -104,6 +105,8 @@ class Integration(Table):
     Integration starts at rest, at the end of an earlier motion, or at a static deflection.
     """
 
+    _RULES = (Rule("integration.initial", ("deflection",)),)
+
     method: str | None = choice_field("exponential", "central_difference", "events", default=None)
     """Method: "exponential" or "central_difference" with time steps, or "events".
 
@@ -138,11 +141,6 @@ class Integration(Table):
     """
     free: bool = value_field("true or false", default=False)
     """Free decay: only the mean load acts. All periods are recorded."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.initial is not None:
-            self.forbid_keys(("deflection",), "integration.initial")
 
 
 @dataclass(frozen=True)
@@ -186,6 +184,11 @@ class Growth(Table):
     over the K_I cycles in the load cycle. The ranges delta_K_i count K_I > 0 only, an open tip, and
     R = max(K_min, 0) / K_max (Paris and Erdogan 1963; Walker 1970).
     """
+
+    _RULES = (
+        Rule("growth.drive = 'frequency'", ("frequencies", "cycles")),
+        Rule("growth.drive = 'resonance'", ("frequencies", "cycles")),
+    )
 
     until: float = positive_field(unit="m")
     """Length at which growth ends, from ``crack.length`` on.
@@ -231,7 +234,6 @@ class Growth(Table):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.drive != "spectrum":
-            self.forbid_keys(("frequencies", "cycles"), f"growth.drive = {self.drive!r}")
             return
         for spectrum_key in ("frequencies", "cycles"):
             allowed_text = self.field_by_key()[spectrum_key].metadata["allowed"]
@@ -542,6 +544,11 @@ class TipTiming(Table):
     tip_radius = 0.45
     """
 
+    _RULES = (
+        Rule("tip_timing.frequencies", ("subharmonic",), choices=(1,)),
+        Rule("tip_timing.frequencies", ("orders",)),
+    )
+
     probes: tuple[float, ...] = value_field(
         "a list of rising angles in degrees, from 0 to less than 360",
         lambda angles: (
@@ -615,12 +622,6 @@ class TipTiming(Table):
     """
     fitted_revolutions: int = positive_int_field(1)
     """Number of consecutive revolutions of a run-up that are fitted together."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.frequencies is not None:
-            self.require(self.subharmonic == 1, "subharmonic", "1 with tip_timing.frequencies")
-            self.forbid_keys(("orders",), "tip_timing.frequencies")
 
 
 @dataclass(frozen=True)

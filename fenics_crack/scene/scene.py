@@ -11,7 +11,7 @@ import dataclasses
 import re
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -96,10 +96,6 @@ class Scene(SceneTables):
                 object.__setattr__(
                     self, table_name, dataclasses.replace(axes_table, **{axes_key: checked_axes})
                 )
-        if self.identify is not None and (self.mesh is None or self.mesh.layout != "file"):
-            requirement_text = "left out without mesh.layout = 'file'"
-            self.identify.require(not self.identify.meshes, "meshes", requirement_text)
-            self.identify.forbid_keys(("uncracked",), "without mesh.layout = 'file'")
 
     def __repr__(self) -> str:
         return f"Scene({_describe_scene(self)})"
@@ -330,11 +326,8 @@ class Scene(SceneTables):
         counted from 1, ``{"cracks.1.length": 0.02}``; the number after the last makes a new table.
         A frequency in Hz replaces the frequency in rad/s, and vice versa.
         """
-        table_by_name = {
-            scene_field.name: getattr(self, scene_field.name) for scene_field in fields(self)
-        }
         changed_table_by_name = with_changed_keys(
-            {table_name: table for table_name, table in table_by_name.items() if table}, values
+            {table_name: table for table_name, table in vars(self).items() if table}, values
         )
         return Scene(
             **{
@@ -346,15 +339,10 @@ class Scene(SceneTables):
     def as_toml(self) -> str:
         """Return the scene as a TOML text for :meth:`load`, with unchanged paths."""
         table_texts = []
-        for table_name, table_class in TABLE_CLASS_BY_NAME.items():
-            tables = getattr(self, table_name)
-            if table_name in LIST_TABLE_NAMES:
-                header = f"[{table_class.full_key()}]"
-                table_texts += [
-                    table.as_toml().replace(header, f"[[{table_name}]]", 1) for table in tables
-                ]
-            elif tables is not None:
-                table_texts.append(tables.as_toml())
+        for name, table in self.table_by_name.items():
+            list_name, dot, _ = name.partition(".")
+            header = f"[[{list_name}]]" if dot else f"[{name}]"
+            table_texts.append(table.as_toml().replace(f"[{table.full_key()}]", header, 1))
         return "\n".join(table_texts)
 
 

@@ -21,6 +21,7 @@ from fenics_crack.scene.fields import (
     FacePoints,
     Harmonic,
     Pair,
+    Rule,
     Table,
     Vector,
     bounded_field,
@@ -54,6 +55,12 @@ class Geometry(Table):
     CAD file. A mesh file has its own shape.
     """
 
+    _RULES = (
+        Rule("without geometry.file", ("unit", "faces")),
+        Rule("geometry.file", ("kind",), choices=("solid",)),
+        Rule("geometry.file", ("width", "height", "thickness")),
+    )
+
     kind: str = choice_field("plate", "solid", default="plate")
     """"plate": plane stress; "solid": three dimensions."""
     thickness: float | None = positive_field(None, unit="m")
@@ -80,10 +87,7 @@ class Geometry(Table):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.file is None:
-            self.forbid_keys(("unit", "faces"), "without geometry.file")
             return
-        self.require(self.kind == "solid", "kind", "'solid' with geometry.file")
-        self.forbid_keys(("width", "height", "thickness"), "geometry.file")
         has_clamp = any(face.key == "clamp" and face.values for face in self.faces)
         self.require(
             has_clamp, "faces", "a table with points on the clamped faces, clamp = [[x, y, z]]"
@@ -174,37 +178,6 @@ class Crack(Table):
     """``first_omega`` in Hz."""
     clearance: float = number_field(0.0, unit="m")
     """g0 >= 0: opening to be closed before the crack faces touch; < 0: preload."""
-
-    def check_plane_keys(self) -> None:
-        """Raise InputError unless the keys define a crack around a point in a solid."""
-        self.forbid_keys(BOX_CRACK_KEYS, "crack.point")
-        normal = np.array(self.given("normal"))
-        self.require(any(normal), "normal", "a vector that is not zero")
-        self.require(
-            self.front in (None, "through"), "front", "'through', or left out, with crack.point"
-        )
-        given_keys = [
-            given_key for given_key in ("length", "depth") if getattr(self, given_key) is not None
-        ]
-        if self.front == "through":
-            self.forbid_keys(("radii", "depth"), "crack.front = 'through'")
-        elif self.radii is not None:
-            self.forbid_keys(given_keys, "crack.radii")
-        else:
-            requirement_text = (
-                "given: [a, b] [m]; or crack.length and crack.depth; or crack.front = 'through'"
-            )
-            self.require(len(given_keys) == 2, "radii", requirement_text)
-        if self.front == "through" or self.half_axes[0] != self.half_axes[1]:
-            self.given(
-                "direction", "given: [dx, dy, dz], the direction of the first radius or of growth"
-            )
-        if self.direction is not None:
-            cross_norm = np.linalg.norm(np.cross(normal, self.direction))
-            norm_product = np.linalg.norm(normal) * np.linalg.norm(self.direction)
-            self.require(
-                cross_norm > 1e-3 * norm_product, "direction", "a vector not along crack.normal"
-            )
 
     @property
     def half_axes(self) -> Pair:
@@ -373,6 +346,8 @@ class Excitation(Table, PeriodicLoad):
     With an engine order n the frequency is n times ``rotation.speed``.
     """
 
+    _RULES = (Rule("without excitation.wave", ("wave_harmonics",)),)
+
     omega: float = positive_field(None, unit="rad/s")
     """Angular frequency; with an engine order it follows from the speed."""
     frequency: float | None = hertz_field("omega")
@@ -402,8 +377,6 @@ class Excitation(Table, PeriodicLoad):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.wave is None:
-            self.forbid_keys(("wave_harmonics",), "without excitation.wave")
         if self.order is None:
             self.given("omega", "given: a finite number > 0 [rad/s], or excitation.frequency [Hz]")
 
@@ -644,6 +617,8 @@ class Rotation(Table):
     -hub_radius, 0).
     """
 
+    _RULES = (Rule("rotation.center", ("hub_radius",), ", which places the axis"),)
+
     hub_radius: float | None = nonnegative_field(None, unit="m")
     """Radius at y = 0, the clamp: the axis is at y = -hub_radius."""
     axis: Vector | None = vector_value_field("a", of_solid=True)
@@ -669,19 +644,7 @@ class Rotation(Table):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.given("speed", "given: a finite number >= 0 [rad/s], or rotation.rpm")
-        if self.center is not None:
-            self.forbid_keys(("hub_radius",), "rotation.center, which places the axis")
         self.require(self.axis is None or any(self.axis), "axis", "a vector that is not zero")
-
-    def check_axis_position(self, disk: Disk | None) -> None:
-        """Raise InputError unless the rotor axis is defined exactly once.
-
-        A bladed disk defines the axis itself; otherwise ``center`` or ``hub_radius`` is required.
-        """
-        if disk is not None:
-            self.forbid_keys(("hub_radius", "axis", "center"), "[disk], which defines the axis")
-        elif self.center is None:
-            self.given("hub_radius", "given: a finite number >= 0 [m]")
 
     def locate_axis(self, box_center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return a point on the rotor axis [m] and the axis's unit vector: (3,) each.
@@ -708,6 +671,8 @@ class Disk(Table):
     ``inner_radius``. The rim of a solid is as thick, along x and the axis, as the blade is wide. A
     mesh file of one sector names the sides ``left`` and ``right``, whose nodes match.
     """
+
+    _RULES = (Rule("disk.mistuning", ("deviation", "seed")),)
 
     sectors: int = value_field("a whole number from 3 to 1000", lambda count: 3 <= count <= 1000)
     cracked: tuple[int, ...] = value_field(
@@ -748,12 +713,16 @@ class Disk(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.require(max(self.cracked, default=1) <= self.sectors, "cracked",
-                     f"sector numbers from 1 to disk.sectors = {self.sectors}")  # fmt: skip
-        if self.mistuning is not None:
-            requirement_text = f"one number for each of the {self.sectors} sectors"
-            self.require(len(self.mistuning) == self.sectors, "mistuning", requirement_text)
-            self.forbid_keys(("deviation", "seed"), "disk.mistuning")
+        self.require(
+            max(self.cracked, default=1) <= self.sectors,
+            "cracked",
+            f"sector numbers from 1 to disk.sectors = {self.sectors}",
+        )
+        self.require(
+            self.mistuning is None or len(self.mistuning) == self.sectors,
+            "mistuning",
+            f"one number for each of the {self.sectors} sectors",
+        )
         self.require(self.axis is None or any(self.axis), "axis", "a vector that is not zero")
 
     @property
@@ -770,6 +739,12 @@ class Disk(Table):
 @dataclass(frozen=True)
 class Contact(Table):
     """Settings for contact between the crack faces, at pairs of opposite nodes."""
+
+    _RULES = (
+        Rule("contact.law = 'unilateral'", ("stiffness", "stiffness_per_area", "sharpness")),
+        Rule("contact.law = 'penalty'", ("sharpness",)),
+        Rule("without contact.friction", ("tangential_stiffness_per_area",), " > 0"),
+    )
 
     stiffness: float | None = positive_field(None, unit="N/m")
     """Penalty stiffness k of one pair; or give the stiffness per area."""
@@ -809,23 +784,17 @@ class Contact(Table):
     def __post_init__(self) -> None:
         super().__post_init__()
         law_text = f"contact.law = {self.law!r}"
-        if self.law == "unilateral":
-            self.forbid_keys(("stiffness", "stiffness_per_area"), law_text)
-        else:
-            has_one_stiffness = (self.stiffness is None) != (self.stiffness_per_area is None)
-            self.require(
-                has_one_stiffness,
-                "stiffness",
-                f"given, or contact.stiffness_per_area, but not both, with {law_text}",
-            )
+        has_one_stiffness = (self.stiffness is None) != (self.stiffness_per_area is None)
+        self.require(
+            has_one_stiffness or self.law == "unilateral",
+            "stiffness",
+            f"given, or contact.stiffness_per_area, but not both, with {law_text}",
+        )
         if self.law == "smoothed":
             self.given("sharpness", "given: a finite number > 0 [1/m], for the smoothed law")
-        else:
-            self.forbid_keys(("sharpness",), law_text)
-        if not self.friction:
-            self.forbid_keys(("tangential_stiffness_per_area",), "without contact.friction > 0")
-        elif not self.is_unilateral:
-            self.require(False, "friction", f"0, or left out, with {law_text}")
+        self.require(
+            self.is_unilateral or not self.friction, "friction", f"0, or left out, with {law_text}"
+        )
 
     @property
     def is_unilateral(self) -> bool:
@@ -839,6 +808,11 @@ class Contact(Table):
 @dataclass(frozen=True)
 class HarmonicBalance(Table):
     """Settings for harmonic balance: harmonics, contact sampling and tolerance."""
+
+    _RULES = (
+        Rule("harmonic_balance.form = 'block'", ("tolerance",)),
+        Rule("harmonic_balance.tolerance", ("samples",)),
+    )
 
     harmonics: int = positive_int_field(None)
     """Number of harmonics H; with a tolerance, the minimum. Default: 5."""
@@ -864,19 +838,19 @@ class HarmonicBalance(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        default_by_key = {"harmonics": 5, "tolerance": DEFAULT_ERROR_TOLERANCE}
-        if self.harmonics is not None or self.samples is not None or not self.error:
-            del default_by_key["tolerance"]
-        if self.form == "block":
-            self.forbid_keys(("tolerance",), "harmonic_balance.form = 'block'")
-            default_by_key.pop("tolerance", None)
+        default_by_key: dict[str, Any] = {"harmonics": 5}
+        has_given_size = self.harmonics is not None or self.samples is not None
+        if self.error and self.form == "condensed" and not has_given_size:
+            default_by_key["tolerance"] = DEFAULT_ERROR_TOLERANCE
         inferred_keys = {key for key in default_by_key if getattr(self, key) is None}
         vars(self).update(
             {key: default_by_key[key] for key in inferred_keys}, _inferred_keys=inferred_keys
         )
-        if self.tolerance is not None:
-            self.forbid_keys(("samples",), "harmonic_balance.tolerance")
-            self.require(self.error, "error", "true, or left out, with harmonic_balance.tolerance")
+        self.require(
+            self.error or self.tolerance is None,
+            "error",
+            "true, or left out, with harmonic_balance.tolerance",
+        )
         min_samples = 4 * self.harmonics + 1
         has_allowed_samples = (
             self.samples is None or min_samples <= self.samples <= MAX_SAMPLES_PER_PERIOD
@@ -922,6 +896,16 @@ class Mesh(Table):
     ``clamp`` and ``crack``.
     """
 
+    _GRID_KEYS: ClassVar = ("columns", "rows")
+    _GRADED_KEYS: ClassVar = ("size", "lip_elements", "grading", "per_turn")
+    _FILE_KEYS: ClassVar = ("file", "coarser")
+    _RULES = (
+        Rule("mesh.layout = 'grid'", (*_GRADED_KEYS, *_FILE_KEYS)),
+        Rule("mesh.layout = 'graded'", (*_GRID_KEYS, *_FILE_KEYS)),
+        Rule("mesh.layout = 'file'", (*_GRID_KEYS, *_GRADED_KEYS)),
+        Rule("mesh.layout = 'file'", ("cells",), ": the mesh file has the cells"),
+    )
+
     layout: str = choice_field("grid", "graded", "file")
     """Layout: "grid", equal cells; "graded", finer at cracks; "file", a mesh file."""
     cells: str = choice_field("triangle", "quadrilateral", default="quadrilateral")
@@ -954,20 +938,10 @@ class Mesh(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        keys_by_layout = {
-            "grid": ("columns", "rows"),
-            "graded": ("size", "lip_elements", "grading", "per_turn"),
-            "file": ("file", "coarser"),
-        }
-        layout_keys = keys_by_layout.pop(self.layout)
-        for other_keys in keys_by_layout.values():
-            self.forbid_keys(other_keys, f"mesh.layout = {self.layout!r}")
-        for key in layout_keys:
-            if key not in ("lip_elements", "coarser"):  # an uncracked plate has no crack faces
-                allowed_text = self.field_by_key()[key].metadata["allowed"]
-                self.given(key, f"given: {allowed_text}, with layout = {self.layout!r}")
-        if self.layout == "file":
-            self.forbid_keys(("cells",), "mesh.layout = 'file': the mesh file has the cells")
+        required_keys = {"grid": self._GRID_KEYS, "graded": ("size",), "file": ("file",)}
+        for key in required_keys[self.layout]:  # an uncracked plate has no lip_elements
+            allowed_text = self.field_by_key()[key].metadata["allowed"]
+            self.given(key, f"given: {allowed_text}, with layout = {self.layout!r}")
 
     def with_dimension(self, dimension: int) -> Mesh:
         """Return the table with an order for 2 or 3 dimensions.
