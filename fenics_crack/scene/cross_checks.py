@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 
@@ -22,7 +23,6 @@ from fenics_crack.scene.keys import (
     OPTIONAL_TABLE_NAMES,
     TABLE_CLASS_BY_NAME,
     SceneTables,
-    describe_table_type,
     missing_table_error,
 )
 
@@ -88,8 +88,6 @@ In a rule for cracks, "crack" is the same crack.
 """
 MAX_ALLOWED_SIDE_RATIO = 1e4
 """Maximum ratio of width or thickness to the height, or of the height to either side."""
-LIP_ELEMENTS_TEXT = "given: a whole number >= 1, the elements along each crack face"
-"""Error text for a missing ``mesh.lip_elements``."""
 MIN_ALLOWED_RELATIVE_DISTANCE = 1e-4
 """Minimum distance between cracks, tips and edges, relative to the side along the distance."""
 
@@ -135,8 +133,9 @@ def _check_presence_and_types(scene: SceneTables) -> None:
     for table_name, table_class in TABLE_CLASS_BY_NAME.items():
         table, condition = getattr(scene, table_name), condition_by_excluded_table.get(table_name)
         if table and condition is not None:
-            requirement_text = f"left out with {condition}: remove the table [{table_name}]"
-            raise InputError(table_name, "a table", requirement_text)
+            raise InputError(
+                table_name, "a table", f"left out with {condition}: remove the table [{table_name}]"
+            )
         if table_name in LIST_TABLE_NAMES:
             has_right_type = isinstance(table, tuple) and all(
                 isinstance(list_element, table_class) for list_element in table
@@ -148,7 +147,10 @@ def _check_presence_and_types(scene: SceneTables) -> None:
         if not has_right_type:
             if table is None:
                 raise missing_table_error(table_name)
-            raise InputError(table_name, table, describe_table_type(table_name, table))
+            type_text = "a tuple of" if table_name in LIST_TABLE_NAMES else "of the class"
+            advice_text = "; to read the file of a scene, use Scene.load(path)"
+            advice_text *= isinstance(table, str | Path)
+            raise InputError(table_name, table, f"{type_text} {table_class.__name__}{advice_text}")
 
 
 def _check_curve_parameter(scene: SceneTables, curve: result_tables.Curve) -> None:
@@ -213,8 +215,11 @@ def _check_tables_beside_matrices(scene: SceneTables, structure: kinds.Structure
             ("stiffness_per_area",), "without structure.areas: give contact.stiffness"
         )
     if structure.model is None and structure.gap is None:
-        requirement_text = "left out without contact pairs: give structure.gap or structure.model"
-        raise InputError("contact", "a table", requirement_text)
+        raise InputError(
+            "contact",
+            "a table",
+            "left out without contact pairs: give structure.gap or structure.model",
+        )
 
 
 def _set_vector_dimension(scene: SceneTables) -> None:
@@ -282,7 +287,9 @@ def _check_shape(scene: SceneTables) -> None:
                 _check_box_crack(crack, scene)
     if scene.crack_by_name:
         if mesh.layout == "graded":
-            mesh.given("lip_elements", LIP_ELEMENTS_TEXT)
+            mesh.given(
+                "lip_elements", "given: a whole number >= 1, the elements along each crack face"
+            )
         if contact is None:
             raise missing_table_error("contact", ", as there is a crack")
     box_crack_names = [name for name, crack in scene.crack_by_name.items() if crack.point is None]

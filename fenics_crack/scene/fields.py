@@ -81,6 +81,11 @@ class MeshFile(Axis):
     ``key`` is the path, ``values`` are names and numbers: ``(("crack.length", 0.005),)``.
     """
 
+    @property
+    def number_by_name(self) -> dict[str, float]:
+        """Values of the unknowns by name."""
+        return dict(self.values)
+
     def as_toml(self) -> str:
         """Return the mesh file as a line of TOML: "a.msh" = { "crack.length" = 0.005 }."""
         parameters_text = ", ".join(
@@ -161,11 +166,6 @@ def _read_vector(value: object, lengths: tuple[int, ...] = (2, 3)) -> Vector:
     if len(_require_instance(list | tuple, value)) not in lengths:
         raise TypeError
     return _read_floats(value)
-
-
-def _read_space_vector(value: object) -> Vector:
-    """Return a list of three numbers as a vector; raise TypeError for another length."""
-    return _read_vector(value, (3,))
 
 
 def _read_number_or_numbers(value: object) -> float | tuple[float, ...]:
@@ -337,7 +337,9 @@ _READ_FUNCTION_BY_TYPE_NAME: dict[str, Callable[[object], Any]] = {
     "tuple[Axis, ...]": _make_axes_read_function(Axis, _read_axis_values),
     "tuple[FacePoints, ...]": _make_axes_read_function(
         FacePoints,
-        lambda _, given: tuple(map(_read_space_vector, _require_instance(list | tuple, given))),
+        lambda _, given: tuple(
+            _read_vector(point, (3,)) for point in _require_instance(list | tuple, given)
+        ),
     ),
     "tuple[MeshFile, ...]": _make_axes_read_function(MeshFile, _read_mesh_parameter_pairs),
     "tuple[NamedPoint, ...]": _make_axes_read_function(
@@ -353,16 +355,17 @@ _READ_FUNCTION_BY_TYPE_NAME: dict[str, Callable[[object], Any]] = {
 """Functions that check and convert a raw value, by the field's type without "| None"."""
 
 
-_MAPPING_TYPE_NAMES = (
-    "tuple[Axis, ...]",
-    "tuple[FacePoints, ...]",
-    "tuple[MeshFile, ...]",
-    "tuple[NamedPoint, ...]",
-)
-_JSON_TYPE_BY_TYPE_NAME = {"bool": "boolean", "float": "number", "int": "integer", "str": "string"}
-"""JSON types by Python types of single values."""
-_JSON_TYPE_BY_TYPE_NAME |= dict.fromkeys(_MAPPING_TYPE_NAMES, "object")
-"""JSON types by Python types; tables of names are objects, all other types arrays."""
+_JSON_TYPE_BY_TYPE_NAME = {
+    "bool": "boolean",
+    "float": "number",
+    "int": "integer",
+    "str": "string",
+    "tuple[Axis, ...]": "object",
+    "tuple[FacePoints, ...]": "object",
+    "tuple[MeshFile, ...]": "object",
+    "tuple[NamedPoint, ...]": "object",
+}
+"""JSON types by Python types; all other types are arrays."""
 
 
 def _find_read_function(key_field: Field[Any]) -> Callable[[object], Any]:
@@ -425,9 +428,11 @@ def bounded_field(lower_text: str, upper_text: str, default: Any, unit: str = ""
     The bounds are texts, which errors show as written: "1e-6".
     """
     lower_bound, upper_bound = float(lower_text), float(upper_text)
-    requirement_text = f"a number from {lower_text} to {upper_text}"
     return value_field(
-        requirement_text, lambda value: lower_bound <= value <= upper_bound, default, unit
+        f"a number from {lower_text} to {upper_text}",
+        lambda value: lower_bound <= value <= upper_bound,
+        default,
+        unit,
     )
 
 
@@ -459,17 +464,20 @@ def _format_component_names(component_letter: str, dimension: int) -> str:
 
 def harmonics_field() -> Any:
     """Return a field for a load's list of harmonics; the default is empty."""
-    requirement_text = (
+    return value_field(
         f"a list of tables: each has a different order from 1 to {MAX_HARMONIC_ORDER}, and cos or"
-        " sin or both, or amplitude and, optionally, phase (the lag in degrees)"
+        " sin or both, or amplitude and, optionally, phase (the lag in degrees)",
+        default=(),
     )
-    return value_field(requirement_text, default=())
 
 
 def harmonic_order_field(default: int) -> Any:
     """Return a field for a whole number from 1 to MAX_HARMONIC_ORDER."""
-    requirement_text = f"a whole number from 1 to {MAX_HARMONIC_ORDER}"
-    return value_field(requirement_text, lambda value: 1 <= value <= MAX_HARMONIC_ORDER, default)
+    return value_field(
+        f"a whole number from 1 to {MAX_HARMONIC_ORDER}",
+        lambda value: 1 <= value <= MAX_HARMONIC_ORDER,
+        default,
+    )
 
 
 def positive_int_field(default: Any = MISSING) -> Any:
@@ -553,8 +561,8 @@ class Rule(NamedTuple):
     Attributes
     ----------
     condition : str
-        Condition as errors print it: a given key, "geometry.file"; a given table, "[disk]"; a
-        value, "mesh.layout = 'file'"; or the contrary, "without geometry.file".
+        Condition as errors print it: a given key, "geometry.file", or "point" in the same table; a
+        given table, "[disk]"; a value, "mesh.layout = 'file'"; or the contrary, "without [disk]".
     keys : tuple
         Restricted keys in a table.
     reason : str
@@ -631,13 +639,10 @@ class Table:
                 si_value = scale_numbers(
                     twin_value, self.field_by_key()[twin_key].metadata["factor"]
                 )
-                requirement_text = (
-                    f"left out with {self.full_key(si_key)} = {getattr(self, si_key)}: "
-                    "give one of the two"
-                )
-                self.require(getattr(self, si_key) in (None, si_value), twin_key, requirement_text)
+                if getattr(self, si_key) != si_value:
+                    self.forbid_both_twins(vars(self))
                 object.__setattr__(self, si_key, si_value)
-        self.check_rules(self._RULES, {self.full_key(): self})
+        self.check_rules(self._RULES, {self.full_key(): self, **vars(self)})
 
     def check_rules(self, rules: Iterable[Rule], table_by_name: Mapping[str, Any]) -> None:
         """Raise InputError if keys break a rule.
@@ -669,10 +674,10 @@ class Table:
         except (TypeError, OverflowError):
             is_accepted = False
         if not is_accepted:
-            requirement_text = key_field.metadata["allowed"] + cls._make_value_suggestion_text(
-                key, value
+            suggestion_text = cls._make_value_suggestion_text(key, value)
+            raise InputError(
+                cls.full_key(key), value, key_field.metadata["allowed"] + suggestion_text
             )
-            raise InputError(cls.full_key(key), value, requirement_text)
         return field_value
 
     @classmethod
@@ -720,8 +725,8 @@ class Table:
             "type": "object",
             "properties": schema_by_key,
             "required": cls.required_keys(),
+            "additionalProperties": False,
         }
-        table_schema["additionalProperties"] = False
         return (
             table_schema
             if cls.SHORTHAND_KEY is None
@@ -738,10 +743,17 @@ class Table:
     @classmethod
     def si_key_by_twin(cls) -> dict[str, str]:
         """Return the SI key of each twin key: "omega" for "frequency", "speed" for "rpm"."""
-        metadata_by_key = {key: key_field.metadata for key, key_field in cls.field_by_key().items()}
         return {
-            key: metadata["twin"] for key, metadata in metadata_by_key.items() if "twin" in metadata
+            key: key_field.metadata["twin"]
+            for key, key_field in cls.field_by_key().items()
+            if "twin" in key_field.metadata
         }
+
+    @classmethod
+    def twin_key_by_key(cls) -> dict[str, str]:
+        """Return the other key of each pair of twins, in both directions."""
+        si_key_by_twin = cls.si_key_by_twin()
+        return si_key_by_twin | {si_key: twin_key for twin_key, si_key in si_key_by_twin.items()}
 
     @property
     def derived_keys(self) -> set[str]:
@@ -809,11 +821,10 @@ class Table:
 
         ``requirement_text`` replaces the error's text about allowed values.
         """
-        requirement_text = (
-            requirement_text or f"given: {self.field_by_key()[key].metadata['allowed']}"
-        )
-        self.require(getattr(self, key) is not None, key, requirement_text)
-        return getattr(self, key)
+        value = getattr(self, key)
+        allowed_text = self.field_by_key()[key].metadata["allowed"]
+        self.require(value is not None, key, requirement_text or f"given: {allowed_text}")
+        return value
 
     def forbid_keys(self, keys: Iterable[str], circumstance: str) -> None:
         """Raise InputError if a key is neither None nor the default.
@@ -872,11 +883,7 @@ class Table:
         The twin is the same quantity in another unit. Raises InputError if both are changed.
         """
         cls.forbid_both_twins(changes)
-        twin_key_by_key = {
-            key: twin_key
-            for twin_pair in cls.si_key_by_twin().items()
-            for key, twin_key in (twin_pair, twin_pair[::-1])
-        }
+        twin_key_by_key = cls.twin_key_by_key()
         none_by_twin_key = {
             twin_key_by_key[key]: None
             for key in changes
@@ -889,11 +896,12 @@ class Table:
         """Raise InputError if both a key and its twin in another unit have a value."""
         for twin_key, si_key in cls.si_key_by_twin().items():
             if value_by_key.get(twin_key) is not None and value_by_key.get(si_key) is not None:
-                requirement_text = (
+                raise InputError(
+                    cls.full_key(twin_key),
+                    value_by_key[twin_key],
                     f"left out with {cls.full_key(si_key)} = {value_by_key[si_key]}: "
-                    "give one of the two"
+                    "give one of the two",
                 )
-                raise InputError(cls.full_key(twin_key), value_by_key[twin_key], requirement_text)
 
     @classmethod
     def from_mapping(cls, raw_table: object) -> Any:
@@ -902,17 +910,18 @@ class Table:
         Raises InputError for an unknown, missing or wrong key.
         """
         field_by_key = cls.field_by_key()
-        keys_text = ", ".join(field_by_key)
         if cls.SHORTHAND_KEY is not None and isinstance(raw_table, str):
             raw_table = {cls.SHORTHAND_KEY: raw_table}
         if not isinstance(raw_table, Mapping):
+            keys_text = ", ".join(field_by_key)
             raise InputError(cls.full_key(), raw_table, f"a table with the keys {keys_text}")
         for key, raw_value in raw_table.items():
             if key not in field_by_key:
                 raise InputError(cls.full_key(str(key)), raw_value, cls.unknown_key_text(str(key)))
-        for key, key_field in field_by_key.items():
-            if key_field.default is MISSING and key not in raw_table:
-                raise InputError(cls.full_key(key), None, f"given: {key_field.metadata['allowed']}")
+        for key in cls.required_keys():
+            if key not in raw_table:
+                allowed_text = field_by_key[key].metadata["allowed"]
+                raise InputError(cls.full_key(key), None, f"given: {allowed_text}")
         cls.forbid_both_twins(raw_table)
         return cls(**raw_table)
 

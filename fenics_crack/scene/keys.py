@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
 from fenics_crack.basics.errors import InputError
@@ -149,14 +148,6 @@ def missing_table_error(table_name: str, circumstance: str = "") -> InputError:
     return InputError(table_name, None, requirement_text + circumstance)
 
 
-def describe_table_type(table_name: str, table: object) -> str:
-    """Return the requirement on a table's type, for an error about ``table``."""
-    type_text = "a tuple of" if table_name in LIST_TABLE_NAMES else "of the class"
-    advice_text = "; to read the file of a scene, use Scene.load(path)"
-    class_name = TABLE_CLASS_BY_NAME[table_name].__name__
-    return f"{type_text} {class_name}{advice_text * isinstance(table, str | Path)}"
-
-
 def known_keys() -> list[str]:
     """Return every full key that a scene may have.
 
@@ -175,14 +166,14 @@ def known_keys() -> list[str]:
 
 def unit_of_key(full_key: str) -> str:
     """Return the unit for a full key, "cracks.1.length"; empty without a unit."""
-    table_name, _, key_in_table = split_key(full_key)
+    table_name, _, key_in_table = _split_key(full_key)
     field_by_key = (
         TABLE_CLASS_BY_NAME[table_name].field_by_key() if table_name in TABLE_CLASS_BY_NAME else {}
     )
     return str(field_by_key[key_in_table].metadata["unit"]) if key_in_table in field_by_key else ""
 
 
-def split_key(full_key: str) -> tuple[str, int | None, str]:
+def _split_key(full_key: str) -> tuple[str, int | None, str]:
     """Split a full key: "cracks.1.length" gives "cracks", 1, "length".
 
     The position is None for a table that is not in a list.
@@ -199,7 +190,21 @@ def split_key(full_key: str) -> tuple[str, int | None, str]:
     return table_name, None, key_in_table
 
 
-def make_table_or_tuple(table_name: str, raw_tables: object) -> Any:
+def make_tables(raw_table_by_name: Mapping[str, object]) -> dict[str, Any]:
+    """Return tables, and tuples of tables for lists, by name from raw values.
+
+    Raises InputError for an unknown table.
+    """
+    for table_name, raw_table in raw_table_by_name.items():
+        if table_name not in TABLE_CLASS_BY_NAME:
+            raise InputError(table_name, raw_table, _unknown_table_text(table_name))
+    return {
+        table_name: _make_table_or_tuple(table_name, raw_table)
+        for table_name, raw_table in raw_table_by_name.items()
+    }
+
+
+def _make_table_or_tuple(table_name: str, raw_tables: object) -> Any:
     """Return a table, or a tuple of tables for a list, from raw values.
 
     Raw values are mappings as read from TOML; tables that are objects already stay unchanged.
@@ -230,10 +235,10 @@ def _split_changed_key(full_key: str, value: object) -> tuple[str, int | None, s
     The position is None for a table outside lists. The key is empty if the change, with the value
     None, removes the table. Raises InputError for an unknown key or a wrong removal.
     """
-    table_name, list_position, key_in_table = split_key(full_key)
+    table_name, list_position, key_in_table = _split_key(full_key)
     table_class = TABLE_CLASS_BY_NAME.get(table_name)
     if table_class is None:
-        raise InputError(full_key, value, unknown_table_text(full_key))
+        raise InputError(full_key, value, _unknown_table_text(full_key))
     if not key_in_table and table_class.SHORTHAND_KEY is not None and isinstance(value, str):
         return table_name, None, table_class.SHORTHAND_KEY
     if not key_in_table:
@@ -244,11 +249,12 @@ def _split_changed_key(full_key: str, value: object) -> tuple[str, int | None, s
         ):
             removable_names = ", ".join((*OPTIONAL_TABLE_NAMES, *LIST_TABLE_NAMES))
             first_key = next(key for key in known_keys() if key.startswith(f"{table_name}."))
-            requirement_text = (
+            raise InputError(
+                full_key,
+                "none" if value is None else value,
                 f"changed key by key, as {first_key}=...; only these tables can be "
-                f"removed, by TABLE=none (in Python None): {removable_names}"
+                f"removed, by TABLE=none (in Python None): {removable_names}",
             )
-            raise InputError(full_key, "none" if value is None else value, requirement_text)
     elif (list_position is None) == (table_name in LIST_TABLE_NAMES):
         known_keys_text = ", ".join(
             f"{table_name}.1.{subkey}" for subkey in table_class.field_by_key()
@@ -328,12 +334,13 @@ def _merge_list_changes(
     if not isinstance(tables, list | tuple):
         raise InputError(table_name, tables, f"a list of tables headed [[{table_name}]]")
     if list_position > len(tables) + 1:
-        first_changed_key = f"{table_name}.{list_position}.{next(iter(value_by_key))}"
-        requirement_text = (
+        key, value = next(iter(value_by_key.items()))
+        raise InputError(
+            f"{table_name}.{list_position}.{key}",
+            value,
             f"in {table_name}.{len(tables) + 1}, the next number, as the scene has "
-            f"{len(tables)} tables [[{table_name}]]"
+            f"{len(tables)} tables [[{table_name}]]",
         )
-        raise InputError(first_changed_key, next(iter(value_by_key.values())), requirement_text)
     current_table = tables[list_position - 1] if list_position <= len(tables) else None
     with use_table_name_in_errors(f"{table_name}.{list_position}"):
         return (
@@ -375,7 +382,7 @@ def suggest_full_keys(misspelt_name: str) -> list[str]:
     return suggested_full_keys or find_similar_or_longer_names(misspelt_name, known_keys())
 
 
-def unknown_table_text(table_name: str) -> str:
+def _unknown_table_text(table_name: str) -> str:
     """Return the requirement for an unknown table: suggestions and all table names."""
     suggestion_text = did_you_mean_text(_suggest_keys(table_name))
     return f"left out; {suggestion_text}known tables: {', '.join(TABLE_CLASS_BY_NAME)}"
@@ -392,7 +399,7 @@ def check_and_convert_axes(
     """
     checked_axes, seen_keys = [], set()
     for axis in axes:
-        table_name, list_position, key_in_table = split_key(axis.key)
+        table_name, list_position, key_in_table = _split_key(axis.key)
         table_exists = list_position is None or list_position <= len(getattr(tables, table_name))
         is_sweepable_key = (
             table_name in _SWEEPABLE_TABLE_NAMES
@@ -400,28 +407,22 @@ def check_and_convert_axes(
         )
         if not (is_sweepable_key and table_exists) or axis.key in seen_keys:
             tables_text = ", ".join(_SWEEPABLE_TABLE_NAMES)
-            requirement_text = (
+            suggested_keys = [] if axis.key in seen_keys else _suggest_keys(axis.key)
+            raise InputError(
+                axes_key,
+                axis.key,
                 "a key of the scene with its table, as 'crack.length', given once; "
-                f"the tables are {tables_text}"
+                f"the tables are {tables_text}; {did_you_mean_text(suggested_keys)}".rstrip("; "),
             )
-            if (
-                suggestion_text := did_you_mean_text(_suggest_keys(axis.key))
-            ) and axis.key not in seen_keys:
-                requirement_text += f"; {suggestion_text}".rstrip()
-            raise InputError(axes_key, axis.key, requirement_text)
         seen_keys.add(axis.key)
-        for twin_pair in TABLE_CLASS_BY_NAME[table_name].si_key_by_twin().items():
-            table_name_text = axis.key.removesuffix(f".{key_in_table}")
-            if seen_keys.issuperset(
-                twin_keys := [f"{table_name_text}.{twin_key}" for twin_key in twin_pair]
-            ):
-                other_twin_key = twin_keys[0] if axis.key == twin_keys[1] else twin_keys[1]
-                requirement_text = f"left out with {other_twin_key}: give one of the two"
-                raise InputError(axes_key, axis.key, requirement_text)
-        with use_table_name_in_errors(axis.key.removesuffix(f".{key_in_table}")):
+        table_class = TABLE_CLASS_BY_NAME[table_name]
+        name_in_errors = axis.key.removesuffix(f".{key_in_table}")
+        twin_key = f"{name_in_errors}.{table_class.twin_key_by_key().get(key_in_table)}"
+        if twin_key in seen_keys:
+            raise InputError(axes_key, axis.key, f"left out with {twin_key}: give one of the two")
+        with use_table_name_in_errors(name_in_errors):
             axis_values = tuple(
-                TABLE_CLASS_BY_NAME[table_name].convert_value(key_in_table, axis_value)
-                for axis_value in axis.values
+                table_class.convert_value(key_in_table, axis_value) for axis_value in axis.values
             )
         if len(set(axis_values)) != len(axis_values) or not axis_values:
             raise InputError(

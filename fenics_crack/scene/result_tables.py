@@ -78,11 +78,13 @@ class Curve(Table):
             # Rounding would take a smaller end to 0.
             lower_bound = max(1e-12 * max(self.start, self.stop), 0.0)
             for end_key in ("start", "stop"):
-                requirement_text = f"a number > 0 with curve.parameter = {self.parameter!r}"
-                requirement_text += ", and above 1e-12 of the other end" * (
-                    getattr(self, end_key) > 0.0
+                end_value = getattr(self, end_key)
+                bound_text = ", and above 1e-12 of the other end" if end_value > 0.0 else ""
+                self.require(
+                    end_value > lower_bound,
+                    end_key,
+                    f"a number > 0 with curve.parameter = {self.parameter!r}{bound_text}",
                 )
-                self.require(getattr(self, end_key) > lower_bound, end_key, requirement_text)
 
     @property
     def parameter_and_range(self) -> tuple[str, float, float]:
@@ -238,9 +240,8 @@ class Growth(Table):
         for spectrum_key in ("frequencies", "cycles"):
             allowed_text = self.field_by_key()[spectrum_key].metadata["allowed"]
             self.given(spectrum_key, f"given: {allowed_text}, with drive = 'spectrum'")
-        has_equal_lengths = len(self.cycles or ()) == len(self.frequencies or ())
         self.require(
-            has_equal_lengths,
+            len(self.cycles or ()) == len(self.frequencies or ()),
             "cycles",
             f"as many numbers as growth.frequencies, {len(self.frequencies or ())}",
         )
@@ -433,8 +434,8 @@ class Identify(Table):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.unknown and not self.meshes:
-            requirement_text = f"given: {self.field_by_key()['unknown'].metadata['allowed']}"
-            raise InputError("identify.unknown", None, requirement_text)
+            allowed_text = self.field_by_key()["unknown"].metadata["allowed"]
+            raise InputError("identify.unknown", None, f"given: {allowed_text}")
         self._check_meshes()
         for axis in self.unknown:
             word_flags = [isinstance(value, str) for value in axis.values]
@@ -442,10 +443,12 @@ class Identify(Table):
                 not any(word_flags) and len(axis.values) >= MIN_ALLOWED_VALUES_PER_UNKNOWN
             )
             if not (all(word_flags) or (has_enough_numbers and np.all(np.diff(axis.values) > 0))):
-                requirement_text = (
-                    f"words, or {MIN_ALLOWED_VALUES_PER_UNKNOWN} or more numbers in ascending order"
+                raise InputError(
+                    f'identify.unknown."{axis.key}"',
+                    axis.values,
+                    f"words, or {MIN_ALLOWED_VALUES_PER_UNKNOWN} or more numbers in ascending "
+                    "order",
                 )
-                raise InputError(f'identify.unknown."{axis.key}"', axis.values, requirement_text)
 
     def _check_meshes(self) -> None:
         """Raise InputError if ``meshes`` is not a full grid of parameter values.
@@ -453,73 +456,63 @@ class Identify(Table):
         All meshes have the same parameters, each with 4 or more values; every combination of values
         has exactly one mesh.
         """
-        length_keys = [
-            crack_key
+        allowed_names = {
+            Crack.full_key(crack_key)
             for crack_key, key_field in Crack.field_by_key().items()
             if key_field.metadata["unit"] == "m"
-        ]
-        allowed_names = {*map(Crack.full_key, length_keys)} - {axis.key for axis in self.unknown}
+        } - {axis.key for axis in self.unknown}
         for mesh_file in self.meshes:
             error_key = f'identify.meshes."{mesh_file.key}"'
-            parameter_names = [parameter_name for parameter_name, _ in mesh_file.values]
-            if not parameter_names or set(parameter_names) != {
-                parameter_name for parameter_name, _ in self.meshes[0].values
-            }:
+            parameter_names = list(mesh_file.number_by_name)
+            if {*parameter_names} != {*self.meshes[0].number_by_name} or not parameter_names:
                 raise InputError(
                     error_key, parameter_names, "one or more names, the same for all meshes"
                 )
             for parameter_name in parameter_names:
                 if not (parameter_name in allowed_names or parameter_name.isidentifier()):
-                    requirement_text = (
-                        f"a single word, or one of {', '.join(sorted(allowed_names))}"
+                    names_text = ", ".join(sorted(allowed_names))
+                    raise InputError(
+                        error_key, parameter_name, f"a single word, or one of {names_text}"
                     )
-                    raise InputError(error_key, parameter_name, requirement_text)
         axes = self.mesh_axes
         for axis in axes:
             if len(axis.values) < MIN_ALLOWED_VALUES_PER_UNKNOWN:
-                requirement_text = f"at least {MIN_ALLOWED_VALUES_PER_UNKNOWN} different values"
-                raise InputError(f"identify.meshes, {axis.key}", axis.values, requirement_text)
+                raise InputError(
+                    f"identify.meshes, {axis.key}",
+                    axis.values,
+                    f"at least {MIN_ALLOWED_VALUES_PER_UNKNOWN} different values",
+                )
         n_meshes_by_values = Counter(
-            tuple(dict(mesh_file.values)[axis.key] for axis in axes) for mesh_file in self.meshes
+            tuple(mesh_file.number_by_name[axis.key] for axis in axes) for mesh_file in self.meshes
         )
         value_combinations = itertools.product(*(axis.values for axis in axes))
         for value_combination in value_combinations if n_meshes_by_values else ():
             if (n_meshes := n_meshes_by_values[value_combination]) != 1:
-                axes_and_values = zip(axes, value_combination, strict=True)
                 combination_text = ", ".join(
-                    f"{axis.key} = {parameter_value:g}" for axis, parameter_value in axes_and_values
+                    f"{axis.key} = {parameter_value:g}"
+                    for axis, parameter_value in zip(axes, value_combination, strict=True)
                 )
-                requirement_text = "a table with one mesh file for every combination of the numbers"
                 raise InputError(
                     "identify.meshes",
                     f"{n_meshes or 'no'} files of {combination_text}",
-                    requirement_text,
+                    "a table with one mesh file for every combination of the numbers",
                 )
 
     @property
     def mesh_axes(self) -> tuple[Axis, ...]:
         """Parameters of ``meshes``, each with its sorted values; empty without meshes."""
-        parameter_names = (
-            [parameter_name for parameter_name, _ in self.meshes[0].values] if self.meshes else []
-        )
-        values_by_name = {
-            parameter_name: {dict(mesh_file.values)[parameter_name] for mesh_file in self.meshes}
-            for parameter_name in parameter_names
-        }
+        parameter_names = self.meshes[0].number_by_name if self.meshes else ()
         return tuple(
-            Axis(parameter_name, tuple(sorted(parameter_values)))
-            for parameter_name, parameter_values in values_by_name.items()
+            Axis(name, tuple(sorted({mesh.number_by_name[name] for mesh in self.meshes})))
+            for name in parameter_names
         )
 
     @property
     def mesh_files(self) -> tuple[str, ...]:
         """Paths of ``meshes`` in the order of :attr:`mesh_axes`, the last parameter fastest."""
-        parameter_names = [axis.key for axis in self.mesh_axes]
+        mesh_axes = self.mesh_axes
         ordered_mesh_files = sorted(
-            self.meshes,
-            key=lambda mesh_file: [
-                dict(mesh_file.values)[parameter_name] for parameter_name in parameter_names
-            ],
+            self.meshes, key=lambda mesh: [mesh.number_by_name[axis.key] for axis in mesh_axes]
         )
         return tuple(mesh_file.key for mesh_file in ordered_mesh_files)
 

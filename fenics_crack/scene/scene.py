@@ -34,7 +34,7 @@ from fenics_crack.basics.tables import (
 )
 from fenics_crack.basics.untrusted_files import read_utf8_text
 from fenics_crack.scene.cross_checks import check_tables
-from fenics_crack.scene.fields import Axis
+from fenics_crack.scene.fields import Axis, MeshFile, condition_holds
 from fenics_crack.scene.keys import (
     AXES_TABLE_KEY_PAIRS,
     KEYS_WITH_PATHS,
@@ -44,13 +44,13 @@ from fenics_crack.scene.keys import (
     TABLE_CLASS_BY_NAME,
     SceneTables,
     check_and_convert_axes,
-    make_table_or_tuple,
+    make_tables,
     missing_table_error,
     suggest_full_keys,
     unit_of_key,
-    unknown_table_text,
     with_changed_keys,
 )
+from fenics_crack.scene.tables import Rotation
 
 MANY_SOLUTION_TABLE_NAMES = ("curve", "sweep", "growth", "identify")
 """Settings tables for the commands that solve a scene many times."""
@@ -86,8 +86,8 @@ class Scene(SceneTables):
     def __post_init__(self) -> None:
         check_tables(self)
         for quantity_name in self.quantities or ():
-            refusal_reason = _reason_without_observable(self, OBSERVABLES_BY_NAME[quantity_name])
-            refuse_for_reason(refusal_reason, "output.quantities", quantity_name)
+            reason = _reason_without_observable(self, OBSERVABLES_BY_NAME[quantity_name])
+            refuse_for_reason(reason, "output.quantities", quantity_name)
         for table_name, axes_key in AXES_TABLE_KEY_PAIRS:
             if (axes_table := getattr(self, table_name)) is not None:
                 checked_axes = check_and_convert_axes(
@@ -115,16 +115,8 @@ class Scene(SceneTables):
         any check; paths in ``changes`` stay unchanged.
         """
         changes = changes or {}
-        tables = with_changed_keys(tables, changes)
-        for table_name, raw_table in tables.items():
-            if table_name not in TABLE_CLASS_BY_NAME:
-                raise InputError(table_name, raw_table, unknown_table_text(table_name))
-        tables_by_name = {
-            table_name: make_table_or_tuple(table_name, raw_table)
-            for table_name, raw_table in tables.items()
-        }
-        scene = with_file_paths(cls(**tables_by_name), lambda path: str(folder / path))
-        return scene.replace(
+        scene = cls(**make_tables(with_changed_keys(tables, changes)))
+        return with_file_paths(scene, lambda path: str(folder / path)).replace(
             {
                 changed_key: changes[changed_key]
                 for changed_key in changes
@@ -179,17 +171,15 @@ class Scene(SceneTables):
         ['density', 'poisson', 'young']
         """
         schema_by_table = {
-            table_name: table_class.schema()
+            table_name: {"type": "array", "items": table_class.schema()}
+            if table_name in LIST_TABLE_NAMES
+            else table_class.schema()
             for table_name, table_class in TABLE_CLASS_BY_NAME.items()
-        }
-        list_schema_by_table = {
-            table_name: {"type": "array", "items": schema_by_table[table_name]}
-            for table_name in LIST_TABLE_NAMES
         }
         return {
             "$schema": "http://json-schema.org/draft-07/schema#",
             "type": "object",
-            "properties": schema_by_table | list_schema_by_table,
+            "properties": schema_by_table,
             "additionalProperties": False,
         }
 
@@ -201,10 +191,10 @@ class Scene(SceneTables):
         """
         if getattr(self, name) is None:
             raise missing_table_error(name, ", which this command needs")
-        has_condensed_form = self.harmonic_balance.form == "condensed"
-        requirement_text = f"'condensed' for a command that uses [{name}]"
         self.harmonic_balance.require(
-            has_condensed_form or name not in MANY_SOLUTION_TABLE_NAMES, "form", requirement_text
+            self.harmonic_balance.form == "condensed" or name not in MANY_SOLUTION_TABLE_NAMES,
+            "form",
+            f"'condensed' for a command that uses [{name}]",
         )
         return getattr(self, name)
 
@@ -287,26 +277,21 @@ class Scene(SceneTables):
 
         The scene has [rotation] or [disk].
         """
-        if self.disk is None:
-            assert self.rotation is not None
-            geometry_sides = self.geometry.sides
-            return self.rotation.locate_axis(
-                0.5 * np.array(geometry_sides if len(geometry_sides) == 3 else np.zeros(3))
-            )
-        is_plane, direction = self.dimension == 2, np.array(self.disk.axis or (1.0, 0.0, 0.0))
-        if self.mesh.layout == "file":
-            axis_point = [*(self.disk.center or (0.0,)), 0.0, 0.0][:3]
+        axis_table = self.rotation if self.disk is None else self.disk
+        assert axis_table is not None
+        sides, direction = self.geometry.sides, axis_table.axis or (1.0, 0.0, 0.0)
+        if isinstance(axis_table, Rotation):
+            middle = 0.5 * np.array(sides) if len(sides) == 3 else np.zeros(3)
+            point = axis_table.center or (middle[0], -(axis_table.hub_radius or 0.0), middle[2])
+        elif self.mesh.layout == "file":
+            point = (*(axis_table.center or (0.0,)), 0.0, 0.0)[:3]
         else:
-            axis_y = -self.disk.given("outer_radius")
-            blade_center_coordinate = 0.5 * self.geometry.circumferential_width
-            axis_point = (
-                [blade_center_coordinate, axis_y, 0.0]
-                if is_plane
-                else [0.0, axis_y, blade_center_coordinate]
-            )
-        if is_plane:
-            direction = np.array([0.0, 0.0, 1.0])
-        return np.array(axis_point), direction / np.linalg.norm(direction)
+            blade_middle = 0.5 * self.geometry.circumferential_width
+            x, z = (blade_middle, 0.0) if self.dimension == 2 else (0.0, blade_middle)
+            point = (x, -axis_table.given("outer_radius"), z)
+        if self.disk is not None and self.dimension == 2:
+            direction = (0.0, 0.0, 1.0)
+        return np.array(point), np.array(direction) / np.linalg.norm(direction)
 
     @property
     def modes_key(self) -> str:
@@ -326,15 +311,10 @@ class Scene(SceneTables):
         counted from 1, ``{"cracks.1.length": 0.02}``; the number after the last makes a new table.
         A frequency in Hz replaces the frequency in rad/s, and vice versa.
         """
-        changed_table_by_name = with_changed_keys(
-            {table_name: table for table_name, table in vars(self).items() if table}, values
-        )
-        return Scene(
-            **{
-                table_name: make_table_or_tuple(table_name, raw_table)
-                for table_name, raw_table in changed_table_by_name.items()
-            }
-        )
+        present_table_by_name = {
+            table_name: table for table_name, table in vars(self).items() if table
+        }
+        return Scene(**make_tables(with_changed_keys(present_table_by_name, values)))
 
     def as_toml(self) -> str:
         """Return the scene as a TOML text for :meth:`load`, with unchanged paths."""
@@ -346,12 +326,18 @@ class Scene(SceneTables):
         return "\n".join(table_texts)
 
 
+def _find_excluding_condition(scene: Scene, reason_by_condition: Mapping[str, str]) -> str:
+    """Return the first condition that holds, with the reason; empty without such a condition."""
+    for condition, reason in reason_by_condition.items():
+        if condition_holds(condition, vars(scene)):
+            return f"with {condition}: {reason}"
+    return ""
+
+
 def reason_without_stress_intensity(scene: Scene) -> str:
     """Return why stress intensity factors cannot be computed; empty if they can."""
-    if scene.structure is not None:
-        return "with [structure]: stress intensities need a mesh"
-    if scene.disk is not None:
-        return "with [disk]: stress intensities are not computed for bladed disks"
+    if reason := _find_excluding_condition(scene, _NO_STRESS_INTENSITY_REASON_BY_CONDITION):
+        return reason
     if not scene.crack_by_name and (scene.contact is None or scene.mesh.layout != "file"):
         return "without a crack: stress intensities belong to crack tips"
     if scene.has_friction:
@@ -370,13 +356,7 @@ def reason_without_elliptical_growth(scene: Scene) -> str:
 
 def reason_without_clamp_forces(scene: Scene) -> str:
     """Return why the forces on the clamp cannot be computed; empty if they can."""
-    if scene.structure is not None:
-        return "with [structure]: clamp forces need a mesh"
-    if scene.disk is not None:
-        return "with [disk]: clamp forces are not computed for bladed disks"
-    if scene.rotation is not None:
-        return "with [rotation]: clamp forces are computed without rotation only"
-    return ""
+    return _find_excluding_condition(scene, _NO_CLAMP_FORCES_REASON_BY_CONDITION)
 
 
 def refuse_for_reason(reason: str, key: str, value: object = None) -> None:
@@ -417,6 +397,17 @@ def list_requested_extra_quantities(scene: Scene) -> tuple[str, ...]:
     )
 
 
+_NO_STRESS_INTENSITY_REASON_BY_CONDITION: Mapping[str, str] = {
+    "[structure]": "stress intensities need a mesh",
+    "[disk]": "stress intensities are not computed for bladed disks",
+}
+"""Conditions that exclude stress intensity factors, with reasons."""
+_NO_CLAMP_FORCES_REASON_BY_CONDITION: Mapping[str, str] = {
+    "[structure]": "clamp forces need a mesh",
+    "[disk]": "clamp forces are not computed for bladed disks",
+    "[rotation]": "clamp forces are computed without rotation only",
+}
+"""Conditions that exclude forces on the clamp, with reasons."""
 _REASON_FUNCTION_BY_PLACE: dict[Place, Callable[[Scene], str]] = {
     Place.TIPS: reason_without_stress_intensity,
     Place.ELLIPSE: reason_without_elliptical_growth,
@@ -432,9 +423,9 @@ def file_keys_and_paths(scene: Scene) -> list[tuple[str, str]]:
     (:data:`RESULT_TABLE_NAMES`) are left out.
     """
     keys_and_paths = [
-        key_and_path
-        for key_and_path in _path_by_key(scene).items()
-        if not key_and_path[0].startswith(RESULT_TABLE_NAMES)
+        (key, path)
+        for key, path in _find_values_with_paths(scene).items()
+        if isinstance(path, str) and not key.startswith(RESULT_TABLE_NAMES)
     ]
     for key, axis_values in scene.swept_values_by_key.items():
         if key in PATH_KEYS:
@@ -442,21 +433,14 @@ def file_keys_and_paths(scene: Scene) -> list[tuple[str, str]]:
     return keys_and_paths
 
 
-def _path_by_key(scene: Scene) -> dict[str, str]:
-    """Return a scene's file paths by full key.
-
-    Paths in ``sweep.over``, ``identify.unknown`` and ``identify.meshes`` are left out.
-    """
-    split_keys = ((full_key, *full_key.split(".")) for full_key in PATH_KEYS)
-    path_or_none_by_key = {
+def _find_values_with_paths(scene: Scene) -> dict[str, Any]:
+    """Return file paths, and axes that may have paths, by full key."""
+    split_keys = ((full_key, *full_key.split(".")) for full_key in KEYS_WITH_PATHS)
+    value_by_key = {
         full_key: getattr(getattr(scene, table_name), key_in_table, None)
         for full_key, table_name, key_in_table in split_keys
     }
-    return {
-        full_key: path_or_none
-        for full_key, path_or_none in path_or_none_by_key.items()
-        if isinstance(path_or_none, str)
-    }
+    return {key: value for key, value in value_by_key.items() if isinstance(value, str | tuple)}
 
 
 def with_file_paths(scene: Scene, change_path: Callable[[str], str]) -> Scene:
@@ -464,32 +448,19 @@ def with_file_paths(scene: Scene, change_path: Callable[[str], str]) -> Scene:
 
     Paths in ``sweep.over``, ``identify.unknown`` and ``identify.meshes`` change, too.
     """
-    path_by_key = _path_by_key(scene)
-    if not path_by_key:
-        return scene
-    changes: dict[str, object] = {
-        path_key: change_path(path) for path_key, path in path_by_key.items()
-    }
 
-    def change_axis_paths(axis: Axis) -> Axis:
-        axis_values = (
-            change_path(axis_value) if isinstance(axis_value, str) else axis_value
-            for axis_value in axis.values
-        )
-        return Axis(axis.key, tuple(axis_values)) if axis.key in PATH_KEYS else axis
+    def change_paths(value: Any) -> Any:
+        if isinstance(value, tuple):
+            return tuple(map(change_paths, value))
+        if isinstance(value, MeshFile):
+            return MeshFile(change_path(value.key), value.values)
+        if isinstance(value, Axis):
+            return Axis(value.key, change_paths(value.values)) if value.key in PATH_KEYS else value
+        return change_path(value) if isinstance(value, str) else value
 
-    for table_name, axes_key in AXES_TABLE_KEY_PAIRS:
-        if (table := getattr(scene, table_name)) is not None:
-            changes[f"{table_name}.{axes_key}"] = tuple(
-                map(change_axis_paths, getattr(table, axes_key))
-            )
-    if scene.identify is not None and scene.identify.meshes:
-        changed_mesh_files = (
-            dataclasses.replace(mesh_file, key=change_path(mesh_file.key))
-            for mesh_file in scene.identify.meshes
-        )
-        changes["identify.meshes"] = tuple(changed_mesh_files)
-    return scene.replace(changes)
+    return scene.replace(
+        {key: change_paths(value) for key, value in _find_values_with_paths(scene).items()}
+    )
 
 
 def _describe_scene(scene: Scene) -> str:

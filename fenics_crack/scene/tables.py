@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass
@@ -39,10 +40,16 @@ from fenics_crack.scene.fields import (
     vector_value_field,
 )
 
-FORCE_KEYS = ("force_mean", "force_cos", "force_sin")
-"""Keys for the parts of the excitation's force."""
 LOAD_KINDS = ("force", "pressure", "traction")
 """Kinds of [[loads]]: a force acts at a point, pressure and traction on an edge."""
+KEYS_BY_LOAD_KIND = {
+    load_kind: (f"{load_kind}_mean", f"{load_kind}_cos", f"{load_kind}_sin")
+    for load_kind in LOAD_KINDS
+}
+"""Keys for mean, cosine and sine by kind of load."""
+FORCE_KEYS = KEYS_BY_LOAD_KIND["force"]
+EDGE_LOAD_KEYS = KEYS_BY_LOAD_KIND["pressure"] + KEYS_BY_LOAD_KIND["traction"]
+"""Keys for loads on an edge."""
 MAX_ALLOWED_FACE_POINTS = 200
 """Maximum number of points in ``[geometry.faces]``."""
 
@@ -88,9 +95,10 @@ class Geometry(Table):
         super().__post_init__()
         if self.file is None:
             return
-        has_clamp = any(face.key == "clamp" and face.values for face in self.faces)
         self.require(
-            has_clamp, "faces", "a table with points on the clamped faces, clamp = [[x, y, z]]"
+            any(face.key == "clamp" and face.values for face in self.faces),
+            "faces",
+            "a table with points on the clamped faces, clamp = [[x, y, z]]",
         )
         if self.file.lower().endswith(".brep"):
             self.given("unit", "given: 'mm', 'm' or 'inch', as a .brep file does not state it")
@@ -285,11 +293,12 @@ class Damping(Table):
             for key in key_group
             if getattr(self, key) is not None
         ]
-        requirement_text = (
+        self.require(
+            bool(given_groups_and_keys),
+            "ratio",
             "given; or damping.mass or damping.stiffness; or damping.ratios with damping.omegas or "
-            "damping.frequencies"
+            "damping.frequencies",
         )
-        self.require(bool(given_groups_and_keys), "ratio", requirement_text)
         (chosen_key_group, key), *_ = given_groups_and_keys
         for key_group in key_groups:
             if key_group is not chosen_key_group:
@@ -299,9 +308,10 @@ class Damping(Table):
                 self.modes == "all", "modes", f"left out with damping.{key}, which damps all modes"
             )
         elif isinstance(self.ratio, tuple):
-            has_right_length = self.modes in ("all", len(self.ratio))
             self.require(
-                has_right_length, "ratio", f"a list with damping.modes = {self.modes} ratios"
+                self.modes in ("all", len(self.ratio)),
+                "ratio",
+                f"a list with damping.modes = {self.modes} ratios",
             )
         if "ratios" in chosen_key_group:
             ratios = self.given("ratios", f"given: [xi_1, xi_2] at damping.omegas = {self.omegas}")
@@ -419,8 +429,8 @@ class Excitation(Table, PeriodicLoad):
 
         Keys are tried in the order force_sin, force_cos, force_mean, harmonics, wave.
         """
-        force_key = next((key for key in FORCE_KEYS[::-1] if any(getattr(self, key))), "")
-        return force_key or next((key for key in ("harmonics", "wave") if getattr(self, key)), "")
+        force_keys = (*FORCE_KEYS[::-1], "harmonics", "wave")
+        return next((key for key in force_keys if any(getattr(self, key) or ())), "")
 
 
 def add_harmonics(harmonic_vectors: list[Vector], harmonics: tuple[Harmonic, ...]) -> None:
@@ -450,6 +460,11 @@ class Load(Table, PeriodicLoad):
     """
 
     FIRST_TABLE_NAME = "loads.1"
+    _RULES = (
+        Rule("point", ("edge",), ": a load acts on an edge or at a point"),
+        Rule("point", EDGE_LOAD_KEYS, ": pressures and tractions need edge"),
+        Rule("edge", FORCE_KEYS, ": a force needs point"),
+    )
 
     point: Vector | None = vector_value_field("", unit="m")
     edge: str | None = value_field(
@@ -474,40 +489,21 @@ class Load(Table, PeriodicLoad):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        force_keys, pressure_keys, traction_keys = (
-            self._component_keys(load_kind) for load_kind in LOAD_KINDS
-        )
-        allowed_keys, forbidden_keys = force_keys, pressure_keys + traction_keys
-        if self.point is not None:
-            self.forbid_keys(("edge",), "point: a load acts on an edge or at a point")
-        else:
+        if self.point is None:
             self.given("edge", "given: 'top', 'left', 'right' or a curve of the mesh; or point")
-            allowed_keys, forbidden_keys = forbidden_keys, allowed_keys
-        self.forbid_keys(
-            forbidden_keys,
-            "edge: a force needs point"
-            if self.point is None
-            else "point: pressures and tractions need edge",
-        )
-        has_load = any(getattr(self, key) is not None for key in allowed_keys) or bool(
-            self.harmonics
-        )
-        has_valid_harmonic_vectors = self.point is None or all(
-            len(harmonic.cos) > 1 for harmonic in self.harmonics
-        )
         self.require(
-            has_valid_harmonic_vectors,
+            self.point is None or all(len(harmonic.cos) > 1 for harmonic in self.harmonics),
             "harmonics",
             "a list with forces at a point, as cos = [fx, fy]",
         )
-        self.require(has_load, allowed_keys[-1], f"given, or one of {', '.join(allowed_keys[:-1])}")
+        allowed_keys = EDGE_LOAD_KEYS if self.point is None else FORCE_KEYS
+        self.require(
+            any(getattr(self, key) not in (None, ()) for key in ("harmonics", *allowed_keys)),
+            allowed_keys[-1],
+            f"given, or one of {', '.join(allowed_keys[:-1])}",
+        )
         if all(getattr(self, key) is None for key in allowed_keys if not key.endswith("_mean")):
             self.forbid_keys(("phase",), "a mean load alone, which has no phase")
-
-    @staticmethod
-    def _component_keys(load_kind: str) -> tuple[str, ...]:
-        """Return the keys for mean, cosine and sine of a kind of load."""
-        return tuple(f"{load_kind}_{part_name}" for part_name in ("mean", "cos", "sin"))
 
     def harmonic_components(self, load_kind: str) -> list[Vector]:
         """Return the Fourier vectors of one kind of load, with the lag ``phase``.
@@ -523,28 +519,20 @@ class Load(Table, PeriodicLoad):
             Mean, then cosine and sine for each order from 1: vectors [N] or [Pa], or tuples with
             one number for a pressure. Missing vectors are empty tuples.
         """
-        component_values = [
-            getattr(self, component_key) for component_key in self._component_keys(load_kind)
-        ]
-        harmonic_vectors = [
-            component_value
-            if isinstance(component_value, tuple)
-            else ()
-            if component_value is None
-            else (component_value,)
-            for component_value in component_values
-        ]
-        mean_vector, cosine_vector, sine_vector = harmonic_vectors
-        phase = math.radians(self.phase)
-        cos_phase, sin_phase = math.cos(phase), math.sin(phase)
-        cosine_sine_pairs = list(zip_longest(cosine_vector, sine_vector, fillvalue=0.0))
-        first_order_vectors = [
-            tuple(cos_phase * cosine - sin_phase * sine for cosine, sine in cosine_sine_pairs),
-            tuple(sin_phase * cosine + cos_phase * sine for cosine, sine in cosine_sine_pairs),
+        values = (getattr(self, key) for key in KEYS_BY_LOAD_KIND[load_kind])
+        mean_vector, cosine_vector, sine_vector = (
+            value if isinstance(value, tuple) else () if value is None else (value,)
+            for value in values
+        )
+        phase_factor = cmath.rect(1.0, math.radians(self.phase))
+        lagged_components = [
+            phase_factor * complex(cosine, sine)
+            for cosine, sine in zip_longest(cosine_vector, sine_vector, fillvalue=0.0)
         ]
         harmonic_vectors = [
             mean_vector,
-            *first_order_vectors,
+            tuple(component.real for component in lagged_components),
+            tuple(component.imag for component in lagged_components),
             *((),) * (2 * self.highest_order - 2),
         ]
         is_pressure = load_kind == "pressure"
@@ -572,12 +560,9 @@ class Base(Table, PeriodicLoad):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        accelerations = (self.acceleration_cos, self.acceleration_sin)
-        has_acceleration = bool(self.harmonics) or any(
-            any(acceleration) for acceleration in accelerations if acceleration
-        )
+        accelerations = (self.acceleration_cos or (), self.acceleration_sin or ())
         self.require(
-            has_acceleration,
+            bool(self.harmonics) or any(map(any, accelerations)),
             "acceleration_sin",
             "given and not zero, or base.acceleration_cos or base.harmonics given",
         )
@@ -645,16 +630,6 @@ class Rotation(Table):
         super().__post_init__()
         self.given("speed", "given: a finite number >= 0 [rad/s], or rotation.rpm")
         self.require(self.axis is None or any(self.axis), "axis", "a vector that is not zero")
-
-    def locate_axis(self, box_center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return a point on the rotor axis [m] and the axis's unit vector: (3,) each.
-
-        The point is ``center``; with ``hub_radius`` it has y = -hub_radius, and x and z of
-        ``box_center`` (3,) [m]. For shapes other than a box, ``box_center`` is zero.
-        """
-        direction = np.array(self.axis or (1.0, 0.0, 0.0))
-        axis_point = box_center[0], -(self.hub_radius or 0.0), box_center[2]
-        return np.array(self.center or axis_point), direction / np.linalg.norm(direction)
 
 
 @dataclass(frozen=True)
@@ -852,14 +827,12 @@ class HarmonicBalance(Table):
             "true, or left out, with harmonic_balance.tolerance",
         )
         min_samples = 4 * self.harmonics + 1
-        has_allowed_samples = (
-            self.samples is None or min_samples <= self.samples <= MAX_SAMPLES_PER_PERIOD
-        )
-        requirement_text = (
+        self.require(
+            self.samples is None or min_samples <= self.samples <= MAX_SAMPLES_PER_PERIOD,
+            "samples",
             f"a whole number from {min_samples} (4 times harmonics + 1) to "
-            f"{MAX_SAMPLES_PER_PERIOD}, or left out"
+            f"{MAX_SAMPLES_PER_PERIOD}, or left out",
         )
-        self.require(has_allowed_samples, "samples", requirement_text)
 
     def with_load_harmonics(self, highest_order: int) -> HarmonicBalance:
         """Return the table with at least ``highest_order`` harmonics.
@@ -867,10 +840,11 @@ class HarmonicBalance(Table):
         ``highest_order`` is the highest harmonic of any load. Raises InputError if a given number
         of harmonics is smaller; only the default number is increased.
         """
-        requirement_text = f"a whole number >= {highest_order}, the highest order of the load"
         has_enough_harmonics = self.harmonics >= highest_order
         self.require(
-            has_enough_harmonics or "harmonics" in self.derived_keys, "harmonics", requirement_text
+            has_enough_harmonics or "harmonics" in self.derived_keys,
+            "harmonics",
+            f"a whole number >= {highest_order}, the highest order of the load",
         )
         return self if has_enough_harmonics else self.with_unchecked_values(harmonics=highest_order)
 
@@ -1011,9 +985,8 @@ class Structure(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        has_load = any((self.force_sin, self.force_cos, self.force_mean, self.model))
         self.require(
-            has_load,
+            any((self.force_sin, self.force_cos, self.force_mean, self.model)),
             "force_sin",
             "given, or structure.force_cos, structure.force_mean or structure.model",
         )
