@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from copy import copy
 from dataclasses import MISSING, Field, dataclass, field, fields
-from functools import partial
+from functools import cache, partial
 from numbers import Integral, Real
 from typing import Any, ClassVar, NamedTuple, Self
 
@@ -577,18 +577,30 @@ class Rule(NamedTuple):
     choices: tuple[Any, ...] = ()
 
 
+@cache
+def _split_condition(condition: str) -> tuple[str, str, str]:
+    """Split a condition into the names of table and key, and the text of the value."""
+    name, _, value_text = condition.removeprefix("without ").partition(" = ")
+    table_name, _, key = name.strip("[]").partition(".")
+    return table_name, key, value_text
+
+
 def condition_holds(condition: str, table_by_name: Mapping[str, Any]) -> bool:
     """Return True if a condition in a :class:`Rule` holds for the given tables.
 
     Missing tables, and the values None, 0 and False, count as not given.
     """
-    name, _, value_text = condition.removeprefix("without ").partition(" = ")
-    table_name, _, key = name.strip("[]").partition(".")
+    table_name, key, value_text = _split_condition(condition)
     value = table_by_name.get(table_name)
     if key:
         value = getattr(value, key, None)
     is_fulfilled = repr(value) == value_text if value_text else bool(value)
     return is_fulfilled != condition.startswith("without ")
+
+
+def add_preposition(circumstance: str) -> str:
+    """Return a circumstance after "with", unless the circumstance begins with "without"."""
+    return circumstance if circumstance.startswith("without ") else f"with {circumstance}"
 
 
 class Table:
@@ -652,14 +664,16 @@ class Table:
         for rule in rules:
             if not condition_holds(rule.condition, table_by_name):
                 continue
+            circumstance = rule.condition + rule.reason
             if not rule.choices:
-                self.forbid_keys(rule.keys, rule.condition + rule.reason)
-            for key in rule.keys if rule.choices else ():
-                values_text = " or ".join(map(repr, rule.choices))
+                self.forbid_keys(rule.keys, circumstance)
+                continue
+            choices_text = " or ".join(map(repr, rule.choices))
+            for key in rule.keys:
                 self.require(
                     getattr(self, key) in (None, *rule.choices),
                     key,
-                    f"{values_text} with {rule.condition}{rule.reason}",
+                    f"{choices_text} {add_preposition(circumstance)}",
                 )
 
     @classmethod
@@ -701,6 +715,7 @@ class Table:
         return f"; {did_you_mean_text(suggestion_texts)}".rstrip("; ")
 
     @classmethod
+    @cache
     def field_by_key(cls) -> dict[str, Field[Any]]:
         """Return the dataclass field of each key."""
         return {key_field.name: key_field for key_field in fields(cls)}  # type: ignore[arg-type]
@@ -832,10 +847,9 @@ class Table:
         The error says "left out with" and the circumstance; a circumstance may also begin with
         "without".
         """
-        preposition = "" if circumstance.startswith("without ") else "with "
         for key in keys:
             is_absent = getattr(self, key) in (None, self.field_by_key()[key].default)
-            self.require(is_absent, key, f"left out {preposition}{circumstance}")
+            self.require(is_absent, key, f"left out {add_preposition(circumstance)}")
 
     @classmethod
     def suggest_keys(cls, key: str) -> list[str]:

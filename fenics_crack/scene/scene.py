@@ -34,7 +34,7 @@ from fenics_crack.basics.tables import (
 )
 from fenics_crack.basics.untrusted_files import read_utf8_text
 from fenics_crack.scene.cross_checks import check_tables
-from fenics_crack.scene.fields import Axis, MeshFile, condition_holds
+from fenics_crack.scene.fields import Axis, MeshFile, add_preposition, condition_holds
 from fenics_crack.scene.keys import (
     AXES_TABLE_KEY_PAIRS,
     KEYS_WITH_PATHS,
@@ -330,7 +330,7 @@ def _find_excluding_condition(scene: Scene, reason_by_condition: Mapping[str, st
     """Return the first condition that holds, with the reason; empty without such a condition."""
     for condition, reason in reason_by_condition.items():
         if condition_holds(condition, vars(scene)):
-            return f"with {condition}: {reason}"
+            return f"{add_preposition(condition)}: {reason}"
     return ""
 
 
@@ -458,9 +458,8 @@ def with_file_paths(scene: Scene, change_path: Callable[[str], str]) -> Scene:
             return Axis(value.key, change_paths(value.values)) if value.key in PATH_KEYS else value
         return change_path(value) if isinstance(value, str) else value
 
-    return scene.replace(
-        {key: change_paths(value) for key, value in _find_values_with_paths(scene).items()}
-    )
+    changes = {key: change_paths(value) for key, value in _find_values_with_paths(scene).items()}
+    return scene.replace(changes) if changes else scene
 
 
 def _describe_scene(scene: Scene) -> str:
