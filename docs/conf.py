@@ -21,7 +21,7 @@ from sphinx.writers.html5 import HTML5Translator
 
 from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
 from fenics_crack.cli import given
-from fenics_crack.scene import tables
+from fenics_crack.scene import result_tables, tables
 from fenics_crack.version import VERSION
 
 # All pages are kept: a third of the time is a search for cycles in them. 0.9 GB, 0.4 with it.
@@ -108,8 +108,9 @@ def say_what_is_allowed(
     app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]
 ) -> None:
     """Add the allowed values and the unit below each key of a scene, in the words of its error."""
-    kind, _, key = name.removeprefix("fenics_crack.scene.tables.").partition(".")
-    if field := getattr(getattr(tables, kind, None), "__dataclass_fields__", {}).get(key):
+    kind, _, key = re.sub(r"fenics_crack\.scene\.(result_)?tables\.", "", name).partition(".")
+    table = getattr(tables, kind, None) or getattr(result_tables, kind, None)
+    if field := getattr(table, "__dataclass_fields__", {}).get(key):
         lines += ["", f"Allowed: {field.metadata['allowed']}.", ""]
 
 

@@ -71,7 +71,7 @@ def __getattr__(name: str) -> Any:
 
 def _suggest_scene_keys(name: str) -> list[str]:
     """Suggest scene keys for a misspelt name."""
-    from fenics_crack.scene.scene import suggest_full_keys
+    from fenics_crack.scene.keys import suggest_full_keys
 
     return suggest_full_keys(name)
 

@@ -654,7 +654,7 @@ class CompletionAction(argparse.Action):
 
         ``call_arguments`` are the namespace, the name of the shell and the option.
         """
-        from fenics_crack.scene.scene import known_keys
+        from fenics_crack.scene.keys import known_keys
 
         try:
             import shtab

@@ -40,7 +40,8 @@ from fenics_crack.runs.conclusion import describe_stated_error, frequency_in_wor
 from fenics_crack.runs.run import Run
 from fenics_crack.runs.stress_intensity import stress_intensity
 from fenics_crack.scene.fields import Axis
-from fenics_crack.scene.scene import Scene, unit_of_key
+from fenics_crack.scene.keys import unit_of_key
+from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import UNITS_WITHOUT_PREFIX, key_in_words, value_in_words
 from fenics_crack.study.campbell import MAX_REPORTED_ORDER, Campbell
 from fenics_crack.study.prepare import prepare

@@ -34,7 +34,8 @@ from fenics_crack.draw.figure import Picture, distinct_colours
 from fenics_crack.files.store import StoredFile, library_versions_text, read_result_file
 from fenics_crack.runs.conclusion import frequency_in_words
 from fenics_crack.runs.run import Run
-from fenics_crack.scene.scene import Scene, unit_of_key
+from fenics_crack.scene.keys import unit_of_key
+from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import (
     describe_differences,
     file_value_by_key,

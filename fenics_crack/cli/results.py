@@ -23,8 +23,8 @@ from fenics_crack.model.modes import FREQUENCY_KIND_NAMES, Modes, bilinear_frequ
 from fenics_crack.runs.conclusion import explain_unknown_solution_error
 from fenics_crack.runs.run import Run
 from fenics_crack.runs.stress_intensity import stress_intensity
+from fenics_crack.scene.result_tables import Integration
 from fenics_crack.scene.scene import list_requested_extra_quantities
-from fenics_crack.scene.tables import Integration
 from fenics_crack.study.key_figures import highest_harmonic_omega
 from fenics_crack.study.observer import observe_quantities
 from fenics_crack.time.march import TimeHistory

@@ -27,8 +27,9 @@ from fenics_crack.errors.stated import estimate_frequency_mesh_errors
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.structure import Structure
-from fenics_crack.scene.scene import Scene, list_requested_extra_quantities, missing_table_error
-from fenics_crack.scene.tables import Curve
+from fenics_crack.scene.keys import missing_table_error
+from fenics_crack.scene.result_tables import Curve
+from fenics_crack.scene.scene import Scene, list_requested_extra_quantities
 from fenics_crack.scene.words import word_for_crack_faces
 from fenics_crack.study.key_figures import (
     KeyFigures,

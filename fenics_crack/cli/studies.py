@@ -18,7 +18,7 @@ from fenics_crack.basics.tables import (
 )
 from fenics_crack.cli.account import MODE_DEPENDENCE_TEXT, yield_large_error_warning
 from fenics_crack.errors.verification import Verification
-from fenics_crack.scene.scene import unit_of_key
+from fenics_crack.scene.keys import unit_of_key
 from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.sweep.plan import LOAD_FREQUENCY_KEYS
 from fenics_crack.sweep.result import (

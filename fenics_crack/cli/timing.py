@@ -35,8 +35,8 @@ from fenics_crack.draw.plot_rotor import draw_arrivals
 from fenics_crack.monitoring import scene_timing
 from fenics_crack.monitoring.timing import Timing
 from fenics_crack.runs.run import Run
+from fenics_crack.scene.result_tables import TipTiming
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import TipTiming
 
 RECORD_TIMING_KEYS = (
     "tip_radius", "probes", "orders", "stiffening", "frequencies", "fitted_harmonics",

@@ -29,7 +29,7 @@ from fenics_crack.draw.figure import (
 )
 from fenics_crack.errors.convergence import ASYMPTOTIC_SAFETY_FACTOR
 from fenics_crack.errors.verification import Verification
-from fenics_crack.scene.scene import unit_of_key
+from fenics_crack.scene.keys import unit_of_key
 from fenics_crack.scene.words import key_in_words
 
 if TYPE_CHECKING:  # which load SciPy's interpolation, and DOLFINx

@@ -24,7 +24,7 @@ from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.basics.observables import Place, observable_names
 from fenics_crack.basics.tables import format_count
 from fenics_crack.fatigue.lengths import SWEEP_COLUMN_NAMES, GrowthEnd, find_nearest_mode_number
-from fenics_crack.scene.tables import Growth as Law
+from fenics_crack.scene.result_tables import Growth as Law
 from fenics_crack.sweep.result import SweepResult
 
 N_ELLIPSE_SIZES_PER_AXIS = 5

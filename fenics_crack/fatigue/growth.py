@@ -63,8 +63,8 @@ from fenics_crack.fem.solid import find_reaches_from_crack_middle
 from fenics_crack.files.store import SavedResult
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 from fenics_crack.runs.solve import solve
+from fenics_crack.scene.result_tables import Growth as Law
 from fenics_crack.scene.scene import Scene, reason_without_stress_intensity, refuse_for_reason
-from fenics_crack.scene.tables import Growth as Law
 from fenics_crack.study.plausibility import remarks_on_scene
 from fenics_crack.sweep.result import SCENES_WITHOUT_PEAK_TEXT, SweepResult, can_seek_resonance
 

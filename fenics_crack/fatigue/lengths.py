@@ -20,8 +20,8 @@ from fenics_crack.basics.observables import ObservableFlag, Place, observable_na
 from fenics_crack.basics.ranks import StopRequest
 from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
+from fenics_crack.scene.result_tables import Growth as Law
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import Growth as Law
 from fenics_crack.sweep.file import KEPT_MODE_NUMBERS
 from fenics_crack.sweep.result import SweepResult, run_sweep
 

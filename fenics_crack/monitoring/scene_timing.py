@@ -31,8 +31,10 @@ from fenics_crack.numerics.equations import ROUNDING
 from fenics_crack.runs.load import load_run
 from fenics_crack.runs.run import Run
 from fenics_crack.runs.solve import solve
-from fenics_crack.scene.scene import RESULT_TABLE_NAMES, Scene
-from fenics_crack.scene.tables import Rotation, TipTiming
+from fenics_crack.scene.keys import RESULT_TABLE_NAMES
+from fenics_crack.scene.result_tables import TipTiming
+from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import Rotation
 from fenics_crack.scene.words import describe_differences
 from fenics_crack.study.campbell import Campbell, campbell
 from fenics_crack.study.plausibility import MAX_PLAUSIBLE_TIP_SPEED, TIP_SPEED_TEXT_TEMPLATE

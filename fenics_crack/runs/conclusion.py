@@ -29,8 +29,8 @@ from fenics_crack.errors.stated import describe_unknown_error_part
 from fenics_crack.errors.verification import Verification
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes
+from fenics_crack.scene.result_tables import Integration
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import Integration
 from fenics_crack.scene.words import word_for_crack_faces
 from fenics_crack.study.key_figures import find_key_figures
 from fenics_crack.study.plausibility import Remark, remarks_on_scene

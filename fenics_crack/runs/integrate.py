@@ -25,8 +25,8 @@ from fenics_crack.runs.load import (
     study_under_mean_load,
 )
 from fenics_crack.runs.run import Run
+from fenics_crack.scene.result_tables import Integration
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import Integration
 from fenics_crack.study.observer import make_requested_rows_and_readers
 from fenics_crack.study.prepare import Study, prepare
 from fenics_crack.study.solve import required_contact_law, with_friction_lines

@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from copy import copy
 from dataclasses import MISSING, Field, dataclass, field, fields
-from functools import partial
+from functools import cache, partial
 from numbers import Integral, Real
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -80,6 +80,11 @@ class MeshFile(Axis):
 
     ``key`` is the path, ``values`` are names and numbers: ``(("crack.length", 0.005),)``.
     """
+
+    @property
+    def number_by_name(self) -> dict[str, float]:
+        """Values of the unknowns by name."""
+        return dict(self.values)
 
     def as_toml(self) -> str:
         """Return the mesh file as a line of TOML: "a.msh" = { "crack.length" = 0.005 }."""
@@ -161,11 +166,6 @@ def _read_vector(value: object, lengths: tuple[int, ...] = (2, 3)) -> Vector:
     if len(_require_instance(list | tuple, value)) not in lengths:
         raise TypeError
     return _read_floats(value)
-
-
-def _read_space_vector(value: object) -> Vector:
-    """Return a list of three numbers as a vector; raise TypeError for another length."""
-    return _read_vector(value, (3,))
 
 
 def _read_number_or_numbers(value: object) -> float | tuple[float, ...]:
@@ -337,7 +337,9 @@ _READ_FUNCTION_BY_TYPE_NAME: dict[str, Callable[[object], Any]] = {
     "tuple[Axis, ...]": _make_axes_read_function(Axis, _read_axis_values),
     "tuple[FacePoints, ...]": _make_axes_read_function(
         FacePoints,
-        lambda _, given: tuple(map(_read_space_vector, _require_instance(list | tuple, given))),
+        lambda _, given: tuple(
+            _read_vector(point, (3,)) for point in _require_instance(list | tuple, given)
+        ),
     ),
     "tuple[MeshFile, ...]": _make_axes_read_function(MeshFile, _read_mesh_parameter_pairs),
     "tuple[NamedPoint, ...]": _make_axes_read_function(
@@ -353,16 +355,17 @@ _READ_FUNCTION_BY_TYPE_NAME: dict[str, Callable[[object], Any]] = {
 """Functions that check and convert a raw value, by the field's type without "| None"."""
 
 
-_MAPPING_TYPE_NAMES = (
-    "tuple[Axis, ...]",
-    "tuple[FacePoints, ...]",
-    "tuple[MeshFile, ...]",
-    "tuple[NamedPoint, ...]",
-)
-_JSON_TYPE_BY_TYPE_NAME = {"bool": "boolean", "float": "number", "int": "integer", "str": "string"}
-"""JSON types by Python types of single values."""
-_JSON_TYPE_BY_TYPE_NAME |= dict.fromkeys(_MAPPING_TYPE_NAMES, "object")
-"""JSON types by Python types; tables of names are objects, all other types arrays."""
+_JSON_TYPE_BY_TYPE_NAME = {
+    "bool": "boolean",
+    "float": "number",
+    "int": "integer",
+    "str": "string",
+    "tuple[Axis, ...]": "object",
+    "tuple[FacePoints, ...]": "object",
+    "tuple[MeshFile, ...]": "object",
+    "tuple[NamedPoint, ...]": "object",
+}
+"""JSON types by Python types; all other types are arrays."""
 
 
 def _find_read_function(key_field: Field[Any]) -> Callable[[object], Any]:
@@ -425,9 +428,11 @@ def bounded_field(lower_text: str, upper_text: str, default: Any, unit: str = ""
     The bounds are texts, which errors show as written: "1e-6".
     """
     lower_bound, upper_bound = float(lower_text), float(upper_text)
-    requirement_text = f"a number from {lower_text} to {upper_text}"
     return value_field(
-        requirement_text, lambda value: lower_bound <= value <= upper_bound, default, unit
+        f"a number from {lower_text} to {upper_text}",
+        lambda value: lower_bound <= value <= upper_bound,
+        default,
+        unit,
     )
 
 
@@ -459,17 +464,20 @@ def _format_component_names(component_letter: str, dimension: int) -> str:
 
 def harmonics_field() -> Any:
     """Return a field for a load's list of harmonics; the default is empty."""
-    requirement_text = (
+    return value_field(
         f"a list of tables: each has a different order from 1 to {MAX_HARMONIC_ORDER}, and cos or"
-        " sin or both, or amplitude and, optionally, phase (the lag in degrees)"
+        " sin or both, or amplitude and, optionally, phase (the lag in degrees)",
+        default=(),
     )
-    return value_field(requirement_text, default=())
 
 
 def harmonic_order_field(default: int) -> Any:
     """Return a field for a whole number from 1 to MAX_HARMONIC_ORDER."""
-    requirement_text = f"a whole number from 1 to {MAX_HARMONIC_ORDER}"
-    return value_field(requirement_text, lambda value: 1 <= value <= MAX_HARMONIC_ORDER, default)
+    return value_field(
+        f"a whole number from 1 to {MAX_HARMONIC_ORDER}",
+        lambda value: 1 <= value <= MAX_HARMONIC_ORDER,
+        default,
+    )
 
 
 def positive_int_field(default: Any = MISSING) -> Any:
@@ -547,6 +555,54 @@ def use_table_name_in_errors(table_name: str) -> Iterator[None]:
         ) from None
 
 
+class Rule(NamedTuple):
+    """Keys that a condition excludes or restricts.
+
+    Attributes
+    ----------
+    condition : str
+        Condition as errors print it: a given key, "geometry.file", or "point" in the same table; a
+        given table, "[disk]"; a value, "mesh.layout = 'file'"; or the contrary, "without [disk]".
+    keys : tuple
+        Restricted keys in a table.
+    reason : str
+        Text after the condition in errors.
+    choices : tuple
+        Allowed values under the condition; empty: the keys are left out.
+    """
+
+    condition: str
+    keys: tuple[str, ...]
+    reason: str = ""
+    choices: tuple[Any, ...] = ()
+
+
+@cache
+def _split_condition(condition: str) -> tuple[str, str, str]:
+    """Split a condition into the names of table and key, and the text of the value."""
+    name, _, value_text = condition.removeprefix("without ").partition(" = ")
+    table_name, _, key = name.strip("[]").partition(".")
+    return table_name, key, value_text
+
+
+def condition_holds(condition: str, table_by_name: Mapping[str, Any]) -> bool:
+    """Return True if a condition in a :class:`Rule` holds for the given tables.
+
+    Missing tables, and the values None, 0 and False, count as not given.
+    """
+    table_name, key, value_text = _split_condition(condition)
+    value = table_by_name.get(table_name)
+    if key:
+        value = getattr(value, key, None)
+    is_fulfilled = repr(value) == value_text if value_text else bool(value)
+    return is_fulfilled != condition.startswith("without ")
+
+
+def add_preposition(circumstance: str) -> str:
+    """Return a circumstance after "with", unless the circumstance begins with "without"."""
+    return circumstance if circumstance.startswith("without ") else f"with {circumstance}"
+
+
 class Table:
     """Base class for a scene's tables, with checks of all values.
 
@@ -558,6 +614,8 @@ class Table:
     """Name of the first table, "loads.1", if all tables of the class stand in a list."""
     SHORTHAND_KEY: ClassVar[str | None] = None
     """Key whose value may replace the whole table: ``reduction = "off"``; None if not allowed."""
+    _RULES: ClassVar[tuple[Rule, ...]] = ()
+    """Rules for keys, with conditions on other keys in the table."""
     _ADVICE_TEXT_BY_MISTAKE: ClassVar[Mapping[str, str]] = {}
     """Advice for errors, by an unknown key, "name", or by a wrong value, "edge = top"."""
 
@@ -593,12 +651,30 @@ class Table:
                 si_value = scale_numbers(
                     twin_value, self.field_by_key()[twin_key].metadata["factor"]
                 )
-                requirement_text = (
-                    f"left out with {self.full_key(si_key)} = {getattr(self, si_key)}: "
-                    "give one of the two"
-                )
-                self.require(getattr(self, si_key) in (None, si_value), twin_key, requirement_text)
+                if getattr(self, si_key) != si_value:
+                    self.forbid_both_twins(vars(self))
                 object.__setattr__(self, si_key, si_value)
+        self.check_rules(self._RULES, {self.full_key(): self, **vars(self)})
+
+    def check_rules(self, rules: Iterable[Rule], table_by_name: Mapping[str, Any]) -> None:
+        """Raise InputError if keys break a rule.
+
+        ``table_by_name`` has the tables in the rules' conditions.
+        """
+        for rule in rules:
+            if not condition_holds(rule.condition, table_by_name):
+                continue
+            circumstance = rule.condition + rule.reason
+            if not rule.choices:
+                self.forbid_keys(rule.keys, circumstance)
+                continue
+            choices_text = " or ".join(map(repr, rule.choices))
+            for key in rule.keys:
+                self.require(
+                    getattr(self, key) in (None, *rule.choices),
+                    key,
+                    f"{choices_text} {add_preposition(circumstance)}",
+                )
 
     @classmethod
     def convert_value(cls, key: str, value: object) -> Any:
@@ -612,10 +688,10 @@ class Table:
         except (TypeError, OverflowError):
             is_accepted = False
         if not is_accepted:
-            requirement_text = key_field.metadata["allowed"] + cls._make_value_suggestion_text(
-                key, value
+            suggestion_text = cls._make_value_suggestion_text(key, value)
+            raise InputError(
+                cls.full_key(key), value, key_field.metadata["allowed"] + suggestion_text
             )
-            raise InputError(cls.full_key(key), value, requirement_text)
         return field_value
 
     @classmethod
@@ -639,6 +715,7 @@ class Table:
         return f"; {did_you_mean_text(suggestion_texts)}".rstrip("; ")
 
     @classmethod
+    @cache
     def field_by_key(cls) -> dict[str, Field[Any]]:
         """Return the dataclass field of each key."""
         return {key_field.name: key_field for key_field in fields(cls)}  # type: ignore[arg-type]
@@ -663,8 +740,8 @@ class Table:
             "type": "object",
             "properties": schema_by_key,
             "required": cls.required_keys(),
+            "additionalProperties": False,
         }
-        table_schema["additionalProperties"] = False
         return (
             table_schema
             if cls.SHORTHAND_KEY is None
@@ -681,10 +758,17 @@ class Table:
     @classmethod
     def si_key_by_twin(cls) -> dict[str, str]:
         """Return the SI key of each twin key: "omega" for "frequency", "speed" for "rpm"."""
-        metadata_by_key = {key: key_field.metadata for key, key_field in cls.field_by_key().items()}
         return {
-            key: metadata["twin"] for key, metadata in metadata_by_key.items() if "twin" in metadata
+            key: key_field.metadata["twin"]
+            for key, key_field in cls.field_by_key().items()
+            if "twin" in key_field.metadata
         }
+
+    @classmethod
+    def twin_key_by_key(cls) -> dict[str, str]:
+        """Return the other key of each pair of twins, in both directions."""
+        si_key_by_twin = cls.si_key_by_twin()
+        return si_key_by_twin | {si_key: twin_key for twin_key, si_key in si_key_by_twin.items()}
 
     @property
     def derived_keys(self) -> set[str]:
@@ -752,11 +836,10 @@ class Table:
 
         ``requirement_text`` replaces the error's text about allowed values.
         """
-        requirement_text = (
-            requirement_text or f"given: {self.field_by_key()[key].metadata['allowed']}"
-        )
-        self.require(getattr(self, key) is not None, key, requirement_text)
-        return getattr(self, key)
+        value = getattr(self, key)
+        allowed_text = self.field_by_key()[key].metadata["allowed"]
+        self.require(value is not None, key, requirement_text or f"given: {allowed_text}")
+        return value
 
     def forbid_keys(self, keys: Iterable[str], circumstance: str) -> None:
         """Raise InputError if a key is neither None nor the default.
@@ -764,10 +847,9 @@ class Table:
         The error says "left out with" and the circumstance; a circumstance may also begin with
         "without".
         """
-        preposition = "" if circumstance.startswith("without ") else "with "
         for key in keys:
             is_absent = getattr(self, key) in (None, self.field_by_key()[key].default)
-            self.require(is_absent, key, f"left out {preposition}{circumstance}")
+            self.require(is_absent, key, f"left out {add_preposition(circumstance)}")
 
     @classmethod
     def suggest_keys(cls, key: str) -> list[str]:
@@ -815,11 +897,7 @@ class Table:
         The twin is the same quantity in another unit. Raises InputError if both are changed.
         """
         cls.forbid_both_twins(changes)
-        twin_key_by_key = {
-            key: twin_key
-            for twin_pair in cls.si_key_by_twin().items()
-            for key, twin_key in (twin_pair, twin_pair[::-1])
-        }
+        twin_key_by_key = cls.twin_key_by_key()
         none_by_twin_key = {
             twin_key_by_key[key]: None
             for key in changes
@@ -832,11 +910,12 @@ class Table:
         """Raise InputError if both a key and its twin in another unit have a value."""
         for twin_key, si_key in cls.si_key_by_twin().items():
             if value_by_key.get(twin_key) is not None and value_by_key.get(si_key) is not None:
-                requirement_text = (
+                raise InputError(
+                    cls.full_key(twin_key),
+                    value_by_key[twin_key],
                     f"left out with {cls.full_key(si_key)} = {value_by_key[si_key]}: "
-                    "give one of the two"
+                    "give one of the two",
                 )
-                raise InputError(cls.full_key(twin_key), value_by_key[twin_key], requirement_text)
 
     @classmethod
     def from_mapping(cls, raw_table: object) -> Any:
@@ -845,17 +924,18 @@ class Table:
         Raises InputError for an unknown, missing or wrong key.
         """
         field_by_key = cls.field_by_key()
-        keys_text = ", ".join(field_by_key)
         if cls.SHORTHAND_KEY is not None and isinstance(raw_table, str):
             raw_table = {cls.SHORTHAND_KEY: raw_table}
         if not isinstance(raw_table, Mapping):
+            keys_text = ", ".join(field_by_key)
             raise InputError(cls.full_key(), raw_table, f"a table with the keys {keys_text}")
         for key, raw_value in raw_table.items():
             if key not in field_by_key:
                 raise InputError(cls.full_key(str(key)), raw_value, cls.unknown_key_text(str(key)))
-        for key, key_field in field_by_key.items():
-            if key_field.default is MISSING and key not in raw_table:
-                raise InputError(cls.full_key(key), None, f"given: {key_field.metadata['allowed']}")
+        for key in cls.required_keys():
+            if key not in raw_table:
+                allowed_text = field_by_key[key].metadata["allowed"]
+                raise InputError(cls.full_key(key), None, f"given: {allowed_text}")
         cls.forbid_both_twins(raw_table)
         return cls(**raw_table)
 

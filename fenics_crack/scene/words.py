@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fenics_crack.basics.tables import format_quantity
-from fenics_crack.scene.scene import RESULT_TABLE_NAMES, Scene, unit_of_key
+from fenics_crack.scene.keys import RESULT_TABLE_NAMES, unit_of_key
+from fenics_crack.scene.scene import Scene
 
 LABEL_BY_KEY = {
     "excitation.omega": "load frequency",

@@ -36,8 +36,8 @@ from fenics_crack.model.modes import (
 from fenics_crack.model.receptance import ResidualFlexibility
 from fenics_crack.model.structure import ModalDamping, RayleighDamping, Structure
 from fenics_crack.numerics.fourier import to_complex
+from fenics_crack.scene.result_tables import Curve
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import Curve
 from fenics_crack.study.prepare import Study, modal_reduction_or_none
 from fenics_crack.study.resonance import (
     FACTOR_AND_UNIT_BY_CURVE_PARAMETER,

@@ -28,13 +28,13 @@ from fenics_crack.model.nodes import Clamp
 from fenics_crack.model.receptance import check_has_matrices
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.motion.motions import ExtraRows, ObservedMotion, Record
+from fenics_crack.scene.result_tables import Growth
 from fenics_crack.scene.scene import (
     Scene,
     list_requested_extra_quantities,
     reason_without_stress_intensity,
     refuse_for_reason,
 )
-from fenics_crack.scene.tables import Growth
 from fenics_crack.study.prepare import Study
 
 if TYPE_CHECKING:

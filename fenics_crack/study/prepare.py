@@ -31,7 +31,8 @@ from fenics_crack.model.nodes import AXES
 from fenics_crack.model.reduction import DEFAULT_MODES_OF_LARGE_STRUCTURE, reduce_structure
 from fenics_crack.model.rotation import N_BASIS_SPEEDS
 from fenics_crack.model.structure import Structure
-from fenics_crack.scene.scene import RESULT_TABLE_NAMES, Scene
+from fenics_crack.scene.keys import RESULT_TABLE_NAMES
+from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Contact, Reduction
 from fenics_crack.study.sharing import LAST_STRUCTURES, SharedStructure, assemble_or_reuse_structure
 

@@ -26,7 +26,8 @@ from fenics_crack.model.modal import is_small
 from fenics_crack.model.receptance import make_empty_receptance_list, receptance
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import MAX_MODES_FOR_MONODROMY
-from fenics_crack.scene.scene import Scene, missing_table_error
+from fenics_crack.scene.keys import missing_table_error
+from fenics_crack.scene.scene import Scene
 from fenics_crack.study.observer import make_requested_rows_and_readers
 from fenics_crack.study.prepare import (
     MAX_UNREDUCED_DOFS,

@@ -43,7 +43,8 @@ from fenics_crack.basics.tables import UNIT_BY_NAME
 from fenics_crack.basics.untrusted_files import MAX_FILE_BYTES, regular_file_size
 from fenics_crack.files import store
 from fenics_crack.files.store import dataset_attribute_texts
-from fenics_crack.scene.scene import RESULT_TABLE_NAMES, Scene, list_requested_extra_quantities
+from fenics_crack.scene.keys import RESULT_TABLE_NAMES
+from fenics_crack.scene.scene import Scene, list_requested_extra_quantities
 from fenics_crack.scene.words import describe_differences
 from fenics_crack.version import VERSION
 

@@ -62,8 +62,9 @@ from fenics_crack.files.store import StoredFile, read_result_file_without_number
 from fenics_crack.model.structure import Structure
 from fenics_crack.runs.conclusion import list_linearity_sentences
 from fenics_crack.scene.fields import Axis
-from fenics_crack.scene.scene import Scene, unit_of_key
-from fenics_crack.scene.tables import Sweep
+from fenics_crack.scene.keys import unit_of_key
+from fenics_crack.scene.result_tables import Sweep
+from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import scene_contact_law
 from fenics_crack.sweep.case import SharedCaseOptions, iterate_geometries_with_more_modes
 from fenics_crack.sweep.file import (

@@ -49,7 +49,7 @@ from fenics_crack.basics.tables import (
     format_range,
 )
 from fenics_crack.fem import compat
-from fenics_crack.scene.tables import Sweep
+from fenics_crack.scene.result_tables import Sweep
 from fenics_crack.scene.words import describe_differences, value_in_words
 from fenics_crack.sweep.file import UNIT_AND_TYPE_BY_COLUMN
 

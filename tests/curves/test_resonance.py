@@ -11,7 +11,8 @@ from rotating import CRACKED, cracked
 
 import fenics_crack as fc
 from fenics_crack import Problem, follow_resonance, resonance_at
-from fenics_crack.curves.resonance import ResonanceSystem, first_phase_resonance
+from fenics_crack.curves.phase import ResonanceSystem
+from fenics_crack.curves.resonance import first_phase_resonance
 
 
 def mass(

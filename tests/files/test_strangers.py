@@ -27,7 +27,7 @@ from fenics_crack import SweepResult, run_sweep
 from fenics_crack.basics.caches import check_private_folder, replace_unusable_caches
 from fenics_crack.basics.untrusted_files import file_sha256, run_reader_for_arrays
 from fenics_crack.files.store import read_result_file, read_result_file_without_numbers
-from fenics_crack.scene.tables import Sweep
+from fenics_crack.scene.result_tables import Sweep
 
 SCRIPT = 'SystemCall "touch PWNED";\n'
 """What gmsh runs where it takes a file for a script, in the folder of the program."""

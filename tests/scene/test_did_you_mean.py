@@ -11,7 +11,7 @@ from test_scene import GOOD, changed
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
 from fenics_crack.scene.fields import Table
-from fenics_crack.scene.scene import known_keys, suggest_full_keys
+from fenics_crack.scene.keys import known_keys, suggest_full_keys
 
 
 @pytest.mark.parametrize(

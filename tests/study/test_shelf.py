@@ -22,7 +22,7 @@ from test_artefact import FORGERIES, PLATE, put_number, shortened
 
 import fenics_crack as fc
 from fenics_crack.files.store import read_result_file
-from fenics_crack.scene.scene import known_keys
+from fenics_crack.scene.keys import known_keys
 from fenics_crack.study.sharing import LAST_STRUCTURES, STRUCTURE_FILES, dependencies_of_structure
 from fenics_crack.study.shelf import StructureFile, digest_of_dependencies
 

@@ -49,8 +49,8 @@ from fenics_crack.monitoring.identification.posterior import (
 )
 from fenics_crack.monitoring.identification.result import Identification
 from fenics_crack.scene.fields import Axis
+from fenics_crack.scene.result_tables import MIN_ALLOWED_VALUES_PER_UNKNOWN, Identify, Sweep
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import MIN_ALLOWED_VALUES_PER_UNKNOWN, Identify, Sweep
 from fenics_crack.study.meshes import refine_scene_or_none
 from fenics_crack.sweep.result import SweepResult, iterate_texts_by_reason, run_sweep
 

@@ -63,8 +63,8 @@ from fenics_crack.monitoring.identification.interpolation import (
     replace_by_driving_first_harmonics,
 )
 from fenics_crack.monitoring.identification.measurements import Measurement, Measurements
+from fenics_crack.scene.result_tables import Identify
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import Identify
 from fenics_crack.study.prepare import prepare
 
 CRACK_SIZE_KEYS = ("crack.length", "crack.depth")

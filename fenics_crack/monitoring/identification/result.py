@@ -44,8 +44,9 @@ from fenics_crack.monitoring.identification.posterior import (
     add_uniform_prior_information,
     compute_scaled_covariance,
 )
-from fenics_crack.scene.scene import Scene, unit_of_key
-from fenics_crack.scene.tables import Identify
+from fenics_crack.scene.keys import unit_of_key
+from fenics_crack.scene.result_tables import Identify
+from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import key_in_words, value_in_words
 
 # --- where to measure -----------------------------------------------------------------------------

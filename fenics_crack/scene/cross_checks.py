@@ -1,0 +1,530 @@
+"""Check a scene's tables against each other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from fenics_crack.basics.errors import InputError
+from fenics_crack.scene import result_tables
+from fenics_crack.scene import tables as kinds
+from fenics_crack.scene.fields import (
+    Rule,
+    condition_holds,
+    describe_components,
+    use_table_name_in_errors,
+)
+from fenics_crack.scene.keys import (
+    LIST_TABLE_NAMES,
+    OPTIONAL_TABLE_NAMES,
+    TABLE_CLASS_BY_NAME,
+    SceneTables,
+    missing_table_error,
+)
+
+EXCLUDED_TABLES_BY_CONDITION: Mapping[str, tuple[str, ...]] = {
+    "geometry.file": ("disk",),
+    "structure.damping": ("damping",),
+    "[disk]": ("base", "growth", "identify", "reduction"),
+    "[structure]": (
+        "geometry",
+        "material",
+        "mesh",
+        "crack",
+        "cracks",
+        "loads",
+        "base",
+        "rotation",
+        "disk",
+    ),
+}
+"""Excluded tables by condition (:func:`condition_holds`)."""
+_FILE_CRACK_KEYS = (*kinds.BOX_CRACK_KEYS, "length", "depth", "front", *kinds.PLANE_CRACK_KEYS)
+"""Keys for a crack's position and shape; a mesh file has the cracks."""
+RULES_BY_TABLE: Mapping[str, tuple[Rule, ...]] = {
+    "geometry": (Rule("mesh.layout = 'file'", ("width", "height")),),
+    "mesh": (
+        Rule("geometry.file", ("layout",), choices=("graded",)),
+        Rule("contact.pairs = 'mouth'", ("patches",), ", which keeps a single pair"),
+        Rule(
+            "geometry.kind = 'solid'",
+            ("order",),
+            ": tetrahedra of order 1 are much too stiff",
+            (2,),
+        ),
+        Rule("geometry.kind = 'solid'", ("layout",), choices=("graded", "file")),
+        Rule("geometry.kind = 'solid'", ("cells",), ", which is meshed by tetrahedra"),
+        Rule("without geometry.file", ("per_turn",), ": only such parts have curved faces"),
+    ),
+    "contact": (Rule("[structure]", ("pairs",), choices=("all",)),),
+    "crack": (
+        Rule("geometry.kind = 'plate'", kinds.PLANE_CRACK_KEYS),
+        Rule("mesh.layout = 'file'", _FILE_CRACK_KEYS),
+        Rule("crack.point", kinds.BOX_CRACK_KEYS),
+        Rule("crack.center", ("edge",)),
+        Rule("[disk]", ("first_omega", "first_frequency"), ": give crack.length"),
+    ),
+    "rotation": (
+        Rule("[disk]", ("hub_radius", "axis", "center"), ", which defines the axis"),
+        Rule("geometry.kind = 'plate'", ("axis", "center"), ": its rotor axis is parallel to x"),
+    ),
+    "disk": (
+        Rule("mesh.layout = 'file'", ("inner_radius", "outer_radius")),
+        Rule("without mesh.layout = 'file'", ("center", "axis")),
+    ),
+    "harmonic_balance": (Rule("contact.friction", ("form",), choices=("condensed",)),),
+    "integration": (
+        Rule("[rotation]", ("deflection", "free"), ": the mean load is partly centrifugal"),
+    ),
+    "identify": (Rule("without mesh.layout = 'file'", ("meshes", "uncracked")),),
+}
+"""Rules for keys by table, with conditions on other tables.
+
+In a rule for cracks, "crack" is the same crack.
+"""
+MAX_ALLOWED_SIDE_RATIO = 1e4
+"""Maximum ratio of width or thickness to the height, or of the height to either side."""
+MIN_ALLOWED_RELATIVE_DISTANCE = 1e-4
+"""Minimum distance between cracks, tips and edges, relative to the side along the distance."""
+
+
+def check_tables(scene: SceneTables) -> None:
+    """Check a scene's tables against each other, and set inferred values.
+
+    Changes the scene in place. Raises InputError for contradicting tables or keys.
+    """
+    _check_presence_and_types(scene)
+    for name, table in scene.table_by_name.items():
+        table_name = table.full_key()
+        with use_table_name_in_errors(name):
+            table.check_rules(RULES_BY_TABLE.get(table_name, ()), vars(scene) | {table_name: table})
+    if scene.rotation is not None and scene.disk is None and scene.rotation.center is None:
+        scene.rotation.given("hub_radius", "given: a finite number >= 0 [m]")
+    if scene.excitation.order is not None and (scene.disk is None or scene.speed > 0.0):
+        scene.excitation.require(
+            scene.speed > 0.0, "order", "left out without a rotation.speed > 0"
+        )
+        object.__setattr__(scene, "excitation", scene.excitation.at_speed(scene.speed))
+    harmonic_balance = scene.harmonic_balance.with_load_harmonics(scene.highest_order)
+    object.__setattr__(scene, "harmonic_balance", harmonic_balance)
+    if scene.curve is not None:
+        _check_curve_parameter(scene, scene.curve)
+    if scene.structure is not None:
+        _check_tables_beside_matrices(scene, scene.structure)
+    _set_vector_dimension(scene)
+    if scene.structure is None:
+        _check_shape(scene)
+    if scene.disk is not None:
+        _check_disk(scene, scene.disk)
+
+
+def _check_presence_and_types(scene: SceneTables) -> None:
+    """Raise InputError for a missing or excluded table, or a wrong class."""
+    condition_by_excluded_table = {
+        table_name: condition
+        for condition, table_names in EXCLUDED_TABLES_BY_CONDITION.items()
+        if condition_holds(condition, vars(scene))
+        for table_name in table_names
+    }
+    for table_name, table_class in TABLE_CLASS_BY_NAME.items():
+        table, condition = getattr(scene, table_name), condition_by_excluded_table.get(table_name)
+        if table and condition is not None:
+            raise InputError(
+                table_name, "a table", f"left out with {condition}: remove the table [{table_name}]"
+            )
+        if table_name in LIST_TABLE_NAMES:
+            has_right_type = isinstance(table, tuple) and all(
+                isinstance(list_element, table_class) for list_element in table
+            )
+        elif table is None:
+            has_right_type = table_name in OPTIONAL_TABLE_NAMES or condition is not None
+        else:
+            has_right_type = isinstance(table, table_class)
+        if not has_right_type:
+            if table is None:
+                raise missing_table_error(table_name)
+            type_text = "a tuple of" if table_name in LIST_TABLE_NAMES else "of the class"
+            advice_text = "; to read the file of a scene, use Scene.load(path)"
+            advice_text *= isinstance(table, str | Path)
+            raise InputError(table_name, table, f"{type_text} {table_class.__name__}{advice_text}")
+
+
+def _check_curve_parameter(scene: SceneTables, curve: result_tables.Curve) -> None:
+    """Raise InputError if a scene cannot follow a curve in the parameter."""
+    parameter = curve.parameter_and_range[0]
+    curve.require(
+        parameter != "speed" or scene.excitation.order is not None,
+        "parameter",
+        "used with excitation.order, by which the load's frequency follows the speed",
+    )
+    curve.require(
+        parameter != "load" or scene.speed == 0.0,
+        "parameter",
+        "another parameter with a rotation.speed > 0, as the mean load is partly "
+        "centrifugal; or add curve.at = 'resonance', which keeps the mean load",
+    )
+    curve.require(
+        parameter != "speed" or scene.disk is None,
+        "parameter",
+        "another parameter with [disk], for example 'omega' or 'frequency'",
+    )
+
+
+def _check_tables_beside_matrices(scene: SceneTables, structure: kinds.Structure) -> None:
+    """Check a scene's load and contact against the matrices in [structure].
+
+    Raises InputError for a missing load or contact table, and for keys that need contact pairs or a
+    model.
+    """
+    excitation, contact = scene.excitation, scene.contact
+    force_key = excitation.first_force_key
+    if structure.model is None:
+        excitation.require(
+            not force_key and excitation.point is None,
+            force_key or "point",
+            "left out with [structure] without structure.model: give the load by "
+            "structure.force_sin, structure.force_cos or structure.force_mean",
+        )
+        matrix_paths = structure.mass, structure.stiffness, structure.damping or ""
+        if not any(path.lower().endswith((".sti", ".mas")) for path in matrix_paths):
+            structure.forbid_keys(
+                ("dofs",), "without structure.model or CalculiX files (.sti, .mas)"
+            )
+    if structure.gap is None and (structure.model is None or contact is None):
+        structure.forbid_keys(
+            ("clearance", "areas", "tangential"),
+            "without contact pairs: give structure.gap, or structure.model and [contact]",
+        )
+    has_force_file = any((structure.force_sin, structure.force_cos, structure.force_mean))
+    excitation.require(
+        excitation.point is not None or (has_force_file and not force_key),
+        "point",
+        "given: the point of the force [m]; or a load by structure.force_sin, "
+        "structure.force_cos or structure.force_mean",
+    )
+    if contact is None:
+        if structure.gap is not None:
+            raise missing_table_error("contact", ", as structure.gap is given")
+        return
+    if structure.areas is None and (structure.model is None or structure.gap is not None):
+        contact.forbid_keys(
+            ("stiffness_per_area",), "without structure.areas: give contact.stiffness"
+        )
+    if structure.model is None and structure.gap is None:
+        raise InputError(
+            "contact",
+            "a table",
+            "left out without contact pairs: give structure.gap or structure.model",
+        )
+
+
+def _set_vector_dimension(scene: SceneTables) -> None:
+    """Give zero vectors in all tables the scene's dimension.
+
+    Changes the scene in place. Raises InputError if a nonzero vector or an output point has another
+    number of components.
+    """
+    dimension = scene.dimension
+    for table_name in TABLE_CLASS_BY_NAME:
+        tables = getattr(scene, table_name)
+        if table_name in LIST_TABLE_NAMES:
+            converted_tables = []
+            for list_position, table in enumerate(tables, 1):
+                with use_table_name_in_errors(f"{table_name}.{list_position}"):
+                    converted_tables.append(table.with_dimension(dimension))
+            object.__setattr__(scene, table_name, tuple(converted_tables))
+        elif tables is not None:
+            object.__setattr__(scene, table_name, tables.with_dimension(dimension))
+    for point in scene.output_points:
+        if len(point.values) != dimension:
+            raise InputError(
+                f"output.points.{point.key}", point.values, describe_components("", dimension)
+            )
+
+
+def _check_shape(scene: SceneTables) -> None:
+    """Check a plate or solid with load and cracks.
+
+    Raises InputError for missing sides, and for points or cracks outside.
+    """
+    geometry, mesh, contact = scene.geometry, scene.mesh, scene.contact
+    is_box = geometry.file is None and mesh.layout != "file"
+    if scene.dimension == 3 and contact is not None and scene.disk is not None:
+        contact.require(
+            not contact.friction,
+            "friction",
+            "0, or left out, with [disk] and geometry.kind = 'solid', for which"
+            " friction is not implemented",
+        )
+    if scene.dimension == 2 or is_box:
+        geometry.given("thickness")
+    elif mesh.layout == "file":
+        geometry.forbid_keys(("thickness",), "mesh.layout = 'file'")
+    if mesh.layout == "file":
+        return
+    if is_box:
+        _check_sides(geometry)
+    if not scene.has_other_loads:
+        place_text = (
+            "[x, y], or [x, y, z] in a solid" if is_box else "[x, y, z], on the part or near it"
+        )
+        scene.excitation.given("point", f"given: the point of the force, {place_text} [m]")
+    if is_box:
+        _check_load_points(scene)
+    for name, crack in scene.crack_by_name.items():
+        with use_table_name_in_errors(name):
+            if geometry.file is not None:
+                crack.given(
+                    "point", "given: a point [x, y, z] of the crack [m], with geometry.file"
+                )
+            if crack.point is not None:
+                _check_plane_crack(crack)
+            else:
+                _check_box_crack(crack, scene)
+    if scene.crack_by_name:
+        if mesh.layout == "graded":
+            mesh.given(
+                "lip_elements", "given: a whole number >= 1, the elements along each crack face"
+            )
+        if contact is None:
+            raise missing_table_error("contact", ", as there is a crack")
+    box_crack_names = [name for name, crack in scene.crack_by_name.items() if crack.point is None]
+    for first_name, second_name in combinations(box_crack_names, 2):
+        _check_crack_distance(scene, first_name, second_name)
+
+
+def _check_disk(scene: SceneTables, disk: kinds.Disk) -> None:
+    """Raise InputError if a scene does not fit a bladed disk.
+
+    Checked are the load's engine order and frequency, and the rim's radii: blades must not overlap.
+    """
+    scene.excitation.given(
+        "order", "given: the engine order of the load on [disk], a whole number >= 1"
+    )
+    if scene.speed == 0.0:
+        scene.excitation.given(
+            "omega",
+            "given: a finite number > 0 [rad/s], or excitation.frequency [Hz], as [disk] is at "
+            "rest",
+        )
+    if scene.mesh.layout == "file":
+        return
+    inner_radius, outer_radius = disk.given("inner_radius"), disk.given("outer_radius")
+    disk.require(
+        inner_radius < outer_radius,
+        "inner_radius",
+        f"less than disk.outer_radius = {outer_radius:g} m",
+    )
+    blade_width = scene.geometry.circumferential_width
+    foot_spacing = 2.0 * outer_radius * math.sin(math.pi / disk.sectors)
+    disk.require(
+        blade_width < foot_spacing * (1.0 - MIN_ALLOWED_RELATIVE_DISTANCE),
+        "outer_radius",
+        f"larger, as blades {blade_width:g} m wide would overlap: "
+        f"their roots are {foot_spacing:g} m apart",
+    )
+    foot_radius = math.sqrt(outer_radius**2 - 0.25 * blade_width**2)
+    disk.require(
+        inner_radius < foot_radius,
+        "inner_radius",
+        f"less than {foot_radius:g} m, where the blade meets the rim",
+    )
+
+
+def _check_sides(geometry: kinds.Geometry) -> None:
+    """Raise InputError if a plate or box lacks a side, or has very different sides."""
+    width, height = geometry.given("width"), geometry.given("height")
+    for side_key, side in zip(("width", "thickness"), (width, *geometry.sides[2:]), strict=False):
+        geometry.require(
+            height / MAX_ALLOWED_SIDE_RATIO <= side <= height * MAX_ALLOWED_SIDE_RATIO,
+            side_key,
+            f"within a factor {MAX_ALLOWED_SIDE_RATIO:g} of geometry.height = {height:g} m",
+        )
+
+
+def _check_load_points(scene: SceneTables) -> None:
+    """Raise InputError for a force without a point, or a point outside a plate or box."""
+    excitation, sides = scene.excitation, scene.geometry.sides
+    if excitation.point is None and (force_key := excitation.first_force_key):
+        excitation.require(False, force_key, "left out without excitation.point")
+    ranges_text = ", ".join(
+        f"{axis_letter} from 0 to {side:g} m"
+        for axis_letter, side in zip("xyz", sides, strict=False)
+    )
+    for name, load in scene.table_by_name.items():
+        if isinstance(load, kinds.Excitation | kinds.Load):
+            with use_table_name_in_errors(name):
+                load.require(
+                    all(0.0 <= x <= side for x, side in zip(load.point or (), sides, strict=False)),
+                    "point",
+                    f"on the {scene.geometry.kind}: {ranges_text}",
+                )
+
+
+def _check_plane_crack(crack: kinds.Crack) -> None:
+    """Raise InputError unless the keys define a crack around a point in a solid."""
+    normal = np.array(crack.given("normal"))
+    crack.require(any(normal), "normal", "a vector that is not zero")
+    crack.require(
+        crack.front in (None, "through"), "front", "'through', or left out, with crack.point"
+    )
+    if crack.front == "through":
+        crack.forbid_keys(("radii", "depth"), "crack.front = 'through'")
+    elif crack.radii is not None:
+        crack.forbid_keys(("length", "depth"), "crack.radii")
+    else:
+        crack.require(
+            crack.length is not None and crack.depth is not None,
+            "radii",
+            "given: [a, b] [m]; or crack.length and crack.depth; or crack.front = 'through'",
+        )
+    if crack.front == "through" or crack.half_axes[0] != crack.half_axes[1]:
+        crack.given(
+            "direction", "given: [dx, dy, dz], the direction of the first radius or of growth"
+        )
+    if crack.direction is not None:
+        cross_norm = np.linalg.norm(np.cross(normal, crack.direction))
+        norm_product = np.linalg.norm(normal) * np.linalg.norm(crack.direction)
+        crack.require(
+            cross_norm > 1e-3 * norm_product, "direction", "a vector not along crack.normal"
+        )
+
+
+def _check_box_crack(crack: kinds.Crack, scene: SceneTables) -> None:
+    """Raise InputError if a crack in a plate or box has contradicting keys, or leaves the plate."""
+    geometry = scene.geometry
+    crack.forbid_keys(kinds.PLANE_CRACK_KEYS, "without crack.point")
+    crack.require(
+        crack.front != "through", "front", "'straight' or 'elliptical' without crack.point"
+    )
+    if len(scene.crack_by_name) > 1:
+        crack.forbid_keys(
+            ("first_frequency", "first_omega"),
+            "several cracks: it sets the length of a single crack",
+        )
+    _check_crack_position(crack, geometry)
+    if geometry.dimension == 2:
+        crack.forbid_keys(("depth", "front"), "geometry.kind = 'plate'")
+    elif crack.depth is None:
+        crack.forbid_keys(("front",), "without crack.depth: the crack goes through the thickness")
+    else:
+        thickness = geometry.sides[2]
+        crack.require(
+            _is_inside_with_margin(crack.depth, thickness),
+            "depth",
+            f"less than geometry.thickness = {thickness:g} m, by at least "
+            f"{MIN_ALLOWED_RELATIVE_DISTANCE:g} of it; or left out for a crack through it",
+        )
+    if scene.mesh.layout == "grid":
+        _check_crack_on_grid(crack, geometry, scene.mesh)
+
+
+def _check_crack_position(crack: kinds.Crack, geometry: kinds.Geometry) -> None:
+    """Raise InputError if a crack's position or length is missing, or leaves the plate."""
+    (width, height, *_), geometry_kind = geometry.sides, geometry.kind
+    margin_text = f"and at least {MIN_ALLOWED_RELATIVE_DISTANCE:g} of this length from both"
+    if crack.center is None:
+        crack.given(
+            "edge", f"given: 'left' or 'right'; or center, for a crack inside the {geometry_kind}"
+        )
+    crack.require(
+        _is_inside_with_margin(crack.height or 0.0, height),
+        "height",
+        f"inside the {geometry_kind}: between 0 and geometry.height = {height:g} m, {margin_text}",
+    )
+    crack.require(
+        (crack.length is None) != (crack.first_omega is None),
+        "length",
+        "given: a finite number > 0 [m]; or crack.first_omega or crack.first_frequency"
+        if crack.length is None
+        else "left out with crack.first_omega or crack.first_frequency: give one of them",
+    )
+    crack.require(
+        crack.length is None or _is_inside_with_margin(crack.length, width),
+        "length",
+        f"shorter than the {geometry_kind}: between 0 and geometry.width = {width:g} m, "
+        f"{margin_text}",
+    )
+    if crack.center is not None:
+        tip_positions = [crack.center] if crack.length is None else crack.span(width)
+        crack.require(
+            all(_is_inside_with_margin(tip_position, width) for tip_position in tip_positions),
+            "center",
+            f"such that both tips are inside the {geometry_kind}: "
+            f"between 0 and {width:g} m, {margin_text}",
+        )
+
+
+def _check_crack_on_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kinds.Mesh) -> None:
+    """Raise InputError unless a crack lies on a grid line and ends at grid lines.
+
+    The tolerance is 1e-9 of the side. A crack keeps at least one cell from each end of a side.
+    """
+    crack.given("length", "given: a finite number > 0 [m]; a grid cannot have crack.first_omega")
+    (width, height), n_columns = geometry.sides, mesh.given("columns")
+    extent_and_cells_by_key = {"length": (width, n_columns), "height": (height, mesh.given("rows"))}
+    for extent_key, (extent, n_cells) in extent_and_cells_by_key.items():
+        n_crack_cells = getattr(crack, extent_key) / extent * n_cells
+        is_on_grid_line = (
+            0 < round(n_crack_cells) < n_cells
+            and abs(n_crack_cells - round(n_crack_cells)) < 1e-9 * n_cells
+        )
+        crack.require(
+            is_on_grid_line,
+            extent_key,
+            f"a whole number of grid cells of {extent / n_cells:g} m, at least one cell from each "
+            "end",
+        )
+    if crack.center is not None:
+        tip_column = crack.span(width)[0] / width * n_columns
+        crack.require(
+            abs(tip_column - round(tip_column)) < 1e-9 * n_columns,
+            "center",
+            f"such that both tips are on grid lines, which are {width / n_columns:g} m apart",
+        )
+
+
+def _check_crack_distance(scene: SceneTables, first_name: str, second_name: str) -> None:
+    """Raise InputError if two cracks are closer than 1e-4 of a side.
+
+    Cracks at the same height need this distance, relative to the width, between their tips; other
+    cracks need it in height.
+    """
+    first_crack, second_crack = (
+        scene.crack_by_name[crack_name] for crack_name in (first_name, second_name)
+    )
+    width, height, *_ = scene.geometry.sides
+    height_distance = abs(first_crack.given("height") - second_crack.given("height"))
+    if height_distance >= MIN_ALLOWED_RELATIVE_DISTANCE * height:
+        return
+    has_same_height = height_distance <= 1e-9 * height
+    spans = sorted(crack.span(width) for crack in (first_crack, second_crack))
+    ligament = spans[1][0] - spans[0][1]
+    if not has_same_height or ligament < MIN_ALLOWED_RELATIVE_DISTANCE * width:
+        min_distance_text = f"{MIN_ALLOWED_RELATIVE_DISTANCE * height:g} m above or below"
+        if has_same_height:
+            min_distance_text += (
+                f", or with {MIN_ALLOWED_RELATIVE_DISTANCE * width:g} m between the tips"
+            )
+        raise InputError(
+            f"{second_name}.height",
+            second_crack.height,
+            f"farther from {first_name}.height = {first_crack.height:g} m, as cracks "
+            f"may not touch: at least {min_distance_text}",
+        )
+
+
+def _is_inside_with_margin(coordinate: float, extent: float) -> bool:
+    """Return True if a coordinate is inside the interval from 0 to ``extent``.
+
+    The distance to both ends must be at least 1e-4 of the extent.
+    """
+    return (
+        MIN_ALLOWED_RELATIVE_DISTANCE * extent
+        <= coordinate
+        <= (1.0 - MIN_ALLOWED_RELATIVE_DISTANCE) * extent
+    )
