@@ -325,9 +325,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         row_products, row_gaps, row_forces = interpolate_at(period_fractions)
         if instants is None:
             track, exact_number_by_name = self.motion.track, dict(self.friction_number_by_name)
-            exact_number_by_name |= (
-                {"closed_share": track.mean_time_share(track.sets > 0)} if row_gaps.size else {}
-            )
+            exact_number_by_name |= {"closed_share": track.closed_share} if row_gaps.size else {}
         yield Record(
             self.omega, self.subharmonic, self.period * period_fractions,
             fourier_coefficients(row_products, OBSERVED_HARMONICS),

@@ -23,7 +23,7 @@ from fenics_crack.basics.causes import OPTIONAL_ERROR_CAUSES, REQUIRED_ERROR_CAU
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.basics.tables import describe_omitted_causes, format_error, format_quantity
 from fenics_crack.curves.stability import floquet
-from fenics_crack.model.contact import ContactLaw, friction_of
+from fenics_crack.model.contact import ContactLaw, friction_of, is_layered
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.rotation import RitzProjection, RunUpStructure
@@ -244,8 +244,11 @@ def find_load_resonance(
     problem = Problem(structure, start_omega, law, balance_table.harmonics, balance_table.samples)
     resonance = resonance_at(problem, parameter=parameter, tolerance=RELATIVE_AMPLITUDE_TOLERANCE)
     small_load_value = resonance.value if with_small_load_resonance else math.nan
-    # Only a mean load or a clearance holds pairs under a small load.
-    if with_small_load_resonance and (np.any(structure.force[0]) or np.any(structure.clearance)):
+    # A mean load or a clearance holds pairs under a small load, which compresses no layer.
+    has_own_small_load_resonance = (
+        np.any(structure.force[0]) or np.any(structure.clearance) or is_layered(law)
+    )
+    if with_small_load_resonance and has_own_small_load_resonance:
         small_load_value = resonance_at(
             problem_at_small_load(problem), resonance.omega, parameter
         ).value
