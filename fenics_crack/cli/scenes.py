@@ -306,6 +306,9 @@ def _crack_and_contact_values_by_label(study: Study, key_figures: KeyFigures) ->
     if contact_law is None or contact_table is None:
         return values_by_label
     values_by_label["contact law"] = contact_table.law
+    if contact_table.layer_depth is not None:
+        values_by_label["depth of the contact layer [m]"] = contact_table.layer_depth
+        values_by_label["contact layer, share of the stiffness"] = contact_table.layer_share
     if contact_table.friction:
         values_by_label["coefficient of friction"] = contact_table.friction
     if not is_rigid(contact_law):

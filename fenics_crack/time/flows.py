@@ -363,8 +363,8 @@ class ExponentialSteps:
         Modal displacements and velocities, both ends included.
     forces : (N + 1, n_rows) [N]
         Contact forces; with friction the tangential ones are the second half.
-    is_closed : (N + 1, n_pairs) bool
-        True if a pair is in contact.
+    is_closed : (N + 1, flow.n_normal_rows) bool
+        True if a row is in contact.
     end_state : (state_size,)
         Modal displacements, modal velocities and sticking places at the end, to continue from.
     """
