@@ -193,12 +193,12 @@ class MarchRequest:
 
     @property
     def n_gap_rows(self) -> int:
-        """Number of rows on which the law acts: with friction or layers two for each pair."""
+        """Number of contact rows: with friction or layers two for each pair."""
         return self.structure.n_pairs * count_rows_per_pair(self.contact)
 
     @cached_property
     def row_law(self) -> ContactLaw:
-        """Law for the rows on which the law acts."""
+        """Law for the contact rows."""
         return law_of_rows(self.contact, self.structure.n_pairs)
 
     @property
@@ -438,7 +438,7 @@ class PeriodWindow(NamedTuple):
     """Output arrays of a single load period.
 
     :meth:`Scheme.integrate_and_fill_period` writes them. Rows are the instants. ``gap`` [m] and
-    contact ``force`` [N] are (N, n_rows): a column for each row on which the law acts
+    contact ``force`` [N] are (N, n_rows), with a column for each contact row
     (:func:`fenics_crack.model.contact.add_contact_rows`).
     """
 
@@ -549,7 +549,6 @@ def march(request: MarchRequest, scheme: Scheme) -> TimeHistory:
     for petsc_object in scheme.petsc_objects:
         petsc_object.destroy()
     n_pairs, friction_coefficient = structure.n_pairs, friction_coefficient_of(request.contact)
-    has_friction = friction_coefficient is not None
     return TimeHistory(
         time=np.arange(n_periods * n_steps - n_kept_rows, n_periods * n_steps) * request.step_size,
         gap=gap[:, :n_pairs],
@@ -563,8 +562,8 @@ def march(request: MarchRequest, scheme: Scheme) -> TimeHistory:
         recorded_dofs=request.recorded_dofs,
         final_state=final_state,
         contact_force=force[:, :n_pairs],
-        tangential_gap=gap[:, n_pairs:] if has_friction else None,
-        tangential_force=force[:, n_pairs:] if has_friction else None,
+        tangential_gap=None if friction_coefficient is None else gap[:, n_pairs:],
+        tangential_force=None if friction_coefficient is None else force[:, n_pairs:],
         friction=friction_coefficient,
     )
 
