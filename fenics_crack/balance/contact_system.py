@@ -539,7 +539,7 @@ class Wave:
 
     @cached_property
     def structure_with_row_pairs(self) -> Structure:
-        """Structure with a pair for each row on which the law acts (:func:`add_contact_rows`)."""
+        """Structure with a pair for each contact row: with friction or layers two for each pair."""
         return add_contact_rows(self.contact, self.structure)
 
     @property

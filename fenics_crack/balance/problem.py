@@ -250,9 +250,9 @@ class Problem:
 
     @cached_property
     def structure_with_row_pairs(self) -> Structure:
-        """Structure with a pair for each row on which the law acts (:func:`add_contact_rows`).
+        """Structure with a pair for each contact row: with friction or layers two for each pair.
 
-        Without friction and layers it is the structure itself.
+        Otherwise it is the structure itself.
         """
         return add_contact_rows(self.contact, self.structure)
 
