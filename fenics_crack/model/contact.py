@@ -151,8 +151,7 @@ class LayeredPenalty(_PenaltyBase):
             number = _checked_positive_number(f"contact {name}", getattr(self, name))
             object.__setattr__(self, name, number)
         if self.layer_share >= 1.0:
-            requirement = "a number between 0 and 1; without a layer use UnilateralPenalty"
-            raise InputError("contact layer_share", self.layer_share, requirement)
+            raise InputError("contact layer_share", self.layer_share, "a number between 0 and 1")
 
     @property
     def row_stiffnesses(self) -> tuple[float | np.ndarray, ...]:

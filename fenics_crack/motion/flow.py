@@ -170,9 +170,7 @@ class Flow:
         self.friction_law = friction_of(contact)
         structure_with_rows = add_contact_rows(contact, structure)
         self.n_normal_rows = structure_with_rows.n_pairs // (2 if self.friction_law else 1)
-        self.clearance = structure_with_rows.clearance
-        if not self.friction_law:
-            self.clearance = structure.clearance
+        self.clearance = (structure_with_rows if self.friction_law else structure).clearance
         self.modal_model = modal_model = all_modes(structure_with_rows)
         self.n_modes = len(modal_model.squares)
         self.state_size = 2 * self.n_modes + (structure.n_pairs if self.friction_law else 0)
