@@ -93,6 +93,7 @@ from fenics_crack.files.results import load as load
 from fenics_crack.files.results import save as save
 from fenics_crack.model.contact import ContactLaw as ContactLaw
 from fenics_crack.model.contact import CoulombFriction as CoulombFriction
+from fenics_crack.model.contact import LayeredPenalty as LayeredPenalty
 from fenics_crack.model.contact import SmoothedPenalty as SmoothedPenalty
 from fenics_crack.model.contact import UnilateralConstraint as UnilateralConstraint
 from fenics_crack.model.contact import UnilateralPenalty as UnilateralPenalty

@@ -64,12 +64,15 @@ from fenics_crack.basics.suggestions import with_old_names
 from fenics_crack.kernel import kernel
 from fenics_crack.model.contact import (
     ContactLaw,
-    add_friction_pairs,
+    add_contact_rows,
     check_law,
     friction_of,
     is_regular,
     is_rigid,
+    law_of_rows,
+    merge_rows_of_pairs,
     normal_law,
+    split_rows_of_pairs,
     spring_compliances,
 )
 from fenics_crack.model.modal import all_modes, is_small
@@ -247,11 +250,16 @@ class Problem:
 
     @cached_property
     def structure_with_row_pairs(self) -> Structure:
-        """Structure with a pair for each normal gap and, with friction, each tangential gap.
+        """Structure with a pair for each contact row: with friction or layers two for each pair.
 
-        Without friction it is the structure itself.
+        Otherwise it is the structure itself.
         """
-        return add_friction_pairs(self.contact, self.structure)
+        return add_contact_rows(self.contact, self.structure)
+
+    @cached_property
+    def row_law(self) -> ContactLaw:
+        """Law for the rows of :attr:`structure_with_row_pairs`."""
+        return law_of_rows(self.contact, self.structure.n_pairs)
 
     @property
     def has_friction(self) -> bool:
@@ -285,7 +293,7 @@ class Problem:
             # A penalty k is stiff from k R_inf = 100 on.
             if (
                 not is_static_part_requested
-                and not float(np.max(contact_law.stiffness * np.diag(residual_compliance))) > 100.0
+                and not float(np.max(self.row_law.stiffness * np.diag(residual_compliance))) > 100.0
             ):
                 return None
         if has_rigid_law and not is_regular(residual_compliance):
@@ -371,9 +379,11 @@ class Problem:
         ----------
         displacement : (2H+1, n_local) [m]
         gap, force : (2H+1, n_rows) [m], [N]
-            With friction, normal columns and then tangential ones.
+            With friction, normal columns and then tangential ones. Under the layered law, rows or
+            pairs.
         """
         n_pairs = self.structure.n_pairs
+        gap, force = merge_rows_of_pairs(self.contact, n_pairs, gap, force)
         tangential_gap_and_force = (
             (gap[:, n_pairs:], force[:, n_pairs:]) if self.has_friction else (None, None)
         )
@@ -387,7 +397,7 @@ class Problem:
 
         A rigid law that is solved pair by pair uses its weight as the contact stiffness.
         """
-        contact_law, harmonics = self.contact, self.harmonics
+        contact_law, harmonics = self.row_law, self.harmonics
         if self.residual_compliance is not None:
             return integrals_with_coupled_pairs(
                 contact_law, harmonics, self.residual_compliance, self.samples
@@ -840,7 +850,11 @@ class Search:
             yield from self._yield_guess_and_damped_newton_point(
                 self.system,
                 self.system.slow_gap(
-                    gap_and_force_coefficients.gap, gap_and_force_coefficients.force
+                    *split_rows_of_pairs(
+                        problem.contact,
+                        gap_and_force_coefficients.gap,
+                        gap_and_force_coefficients.force,
+                    )
                 ),
             )
         self.orbit = None
