@@ -7,7 +7,7 @@ have a covariance T(x):
 
 Since det V is at least det diag(e^2), both terms are squares, and least squares find the maxima. If
 a crack may breathe or not, L is the sum over both, each with its probability
-(:meth:`fenics_crack.monitoring.identification.model.MeasurementPredictor.iterate_face_state_predictions`).
+(:meth:`fenics_crack.monitoring.identification.predictor.MeasurementPredictor.iterate_face_state_predictions`).
 
 The prior is uniform between the bounds. A crack differs from the equivalent straight and sharp
 crack. L is convolved on the grid with the distribution of the difference
@@ -34,8 +34,11 @@ from scipy.optimize import least_squares
 from scipy.special import chdtrc, logsumexp
 
 from fenics_crack.monitoring.identification.interpolation import UnknownGrid
-from fenics_crack.monitoring.identification.model import MeasurementPrediction, MeasurementPredictor
 from fenics_crack.monitoring.identification.options import OPTIONS
+from fenics_crack.monitoring.identification.predictor import (
+    MeasurementPrediction,
+    MeasurementPredictor,
+)
 
 FIRST_GRID_COUNT_BY_DIMENSION = {1: 200, 2: 45, 3: 17}
 """Values per unknown in the posterior's first grid, by number of unknowns; else 9."""
@@ -215,7 +218,7 @@ class Likelihood:
             for measurement, is_kept_row in zip(self.predictor.rows, is_kept, strict=True)
             if is_kept_row
         ]
-        predictor = self.predictor.model.make_predictor(kept_rows)
+        predictor = self.predictor.make_predictor(kept_rows)
         return Likelihood(
             self.measurement_values[is_kept], self.measurement_deviations[is_kept], predictor
         )
