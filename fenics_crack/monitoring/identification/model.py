@@ -1,4 +1,4 @@
-"""The forward model: predictions of measurements from the unknowns, and their covariance.
+"""The forward model: natural frequencies and harmonics from the unknowns, and their covariance.
 
 Prediction errors are not independent, since a single sweep makes all predictions. Their covariance
 is a sum of three. The interpolation's part comes from leave-one-out errors in all quantities at
@@ -14,12 +14,17 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fenics_crack.basics.errors import N_LOWEST_MODES
-from fenics_crack.monitoring.identification.interpolation import SolvedCases
+from fenics_crack.monitoring.identification.interpolation import (
+    Feature,
+    Interpolation,
+    SolvedCases,
+    compute_smoothing_factors,
+)
 from fenics_crack.monitoring.identification.measurements import Measurement
 from fenics_crack.monitoring.identification.nuisance import (
     CRACK_SIZE_KEYS,
@@ -31,7 +36,7 @@ from fenics_crack.study.plausibility import is_response_proportional_to_load
 
 
 class ForwardModel:
-    """Forward model: measurements predicted from values of the unknowns, with covariance.
+    """Forward model: solved cases on a grid of the unknowns, and the plate's priors.
 
     Parameters
     ----------
@@ -130,6 +135,325 @@ class ForwardModel:
                 Measurement(ratio_name, 1.0, 1.0, frequency=load_frequency, point=point_name)
             )
         return tuple(candidate_rows)
+
+
+class FeaturePrediction(NamedTuple):
+    """Prediction of f features at m values of the unknowns.
+
+    Attributes
+    ----------
+    damping_ratio_of_points : (m, 1)
+        Damping ratios.
+    frequency_split_root_and_frequencies : (m, f, 1 + 2 modes)
+        :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each feature.
+    smoothing_factors : (m, f)
+        Factors that make features smooth (:func:`compute_smoothing_factors`).
+    feature_values : (m, f)
+        Features: logarithms of natural frequencies [Hz], and complex harmonics [m].
+    interpolation_variances : (m, f)
+        Mean squares of the features' interpolation errors.
+    smooth_form_covariance : (m, 2f, 2f)
+        Covariance of smooth forms (feature times factor), real and imaginary parts in turn.
+    """
+
+    damping_ratio_of_points: np.ndarray
+    frequency_split_root_and_frequencies: np.ndarray
+    smoothing_factors: np.ndarray
+    feature_values: np.ndarray
+    interpolation_variances: np.ndarray
+    smooth_form_covariance: np.ndarray
+
+
+class FeaturePredictor:
+    """Predictor of natural frequencies and harmonics, with the covariance of their errors.
+
+    Attributes
+    ----------
+    features : tuple of Feature
+        f features: the given ones, then the frequencies without the crack for those with it.
+    is_known : (f,) bool
+        True for a feature that the solved cases can predict.
+    cracked_indices, uncracked_indices : list of int
+        Indices of natural frequencies with the crack, and of the same modes' without.
+    load_indices : list of int
+        Index of each feature's load among the solved ones.
+    """
+
+    def __init__(self, model: ForwardModel, features: Sequence[Feature]) -> None:
+        uncracked_features = [
+            feature.uncracked_frequency_feature
+            for feature in features
+            if feature.is_cracked_frequency
+        ]
+        self.model = model
+        self.features = tuple(dict.fromkeys([*features, *uncracked_features]))
+        self.cracked_indices = [
+            feature_index
+            for feature_index, feature in enumerate(self.features)
+            if feature.is_cracked_frequency
+        ]
+        self.uncracked_indices = [
+            self.features.index(self.features[cracked_index].uncracked_frequency_feature)
+            for cracked_index in self.cracked_indices
+        ]
+        coarse_cases = model.coarse_cases
+        self.load_indices = [
+            coarse_cases.find_load_index(feature.load_frequency) for feature in self.features
+        ]
+        self._error_group_matrix = _build_error_group_matrix(self.features)
+        self._mode_prior_sensitivities = np.stack(
+            [
+                model.uncracked_plate.compute_prior_sensitivities(speed_ratio)
+                for speed_ratio in coarse_cases.swept_loads.rotor_speed_ratios
+            ]
+        )[self.load_indices]
+        node_columns = coarse_cases.frequency_split_root_and_frequencies
+        self._split_root_and_frequency_interpolation = Interpolation(
+            model.unknown_grid, node_columns.reshape(len(node_columns), -1)
+        )
+        self._coarse_interpolation = Interpolation(
+            model.unknown_grid, self._evaluate_smooth_features(coarse_cases)
+        )
+        self._interpolation_error_scales = self._estimate_interpolation_error_scales()
+        interpolations = [self._coarse_interpolation]
+        # An error of the first order leaves d / (f - 1) where a mesh finer by f changes d, one of
+        # high order nothing: half of the former is added, and may be wrong.
+        mesh_ratio = model.identify_table.finer
+        self._remaining_mesh_fraction = 0.5 / max(mesh_ratio - 1.0, 1.0 / mesh_ratio - 1.0, 0.1)
+        self._mesh_correction: Interpolation | None = None
+        if model.finer_cases is not None:
+            finer_grid = model.finer_cases.unknown_grid
+            mesh_difference = self._evaluate_smooth_features(
+                model.finer_cases
+            ) - self._coarse_interpolation.interpolate(finer_grid.nodes)
+            self._mesh_correction = Interpolation(finer_grid, mesh_difference)
+            interpolations.append(self._mesh_correction)
+        is_frequency_column = np.repeat(
+            [feature.is_natural_frequency for feature in self.features], 2
+        )
+        known_columns = [
+            interpolation.has_enough_known_nodes
+            & (interpolation.has_only_inner_gaps | is_frequency_column)
+            for interpolation in interpolations
+        ]
+        self.is_known = np.all(known_columns, axis=0).reshape(-1, 2).all(axis=1)
+        self.is_known[self.cracked_indices] &= self.is_known[self.uncracked_indices]
+
+    def __call__(self, x: np.ndarray) -> FeaturePrediction:
+        """Predict natural frequencies and harmonics at values x (m, d) of the unknowns.
+
+        The covariance has the errors by interpolation, mesh, contact and priors.
+        """
+        smooth_features = self._coarse_interpolation.interpolate(x)
+        interpolation_errors = (
+            self._interpolation_error_scales
+            * self._coarse_interpolation.list_weighted_node_errors(x)
+        )
+        remaining_mesh_errors = np.zeros_like(smooth_features)
+        if self._mesh_correction is not None:
+            mesh_difference = self._mesh_correction.interpolate(x)
+            remaining_mesh_errors = self._remaining_mesh_fraction * mesh_difference
+            smooth_features = smooth_features + mesh_difference + remaining_mesh_errors
+            interpolation_errors = np.concatenate(
+                [interpolation_errors, self._mesh_correction.list_weighted_node_errors(x)], axis=1
+            )
+        damping_ratio_of_points = self.model.get_damping_ratio_of_points(x)
+        frequency_split_root_and_frequencies = self._interpolate_frequency_split_and_frequencies(x)
+        smoothing_factors = self._compute_smoothing_factors(x, frequency_split_root_and_frequencies)
+        feature_values = (
+            smooth_features[:, ::2] + 1j * smooth_features[:, 1::2]
+        ) / smoothing_factors
+        prior_sensitivities = self.model.uncracked_plate.compute_feature_sensitivities(
+            self.features,
+            damping_ratio_of_points,
+            frequency_split_root_and_frequencies,
+            self._mode_prior_sensitivities,
+        )
+        is_uncracked = np.array([feature.crack_state == "uncracked" for feature in self.features])
+        prior_errors = (
+            prior_sensitivities
+            * np.where(is_uncracked, 1.0, feature_values * smoothing_factors)[..., None]
+        )
+        feature_values[:, self.cracked_indices] += feature_values[:, self.uncracked_indices]
+        squared_errors = np.sum(interpolation_errors**2, axis=1)
+        feature_errors = np.concatenate(
+            [
+                *_correlate_errors(interpolation_errors),
+                *self._list_mesh_and_contact_errors(smooth_features, remaining_mesh_errors),
+                split_complex_columns(prior_errors.transpose(0, 2, 1)).transpose(0, 2, 1),
+            ],
+            axis=2,
+        )
+        return FeaturePrediction(
+            damping_ratio_of_points,
+            frequency_split_root_and_frequencies,
+            smoothing_factors,
+            feature_values,
+            (squared_errors[:, ::2] + squared_errors[:, 1::2]) / np.abs(smoothing_factors) ** 2,
+            feature_errors @ feature_errors.transpose(0, 2, 1),
+        )
+
+    def list_interpolation_covariances(self, x: np.ndarray) -> list[np.ndarray]:
+        """Return covariances of smooth forms by interpolation along each unknown: (m, 2f, 2f) each.
+
+        ``x`` (m, d) are values of the unknowns.
+        """
+        covariances = []
+        for weighted_errors in self._coarse_interpolation.list_weighted_node_errors_along_axes(x)[
+            : x.shape[1]
+        ]:
+            feature_errors = np.concatenate(
+                _correlate_errors(self._interpolation_error_scales * weighted_errors), axis=2
+            )
+            covariances.append(feature_errors @ feature_errors.transpose(0, 2, 1))
+        return covariances
+
+    def _evaluate_smooth_features(self, solved_cases: SolvedCases) -> np.ndarray:
+        """Return smooth forms of all features at the grid nodes of solved cases: (n, 2f).
+
+        Features are natural frequencies and harmonics. A smooth form is feature times factor
+        (:func:`compute_smoothing_factors`); real and imaginary parts alternate.
+        """
+        feature_values = np.stack(
+            [feature.get_node_values(solved_cases) for feature in self.features], axis=1
+        )
+        feature_values[:, self.cracked_indices] -= feature_values[:, self.uncracked_indices]
+        return split_complex_columns(
+            feature_values
+            * self._compute_smoothing_factors(
+                solved_cases.unknown_grid.nodes,
+                self._interpolate_frequency_split_and_frequencies(solved_cases.unknown_grid.nodes),
+            )
+        )
+
+    def _estimate_interpolation_error_scales(self) -> np.ndarray:
+        """Return factors (>= 1) on the estimated interpolation errors: (2f,).
+
+        A factor is the root-mean-square error at cases halfway between grid nodes over the
+        estimated error, for each of f features. All are 1 without such cases. Features with more
+        waves than nodes look smooth, as higher modes along the height do.
+        """
+        halfway_cases = self.model.halfway_cases
+        if halfway_cases is None:
+            return np.ones(2 * len(self.features))
+        x = halfway_cases.unknown_grid.nodes
+        squared_errors = (
+            self._evaluate_smooth_features(halfway_cases)
+            - self._coarse_interpolation.interpolate(x)
+        ) ** 2
+        stated_variances = np.sum(
+            self._coarse_interpolation.list_weighted_node_errors(x) ** 2, axis=1
+        )
+        error_and_variance_sums = [
+            np.nansum(squared_error_columns, axis=0).reshape(-1, 2).sum(axis=1)
+            for squared_error_columns in (squared_errors, stated_variances)
+        ]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            variance_ratios = np.where(
+                error_and_variance_sums[1] > 0.0,
+                error_and_variance_sums[0] / error_and_variance_sums[1],
+                1.0,
+            )
+        return np.repeat(np.sqrt(np.maximum(variance_ratios, 1.0)), 2)
+
+    def _compute_smoothing_factors(
+        self, x: np.ndarray, frequency_split_root_and_frequencies: np.ndarray
+    ) -> np.ndarray:
+        """Return factors that make features smooth, at values x (m, d): (m, f).
+
+        x are values of the unknowns. Both meshes get the factors of the coarse mesh
+        (:func:`compute_smoothing_factors`).
+        """
+        return compute_smoothing_factors(
+            self.features,
+            self.model.get_damping_ratio_of_points(x),
+            frequency_split_root_and_frequencies,
+            self.model.compute_crack_sizes_relative_to_largest(x),
+        )
+
+    def _interpolate_frequency_split_and_frequencies(self, x: np.ndarray) -> np.ndarray:
+        """Interpolate :attr:`SolvedCases.frequency_split_root_and_frequencies` to values x (m, d).
+
+        Shape (m, f, 1 + 2 modes), at the load of each feature; nan without enough solved cases.
+        """
+        frequency_split_root_and_frequencies = np.where(
+            self._split_root_and_frequency_interpolation.has_enough_known_nodes,
+            self._split_root_and_frequency_interpolation.interpolate(x),
+            np.nan,
+        )
+        return frequency_split_root_and_frequencies.reshape(
+            len(x), *self.model.coarse_cases.frequency_split_root_and_frequencies.shape[1:]
+        )[:, self.load_indices]
+
+    def _list_mesh_and_contact_errors(
+        self, smooth_features: np.ndarray, remaining_mesh_errors: np.ndarray
+    ) -> list[np.ndarray]:
+        """List independent errors of smooth forms by mesh and contact: (m, 2f, r) each.
+
+        Each of the r columns is an error in all smooth forms; the sum of the columns' outer
+        products is the covariance. Half of each variance is common to several forms.
+
+        Parameters
+        ----------
+        smooth_features : (m, 2f)
+            Smooth forms, real and imaginary parts in turn.
+        remaining_mesh_errors : (m, 2f)
+            Errors of the mesh after its correction.
+        """
+        root_of_half = np.sqrt(0.5)
+        error_blocks = [
+            root_of_half * remaining_mesh_errors[..., None],
+            root_of_half * remaining_mesh_errors[..., None] * self._error_group_matrix,
+        ]
+        harmonic_deviation = self.model.identify_table.harmonic_deviation
+        if harmonic_deviation:
+            order_excess = np.repeat(
+                [max(feature.harmonic_order - 1, 0) for feature in self.features], 2
+            )
+            rotated_features = np.stack(
+                [-smooth_features[:, 1::2], smooth_features[:, ::2]], axis=2
+            ).reshape(smooth_features.shape)
+            feature_membership_matrix = np.kron(np.eye(len(self.features)), np.ones((2, 1)))
+            for turned_features in (smooth_features, rotated_features):
+                contact_errors = harmonic_deviation * (turned_features * order_excess)[..., None]
+                error_blocks += [
+                    root_of_half * contact_errors * self._error_group_matrix,
+                    root_of_half * contact_errors * feature_membership_matrix,
+                ]
+        return error_blocks
+
+
+def _correlate_errors(errors: np.ndarray) -> list[np.ndarray]:
+    """Return errors (m, k, 2f) with half of each variance common to all forms, half its own.
+
+    Shapes (m, 2f, k) and (m, 2f, 2f), with independent errors in columns.
+    """
+    return [
+        np.sqrt(0.5) * errors.transpose(0, 2, 1),
+        np.sqrt(0.5 * np.sum(errors**2, axis=1))[:, None, :] * np.eye(errors.shape[2]),
+    ]
+
+
+def _build_error_group_matrix(features: Sequence[Feature]) -> np.ndarray:
+    """Return the group membership of features with a common mesh error: (2f, groups).
+
+    Each of the f features, a natural frequency or a harmonic, has two equal rows: for its real and
+    its imaginary part. An entry is 1 if the feature is in the group
+    (:attr:`Feature.error_group_key`), otherwise 0.
+    """
+    group_keys = list(dict.fromkeys(feature.error_group_key for feature in features))
+    group_memberships = [
+        [float(feature.error_group_key == group_key) for group_key in group_keys]
+        for feature in features
+    ]
+    return np.repeat(group_memberships, 2, axis=0)
+
+
+def split_complex_columns(complex_columns: np.ndarray) -> np.ndarray:
+    """Split complex columns (..., f) into real and imaginary ones in turn: (..., 2f)."""
+    return np.stack([complex_columns.real, complex_columns.imag], axis=-1).reshape(
+        *complex_columns.shape[:-1], -1
+    )
 
 
 def has_load_independent_motion_shape(scene: Scene) -> bool:

@@ -24,15 +24,16 @@ from fenics_crack.basics.errors import MAX_HARMONIC_ORDER, N_LOWEST_MODES
 from fenics_crack.monitoring.identification.interpolation import (
     RESONANCE_STATE_NAMES,
     Feature,
-    Interpolation,
     SolvedCases,
     compute_ratios_and_pole_factors,
-    compute_smoothing_factors,
 )
 from fenics_crack.monitoring.identification.measurements import Measurement
 from fenics_crack.monitoring.identification.model import (
+    FeaturePrediction,
+    FeaturePredictor,
     ForwardModel,
     has_load_independent_motion_shape,
+    split_complex_columns,
 )
 from fenics_crack.monitoring.identification.nuisance import BaselineChanges
 from fenics_crack.study.plausibility import is_response_proportional_to_load
@@ -292,33 +293,6 @@ class MeasurementPrediction:
     is_predictable: np.ndarray
 
 
-class FeaturePrediction(NamedTuple):
-    """Prediction of f features at m values of the unknowns.
-
-    Attributes
-    ----------
-    damping_ratio_of_points : (m, 1)
-        Damping ratios.
-    frequency_split_root_and_frequencies : (m, f, 1 + 2 modes)
-        :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each feature.
-    smoothing_factors : (m, f)
-        Factors that make features smooth (:func:`compute_smoothing_factors`).
-    feature_values : (m, f)
-        Features: logarithms of natural frequencies [Hz], and complex harmonics [m].
-    interpolation_variances : (m, f)
-        Mean squares of the features' interpolation errors.
-    smooth_form_covariance : (m, 2f, 2f)
-        Covariance of smooth forms (feature times factor), real and imaginary parts in turn.
-    """
-
-    damping_ratio_of_points: np.ndarray
-    frequency_split_root_and_frequencies: np.ndarray
-    smoothing_factors: np.ndarray
-    feature_values: np.ndarray
-    interpolation_variances: np.ndarray
-    smooth_form_covariance: np.ndarray
-
-
 class MeasurementPredictor:
     """Predictor of measurements, and of candidates for further measurements.
 
@@ -339,41 +313,38 @@ class MeasurementPredictor:
         candidate_rows: Sequence[Measurement] = (),
     ) -> None:
         self.model, self.rows = model, (*measured_rows, *candidate_rows)
-        self._set_up_features_and_indices()
-        self._probe_groups = ProbeDisplacements.group_displacements(measured_rows, candidate_rows)
-        self._error_group_matrix = _build_error_group_matrix(self._features)
-        self._is_uncracked_feature = np.array(
-            [feature.crack_state == "uncracked" for feature in self._features]
-        )
-        frequency_split_root_and_frequencies = (
-            model.coarse_cases.frequency_split_root_and_frequencies
-        )
-        self._split_root_and_frequency_interpolation = Interpolation(
-            model.unknown_grid,
-            frequency_split_root_and_frequencies.reshape(
-                len(frequency_split_root_and_frequencies), -1
-            ),
-        )
-        self._highest_mode_frequency = float(
-            np.nanmax(frequency_split_root_and_frequencies[..., KEPT_MODE_NUMBERS], initial=0.0)
-        )
-        self._load_index_of_features = [
-            model.coarse_cases.find_load_index(feature.load_frequency) for feature in self._features
+        features_by_row = [
+            Feature.list_features_of_measurement(measurement, model.scene)
+            for measurement in self.rows
         ]
-        speed_ratios = model.coarse_cases.swept_loads.rotor_speed_ratios
-        self._mode_prior_sensitivities = np.stack(
+        self._feature_predictor = FeaturePredictor(
+            model, list(itertools.chain.from_iterable(features_by_row))
+        )
+        self._features = self._feature_predictor.features
+        index_by_feature = {
+            feature: feature_index for feature_index, feature in enumerate(self._features)
+        }
+        self._feature_indices_by_row = [
+            [index_by_feature[feature] for feature in row_features]
+            for row_features in features_by_row
+        ]
+        self.is_predictable = np.array(
             [
-                model.uncracked_plate.compute_prior_sensitivities(speed_ratio)
-                for speed_ratio in speed_ratios
-            ]
-        )[self._load_index_of_features]
+                self._feature_predictor.is_known[feature_indices].all()
+                for feature_indices in self._feature_indices_by_row
+            ],
+            dtype=bool,
+        )
+        self._probe_groups = ProbeDisplacements.group_displacements(measured_rows, candidate_rows)
+        load_indices = self._feature_predictor.load_indices
+        speed_ratios = model.coarse_cases.swept_loads.rotor_speed_ratios
         row_speed_ratios = [
-            speed_ratios[self._load_index_of_features[feature_indices[0]]]
+            speed_ratios[load_indices[feature_indices[0]]]
             for feature_indices in self._feature_indices_by_row
         ]
         self.baseline_changes = BaselineChanges(self.rows, row_speed_ratios, model.uncracked_plate)
         self._higher_harmonic_masks, is_motionless = _find_harmonic_masks_and_motionless_nodes(
-            model.coarse_cases, self._features, self._load_index_of_features
+            model.coarse_cases, self._features, load_indices
         )
         self._motionless_fraction_interpolator = (
             RegularGridInterpolator(model.unknown_grid.axes, is_motionless)
@@ -387,82 +358,6 @@ class MeasurementPredictor:
         )
         self._scales_with_load_at_rest = is_response_proportional_to_load(
             model.scene.without_rotation()
-        )
-        self._set_up_feature_interpolations()
-
-    def _set_up_features_and_indices(self) -> None:
-        """Set the features of all measurements, and indices of features.
-
-        Features are natural frequencies and harmonics, from which measurements are predicted.
-        Indices are for each measurement, and for pairs of a mode's frequency with the crack and
-        without.
-        """
-        features_by_row = [
-            Feature.list_features_of_measurement(measurement, self.model.scene)
-            for measurement in self.rows
-        ]
-        features = [feature for row_features in features_by_row for feature in row_features]
-        features += [
-            feature.uncracked_frequency_feature
-            for feature in features
-            if feature.is_cracked_frequency
-        ]
-        self._features = tuple(dict.fromkeys(features))
-        index_by_feature = {
-            feature: feature_index for feature_index, feature in enumerate(self._features)
-        }
-        self._feature_indices_by_row = [
-            [index_by_feature[feature] for feature in row_features]
-            for row_features in features_by_row
-        ]
-        cracked_uncracked_index_pairs = [
-            (index_by_feature[feature], index_by_feature[feature.uncracked_frequency_feature])
-            for feature in index_by_feature
-            if feature.is_cracked_frequency
-        ]
-        self._cracked_indices, self._uncracked_indices = (
-            map(list, zip(*cracked_uncracked_index_pairs, strict=True))
-            if cracked_uncracked_index_pairs
-            else ([], [])
-        )
-
-    def _set_up_feature_interpolations(self) -> None:
-        """Set interpolations of all features, and of corrections by the finer mesh.
-
-        Features are natural frequencies and harmonics. The method also sets ``is_predictable``.
-        """
-        model = self.model
-        self._coarse_interpolation = Interpolation(
-            model.unknown_grid, self._evaluate_smooth_features(model.coarse_cases)
-        )
-        self._interpolation_error_scales = self._estimate_interpolation_error_scales()
-        is_harmonic_column = np.repeat(
-            [not feature.is_natural_frequency for feature in self._features], 2
-        )
-        is_known_column = self._coarse_interpolation.has_enough_known_nodes & (
-            self._coarse_interpolation.has_only_inner_gaps | ~is_harmonic_column
-        )
-        # An error of the first order leaves d / (f - 1) where a mesh finer by f changes d, one of
-        # high order nothing: half of the former is added, and may be wrong.
-        self._mesh_correction: Interpolation | None = None
-        mesh_ratio = model.identify_table.finer
-        self._remaining_mesh_fraction = 0.5 / max(mesh_ratio - 1.0, 1.0 / mesh_ratio - 1.0, 0.1)
-        if model.finer_cases is not None:
-            finer_cases = model.finer_cases
-            mesh_difference = self._evaluate_smooth_features(
-                finer_cases
-            ) - self._coarse_interpolation.interpolate(finer_cases.unknown_grid.nodes)
-            self._mesh_correction = Interpolation(finer_cases.unknown_grid, mesh_difference)
-            is_known_column &= self._mesh_correction.has_enough_known_nodes & (
-                self._mesh_correction.has_only_inner_gaps | ~is_harmonic_column
-            )
-        is_known_feature = is_known_column.reshape(-1, 2).all(axis=1)
-        is_known_feature[self._cracked_indices] &= is_known_feature[self._uncracked_indices]
-        self.is_predictable = np.array(
-            [
-                bool(is_known_feature[feature_indices].all())
-                for feature_indices in self._feature_indices_by_row
-            ]
         )
 
     def make_predictor(
@@ -535,7 +430,7 @@ class MeasurementPredictor:
                 np.any(motionless_feature_masks, axis=0) if motionless_feature_masks else None
             )
             if len(point_indices):
-                feature_prediction = self._predict_features(x[point_indices])
+                feature_prediction = self._feature_predictor(x[point_indices])
                 for face_state in self._face_states:
                     yield (
                         point_indices,
@@ -543,90 +438,13 @@ class MeasurementPredictor:
                         self._predict_measurements(feature_prediction, is_zero_feature, face_state),
                     )
 
-    def _evaluate_smooth_features(self, solved_cases: SolvedCases) -> np.ndarray:
-        """Return smooth forms of all features at the grid nodes of solved cases: (n, 2f).
-
-        Features are natural frequencies and harmonics. A smooth form is feature times factor
-        (:func:`compute_smoothing_factors`); real and imaginary parts alternate.
-        """
-        feature_values = np.stack(
-            [feature.get_node_values(solved_cases) for feature in self._features], axis=1
-        )
-        feature_values[:, self._cracked_indices] -= feature_values[:, self._uncracked_indices]
-        return _split_complex_columns(
-            feature_values
-            * self._compute_smoothing_factors(
-                solved_cases.unknown_grid.nodes,
-                self._interpolate_frequency_split_and_frequencies(solved_cases.unknown_grid.nodes),
-            )
-        )
-
-    def _estimate_interpolation_error_scales(self) -> np.ndarray:
-        """Return factors (>= 1) on the estimated interpolation errors: (2f,).
-
-        A factor is the root-mean-square error at cases halfway between grid nodes over the
-        estimated error, for each of f features. All are 1 without such cases. Features with more
-        waves than nodes look smooth, as higher modes along the height do.
-        """
-        halfway_cases = self.model.halfway_cases
-        if halfway_cases is None:
-            return np.ones(2 * len(self._features))
-        x = halfway_cases.unknown_grid.nodes
-        squared_errors = (
-            self._evaluate_smooth_features(halfway_cases)
-            - self._coarse_interpolation.interpolate(x)
-        ) ** 2
-        stated_variances = np.sum(
-            self._coarse_interpolation.list_weighted_node_errors(x) ** 2, axis=1
-        )
-        error_and_variance_sums = [
-            np.nansum(squared_error_columns, axis=0).reshape(-1, 2).sum(axis=1)
-            for squared_error_columns in (squared_errors, stated_variances)
-        ]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            variance_ratios = np.where(
-                error_and_variance_sums[1] > 0.0,
-                error_and_variance_sums[0] / error_and_variance_sums[1],
-                1.0,
-            )
-        return np.repeat(np.sqrt(np.maximum(variance_ratios, 1.0)), 2)
-
-    def _compute_smoothing_factors(
-        self, x: np.ndarray, frequency_split_root_and_frequencies: np.ndarray
-    ) -> np.ndarray:
-        """Return factors that make features smooth, at values x (m, d): (m, f).
-
-        x are values of the unknowns. Both meshes get the factors of the coarse mesh
-        (:func:`compute_smoothing_factors`).
-        """
-        return compute_smoothing_factors(
-            self._features,
-            self.model.get_damping_ratio_of_points(x),
-            frequency_split_root_and_frequencies,
-            self.model.compute_crack_sizes_relative_to_largest(x),
-        )
-
-    def _interpolate_frequency_split_and_frequencies(self, x: np.ndarray) -> np.ndarray:
-        """Interpolate :attr:`SolvedCases.frequency_split_root_and_frequencies` to values x (m, d).
-
-        Shape (m, f, 1 + 2 modes), at the load of each feature; nan without enough solved cases.
-        """
-        frequency_split_root_and_frequencies = np.where(
-            self._split_root_and_frequency_interpolation.has_enough_known_nodes,
-            self._split_root_and_frequency_interpolation.interpolate(x),
-            np.nan,
-        )
-        return frequency_split_root_and_frequencies.reshape(
-            len(x), *self.model.coarse_cases.frequency_split_root_and_frequencies.shape[1:]
-        )[:, self._load_index_of_features]
-
     def __call__(self, x: np.ndarray) -> MeasurementPrediction:
         """Return predictions at values x (m, d) of the unknowns.
 
         At resonances several motions of the crack faces may be possible. The predictions are for
         the first (:func:`_list_face_states`), with the largest standard deviation.
         """
-        return self._predict_measurements(self._predict_features(x), None, self._face_states[0])
+        return self._predict_measurements(self._feature_predictor(x), None, self._face_states[0])
 
     def compute_interpolation_and_total_variances(
         self, x: np.ndarray
@@ -642,8 +460,7 @@ class MeasurementPredictor:
         (m, q)
             Total variances.
         """
-        feature_prediction = self._predict_features(x)
-        zero_smooth_features = np.zeros((len(x), 2 * len(self._features)))
+        feature_prediction = self._feature_predictor(x)
 
         def propagate_to_variances(covariance: np.ndarray) -> np.ndarray:
             changed_prediction = feature_prediction._replace(smooth_form_covariance=covariance)
@@ -653,84 +470,12 @@ class MeasurementPredictor:
         variances_without_interpolation = propagate_to_variances(
             np.zeros_like(feature_prediction.smooth_form_covariance)
         )
-        variances_along_unknowns = []
-        for weighted_errors in self._coarse_interpolation.list_weighted_node_errors_along_axes(x)[
-            : x.shape[1]
-        ]:
-            feature_errors = self._stack_feature_errors(
-                zero_smooth_features,
-                zero_smooth_features,
-                [self._interpolation_error_scales * weighted_errors],
-            )
-            variances_along_unknowns.append(
-                propagate_to_variances(feature_errors @ feature_errors.transpose(0, 2, 1))
-                - variances_without_interpolation
-            )
+        variances_along_unknowns = [
+            propagate_to_variances(covariance) - variances_without_interpolation
+            for covariance in self._feature_predictor.list_interpolation_covariances(x)
+        ]
         return np.stack(variances_along_unknowns, axis=1), propagate_to_variances(
             feature_prediction.smooth_form_covariance
-        )
-
-    def _predict_features(self, x: np.ndarray) -> FeaturePrediction:
-        """Predict natural frequencies and harmonics at values x (m, d) of the unknowns.
-
-        The covariance has the errors by interpolation, mesh, contact and priors.
-        """
-        smooth_features = self._coarse_interpolation.interpolate(x)
-        interpolation_errors = [
-            self._interpolation_error_scales
-            * self._coarse_interpolation.list_weighted_node_errors(x)
-        ]
-        remaining_mesh_errors = np.zeros_like(smooth_features)
-        if self._mesh_correction is not None:
-            mesh_difference = self._mesh_correction.interpolate(x)
-            remaining_mesh_errors = self._remaining_mesh_fraction * mesh_difference
-            smooth_features = smooth_features + mesh_difference + remaining_mesh_errors
-            interpolation_errors.append(self._mesh_correction.list_weighted_node_errors(x))
-        damping_ratio_of_points = self.model.get_damping_ratio_of_points(x)
-        frequency_split_root_and_frequencies = self._interpolate_frequency_split_and_frequencies(x)
-        smoothing_factors = self._compute_smoothing_factors(x, frequency_split_root_and_frequencies)
-        feature_values = (
-            smooth_features[:, ::2] + 1j * smooth_features[:, 1::2]
-        ) / smoothing_factors
-        uncracked_plate = self.model.uncracked_plate
-        prior_sensitivities = uncracked_plate.compute_feature_sensitivities(
-            self._features,
-            damping_ratio_of_points,
-            frequency_split_root_and_frequencies,
-            self._mode_prior_sensitivities,
-        )
-        prior_sensitivities = (
-            prior_sensitivities
-            * np.where(self._is_uncracked_feature, 1.0, feature_values * smoothing_factors)[
-                ..., None
-            ]
-        )
-        feature_values[:, self._cracked_indices] += feature_values[:, self._uncracked_indices]
-        interpolation_variances = sum(
-            np.sum(feature_errors**2, axis=1) for feature_errors in interpolation_errors
-        )
-        interpolation_variances = (
-            interpolation_variances[:, ::2] + interpolation_variances[:, 1::2]
-        ) / np.abs(smoothing_factors) ** 2
-        prior_errors = _split_complex_columns(prior_sensitivities.transpose(0, 2, 1)).transpose(
-            0, 2, 1
-        )
-        feature_errors = np.concatenate(
-            [
-                self._stack_feature_errors(
-                    smooth_features, remaining_mesh_errors, interpolation_errors
-                ),
-                prior_errors,
-            ],
-            axis=2,
-        )
-        return FeaturePrediction(
-            damping_ratio_of_points,
-            frequency_split_root_and_frequencies,
-            smoothing_factors,
-            feature_values,
-            interpolation_variances,
-            feature_errors @ feature_errors.transpose(0, 2, 1),
         )
 
     def _predict_measurements(
@@ -793,7 +538,7 @@ class MeasurementPredictor:
         complex_slopes[:, ~self.is_predictable] = 0.0
         if is_zero_feature is not None:
             complex_slopes[..., is_zero_feature] = 0.0
-        real_slopes = _split_complex_columns(complex_slopes.conj())
+        real_slopes = split_complex_columns(complex_slopes.conj())
         covariance = omitted_covariance + (
             real_slopes @ feature_prediction.smooth_form_covariance @ real_slopes.transpose(0, 2, 1)
         )
@@ -842,16 +587,18 @@ class MeasurementPredictor:
         (m, k) [m^2]
             Mean squares of the omitted harmonics.
         """
-        n_known_harmonics = self.model.coarse_cases.find_smallest_harmonic_count(
-            first_harmonic_feature.load_frequency
+        coarse_cases, load_frequency = (
+            self.model.coarse_cases,
+            first_harmonic_feature.load_frequency,
         )
-        highest_frequency = self._highest_mode_frequency
-        n_known_harmonics = min(n_known_harmonics, mean_squares.shape[1])
+        n_known_harmonics = min(
+            coarse_cases.find_smallest_harmonic_count(load_frequency), mean_squares.shape[1]
+        )
+        highest_frequency = np.nanmax(
+            coarse_cases.frequency_split_root_and_frequencies[..., KEPT_MODE_NUMBERS], initial=0.0
+        )
         n_harmonics = min(
-            max(
-                2 * n_known_harmonics,
-                math.ceil(highest_frequency / first_harmonic_feature.load_frequency),
-            ),
+            max(2 * n_known_harmonics, math.ceil(highest_frequency / load_frequency)),
             MAX_HARMONIC_ORDER,
         )
         harmonic_features = [
@@ -972,60 +719,14 @@ class MeasurementPredictor:
                     row_state.independent_deviation * frequency_split
                 ) ** 2 + damping_shift**2
         for cracked_index, uncracked_index in zip(
-            self._cracked_indices, self._uncracked_indices, strict=True
+            self._feature_predictor.cracked_indices,
+            self._feature_predictor.uncracked_indices,
+            strict=True,
         ):
             complex_slopes[:, :, uncracked_index] += (
                 complex_slopes[:, :, cracked_index] * smoothing_factors[:, None, cracked_index]
             )
         return predictions, complex_slopes, common_errors, independent_variances
-
-    def _stack_feature_errors(
-        self,
-        smooth_features: np.ndarray,
-        remaining_mesh_errors: np.ndarray,
-        interpolation_errors: list[np.ndarray],
-    ) -> np.ndarray:
-        """Stack independent errors of the smooth forms of features: (m, 2f, r).
-
-        Each of the r columns is an error in all smooth forms; the sum of the columns' outer
-        products is the covariance. Half of each variance is common to several forms.
-
-        Parameters
-        ----------
-        smooth_features : (m, 2f)
-            Smooth forms, real and imaginary parts in turn.
-        remaining_mesh_errors : (m, 2f)
-            Errors of the mesh after its correction.
-        interpolation_errors : list of (m, k, 2f)
-            Errors at nodes (:meth:`Interpolation.list_weighted_node_errors`), for each mesh.
-        """
-        root_of_half = np.sqrt(0.5)
-        all_interpolation_errors = np.concatenate(interpolation_errors, axis=1)
-        identity_matrix = np.eye(smooth_features.shape[1])
-        error_blocks = [
-            root_of_half * all_interpolation_errors.transpose(0, 2, 1),
-            root_of_half
-            * np.sqrt(np.sum(all_interpolation_errors**2, axis=1))[:, None, :]
-            * identity_matrix,
-            root_of_half * remaining_mesh_errors[..., None],
-            root_of_half * remaining_mesh_errors[..., None] * self._error_group_matrix,
-        ]
-        harmonic_deviation = self.model.identify_table.harmonic_deviation
-        if harmonic_deviation:
-            order_excess = np.repeat(
-                [max(feature.harmonic_order - 1, 0) for feature in self._features], 2
-            )
-            rotated_features = np.stack(
-                [-smooth_features[:, 1::2], smooth_features[:, ::2]], axis=2
-            ).reshape(smooth_features.shape)
-            feature_membership_matrix = np.kron(np.eye(len(self._features)), np.ones((2, 1)))
-            for turned_features in (smooth_features, rotated_features):
-                contact_errors = harmonic_deviation * (turned_features * order_excess)[..., None]
-                error_blocks += [
-                    root_of_half * contact_errors * self._error_group_matrix,
-                    root_of_half * contact_errors * feature_membership_matrix,
-                ]
-        return np.concatenate(error_blocks, axis=2)
 
 
 def _find_harmonic_masks_and_motionless_nodes(
@@ -1068,28 +769,6 @@ def _find_harmonic_masks_and_motionless_nodes(
     return harmonic_masks, np.moveaxis(
         np.array(motionless_grids, dtype=float), 0, -1
     ) if harmonic_masks else np.zeros(0)
-
-
-def _build_error_group_matrix(features: Sequence[Feature]) -> np.ndarray:
-    """Return the group membership of features with a common mesh error: (2f, groups).
-
-    Each of the f features, a natural frequency or a harmonic, has two equal rows: for its real and
-    its imaginary part. An entry is 1 if the feature is in the group
-    (:attr:`Feature.error_group_key`), otherwise 0.
-    """
-    group_keys = list(dict.fromkeys(feature.error_group_key for feature in features))
-    group_memberships = [
-        [float(feature.error_group_key == group_key) for group_key in group_keys]
-        for feature in features
-    ]
-    return np.repeat(group_memberships, 2, axis=0)
-
-
-def _split_complex_columns(complex_columns: np.ndarray) -> np.ndarray:
-    """Split complex columns (..., f) into real and imaginary ones in turn: (..., 2f)."""
-    return np.stack([complex_columns.real, complex_columns.imag], axis=-1).reshape(
-        *complex_columns.shape[:-1], -1
-    )
 
 
 def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
