@@ -37,7 +37,7 @@ Shapes: m points x of d unknowns, n nodes of the grid, q quantities, f features.
 
 from __future__ import annotations
 
-import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -82,10 +82,8 @@ class UnknownGrid:
     @cached_property
     def nodes(self) -> np.ndarray:
         """Return all grid nodes, combinations of values, the last unknown fastest: (n, d)."""
-        value_combinations = list(itertools.product(*self.axes))
-        return np.array(value_combinations, dtype=float).reshape(
-            len(value_combinations), len(self.axes)
-        )
+        value_grids = np.array(np.meshgrid(*self.axes, indexing="ij"), dtype=float)
+        return value_grids.reshape(len(self.axes), math.prod(self.shape)).T
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -450,13 +448,7 @@ class SolvedCases:
         frequencies = self.get_column(f"omega_{crack_state}_{mode}") / (2.0 * np.pi)
         if self.swept_loads.has_rotor_speeds:
             return frequencies
-        is_known = np.isfinite(frequencies)
-        largest_frequencies = np.max(
-            np.where(is_known, frequencies, -np.inf), axis=1, keepdims=True
-        )
-        largest_frequencies = np.where(
-            is_known.any(axis=1, keepdims=True), largest_frequencies, np.nan
-        )
+        largest_frequencies = np.fmax.reduce(frequencies, axis=1, keepdims=True)
         return np.broadcast_to(largest_frequencies, frequencies.shape)
 
     def get_harmonic_amplitudes(

@@ -37,7 +37,7 @@ from fenics_crack.monitoring.identification.model import (
 )
 from fenics_crack.monitoring.identification.nuisance import UncrackedPlate
 from fenics_crack.monitoring.identification.options import OPTIONS
-from fenics_crack.monitoring.identification.posterior import build_first_grid_points
+from fenics_crack.monitoring.identification.posterior import build_first_grid
 from fenics_crack.monitoring.identification.predictor import MeasurementPredictor
 from fenics_crack.monitoring.identification.result import Identification
 from fenics_crack.scene.fields import Axis
@@ -72,7 +72,7 @@ def find_largest_vibration_ratio_and_place(
     first_harmonic_measurement = Measurement(
         "harmonic_1", 1.0, 1.0, frequency=load_frequency, point=point_name
     )
-    grid_points = build_first_grid_points(model.unknown_grid)
+    grid_points = build_first_grid(model.unknown_grid).nodes
     interpolated_amplitudes = np.nan_to_num(
         MeasurementPredictor(model, [first_harmonic_measurement])(grid_points).values[:, 0]
     )
