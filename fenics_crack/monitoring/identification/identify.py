@@ -131,13 +131,15 @@ def identify(
     )
     refined_axes: list[Axis] = []
     while True:
-        solve_argument_by_name: dict[str, Any] = {
-            "frequency_only_loads": frequency_only_loads,
-            "uncracked_plate": uncracked_plate,
-            "refined_axes": refined_axes,
-        }
         forward_models = solve_forward(
-            scene, load_frequencies, Path(folder), comm, progress=progress, **solve_argument_by_name
+            scene,
+            load_frequencies,
+            Path(folder),
+            comm,
+            frequency_only_loads=frequency_only_loads,
+            uncracked_plate=uncracked_plate,
+            refined_axes=refined_axes,
+            progress=progress,
         )
         begin_stage("inference of the unknowns")
         identification = infer_unknowns(forward_models, measurements)
@@ -240,14 +242,11 @@ def _select_predictable_measurements(
     is_predictable = np.all(
         [MeasurementPredictor(model, measurement_rows).is_predictable for model in models], axis=0
     )
-    solved_cases_of_models = (
-        solved_cases
+    solved_cases_by_path = {
+        solved_cases.sweep_result.path: solved_cases
         for model in models
         for solved_cases in (model.coarse_cases, model.finer_cases)
         if solved_cases
-    )
-    solved_cases_by_path = {
-        solved_cases.sweep_result.path: solved_cases for solved_cases in solved_cases_of_models
     }
     load_frequencies = {measurement.frequency for measurement in measurement_rows}
     doubt_texts = []

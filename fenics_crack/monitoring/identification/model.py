@@ -12,20 +12,17 @@ frequency or harmonic (:class:`fenics_crack.monitoring.identification.interpolat
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from fenics_crack.basics.errors import N_LOWEST_MODES
 from fenics_crack.monitoring.identification.interpolation import (
     Feature,
     Interpolation,
     SolvedCases,
     compute_smoothing_factors,
 )
-from fenics_crack.monitoring.identification.measurements import Measurement
 from fenics_crack.monitoring.identification.nuisance import (
     CRACK_SIZE_KEYS,
     UncrackedPlate,
@@ -110,31 +107,6 @@ class ForwardModel:
         Shape (m, d), at values x (m, d) of the unknowns.
         """
         return compute_deviations_from_equivalent_crack(x, self.unknown_keys, self.scene)
-
-    def list_candidates(self) -> tuple[Measurement, ...]:
-        """List candidates for further measurements.
-
-        Candidates are natural frequencies of all modes, and the ratios of harmonics "ratio_2_1" and
-        "ratio_3_1" at all points and solved load frequencies.
-        """
-        quantity_names = ["frequency_open", "frequency_tied", "frequency_resonance"]
-        if self.coarse_cases.uncracked_cases is not None:
-            quantity_names.append("frequency_uncracked")
-        candidate_rows = [
-            Measurement(quantity_name, 1.0, 1.0, mode + 1)
-            for quantity_name in quantity_names
-            for mode in range(N_LOWEST_MODES)
-        ]
-        load_frequencies = self.coarse_cases.swept_loads.frequencies
-        ratio_names = ("ratio_2_1", "ratio_3_1")
-        point_names = ["", *self.coarse_cases.sweep_result.scene.label_by_point_name]
-        for load_frequency, point_name, ratio_name in itertools.product(
-            load_frequencies, point_names, ratio_names
-        ):
-            candidate_rows.append(
-                Measurement(ratio_name, 1.0, 1.0, frequency=load_frequency, point=point_name)
-            )
-        return tuple(candidate_rows)
 
 
 class FeaturePrediction(NamedTuple):

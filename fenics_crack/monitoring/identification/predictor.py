@@ -74,7 +74,9 @@ class ProbeDisplacements:
     ) -> None:
         self.row_indices, all_rows = list(row_indices), (*measured_rows, *candidate_rows)
         measured_group_rows = [
-            all_rows[row_index] for row_index in self.row_indices if row_index < len(measured_rows)
+            measured_rows[row_index]
+            for row_index in self.row_indices
+            if row_index < len(measured_rows)
         ]
         self._probe_phases = np.array([all_rows[row_index].phase for row_index in self.row_indices])
         self._n_measured = len(measured_group_rows)
@@ -195,15 +197,13 @@ class ProbeDisplacements:
         squared_norms = np.maximum((centred_displacements**2) @ weight_shares, np.finfo(float).tiny)
         explained_squares = np.where(projections > 0.0, projections**2 / squared_norms, 0.0)
         best_phase_indices = explained_squares.argmax(axis=1)
-        point_indices = np.arange(len(model_harmonics))
-        load_sizes = (
-            projections[point_indices, best_phase_indices]
-            / squared_norms[point_indices, best_phase_indices]
-        )
+        best_indices = np.arange(len(model_harmonics)), best_phase_indices
+        load_sizes = projections[best_indices] / squared_norms[best_indices]
         load_phases = tried_phases[best_phase_indices]
         constant_displacements = weight_shares @ self._measurement_values - load_sizes * (
-            displacements[point_indices, best_phase_indices] @ weight_shares
+            displacements[best_indices] @ weight_shares
         )
+        constant_scale = np.max(np.abs(self._measurement_values)) + np.finfo(float).tiny
         for _ in range(4):
             harmonic_terms = (
                 model_harmonics[:, None, :]
@@ -217,28 +217,23 @@ class ProbeDisplacements:
                 - load_sizes[:, None] * displacements
                 - constant_displacements[:, None]
             )
-            parameter_scales = np.array(
-                [1.0, 1.0, np.max(np.abs(self._measurement_values)) + np.finfo(float).tiny]
-            )
-            weighted_jacobian = np.stack(
-                [displacements * load_sizes[:, None], phase_slopes, np.ones_like(displacements)],
+            parameter_slopes = np.stack(
+                [
+                    load_sizes[:, None] * displacements,
+                    phase_slopes,
+                    np.full_like(displacements, constant_scale),
+                ],
                 axis=2,
             )
-            weighted_jacobian = (
-                weighted_jacobian * parameter_scales * self._inverse_deviations[:, None]
-            )
-            normal_matrices = weighted_jacobian.transpose(
-                0, 2, 1
-            ) @ weighted_jacobian + 1e-3 * np.eye(3)
+            weighted_jacobian = parameter_slopes * self._inverse_deviations[:, None]
+            transposed_jacobian = weighted_jacobian.transpose(0, 2, 1)
             newton_steps = np.linalg.solve(
-                normal_matrices,
-                weighted_jacobian.transpose(0, 2, 1) @ weighted_residuals[..., None],
+                transposed_jacobian @ weighted_jacobian + 1e-3 * np.eye(3),
+                transposed_jacobian @ weighted_residuals[..., None],
             )[..., 0]
             load_sizes = load_sizes * np.exp(np.clip(newton_steps[:, 0], -1.0, 1.0))
             load_phases = load_phases + np.clip(newton_steps[:, 1], -0.1, 0.1)
-            constant_displacements = (
-                constant_displacements + parameter_scales[2] * newton_steps[:, 2]
-            )
+            constant_displacements = constant_displacements + constant_scale * newton_steps[:, 2]
         return load_sizes, load_phases, constant_displacements
 
 
@@ -335,6 +330,7 @@ class MeasurementPredictor:
             ],
             dtype=bool,
         )
+        self._no_feature_mask = np.zeros(len(self._features), dtype=bool)
         self._probe_groups = ProbeDisplacements.group_displacements(measured_rows, candidate_rows)
         load_indices = self._feature_predictor.load_indices
         speed_ratios = model.coarse_cases.swept_loads.rotor_speed_ratios
@@ -423,11 +419,12 @@ class MeasurementPredictor:
                 axis=1,
             )
             point_indices = np.flatnonzero(probabilities > 0.0)
-            motionless_feature_masks = list(
-                itertools.compress(self._higher_harmonic_masks, are_loads_motionless)
-            )
-            is_zero_feature = (
-                np.any(motionless_feature_masks, axis=0) if motionless_feature_masks else None
+            is_zero_feature = np.any(
+                [
+                    self._no_feature_mask,
+                    *itertools.compress(self._higher_harmonic_masks, are_loads_motionless),
+                ],
+                axis=0,
             )
             if len(point_indices):
                 feature_prediction = self._feature_predictor(x[point_indices])
@@ -444,7 +441,9 @@ class MeasurementPredictor:
         At resonances several motions of the crack faces may be possible. The predictions are for
         the first (:func:`_list_face_states`), with the largest standard deviation.
         """
-        return self._predict_measurements(self._feature_predictor(x), None, self._face_states[0])
+        return self._predict_measurements(
+            self._feature_predictor(x), self._no_feature_mask, self._face_states[0]
+        )
 
     def compute_interpolation_and_total_variances(
         self, x: np.ndarray
@@ -464,7 +463,9 @@ class MeasurementPredictor:
 
         def propagate_to_variances(covariance: np.ndarray) -> np.ndarray:
             changed_prediction = feature_prediction._replace(smooth_form_covariance=covariance)
-            prediction = self._predict_measurements(changed_prediction, None, self._face_states[0])
+            prediction = self._predict_measurements(
+                changed_prediction, self._no_feature_mask, self._face_states[0]
+            )
             return np.diagonal(prediction.covariance, axis1=1, axis2=2)
 
         variances_without_interpolation = propagate_to_variances(
@@ -481,22 +482,22 @@ class MeasurementPredictor:
     def _predict_measurements(
         self,
         feature_prediction: FeaturePrediction,
-        is_zero_feature: np.ndarray | None,
+        is_zero_feature: np.ndarray,
         face_state: CrackFaceState,
     ) -> MeasurementPrediction:
         """Predict all measurements from features, for a motion of the crack faces.
 
         Features are natural frequencies and harmonics. Those marked in ``is_zero_feature`` (f,) are
-        0; None marks no feature.
+        0.
         """
         smoothing_factors = feature_prediction.smoothing_factors
-        feature_values = feature_prediction.feature_values
-        interpolation_variances = feature_prediction.interpolation_variances
-        if is_zero_feature is not None:
-            feature_values, interpolation_variances = (
-                np.where(is_zero_feature, 0.0, feature_array)
-                for feature_array in (feature_values, interpolation_variances)
+        feature_values, interpolation_variances = (
+            np.where(is_zero_feature, 0.0, feature_array)
+            for feature_array in (
+                feature_prediction.feature_values,
+                feature_prediction.interpolation_variances,
             )
+        )
         predictions, complex_slopes, common_errors, independent_variances = (
             self._predict_all_but_displacements(
                 feature_prediction.damping_ratio_of_points,
@@ -536,8 +537,7 @@ class MeasurementPredictor:
             all_row_load_changes[:, row_indices] = load_induced_changes
             load_change_blocks.append(all_row_load_changes)
         complex_slopes[:, ~self.is_predictable] = 0.0
-        if is_zero_feature is not None:
-            complex_slopes[..., is_zero_feature] = 0.0
+        complex_slopes[..., is_zero_feature] = 0.0
         real_slopes = split_complex_columns(complex_slopes.conj())
         covariance = omitted_covariance + (
             real_slopes @ feature_prediction.smooth_form_covariance @ real_slopes.transpose(0, 2, 1)
@@ -684,7 +684,6 @@ class MeasurementPredictor:
         common_errors = np.zeros((*predictions.shape, 1 + N_LOWEST_MODES))
         complex_slopes = np.zeros((*predictions.shape, len(self._features)), dtype=complex)
         identify_table = self.model.identify_table
-        resonance_deviation = self.model.identify_table.resonance_deviation
         for row_index, (row, feature_indices) in enumerate(
             zip(self.rows, self._feature_indices_by_row, strict=True)
         ):
@@ -710,7 +709,7 @@ class MeasurementPredictor:
                 mode_deviation = (
                     identify_table.first_resonance_deviation
                     if row.mode == 1
-                    else resonance_deviation
+                    else identify_table.resonance_deviation
                 )
                 common_errors[:, row_index, row.mode] = (
                     (state_index == 0) * mode_deviation * frequency_split

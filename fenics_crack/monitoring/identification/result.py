@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -126,10 +127,8 @@ class Identification(Tabular):
         Unknowns with text values, as "left" for crack.edge, have no interval. The interval contains
         the unknown with the probability ``identify.confidence``.
         """
-        compute_interval = self.posterior.compute_interval
-        probability = self._identify_table.confidence
         return {
-            key: compute_interval(unknown_index, probability)
+            key: self.posterior.compute_interval(unknown_index, self._identify_table.confidence)
             for unknown_index, key in enumerate(self.unknown)
         }
 
@@ -139,8 +138,9 @@ class Identification(Tabular):
 
         nan if the crack cannot be removed from the scene.
         """
-        uncracked_log_evidence = np.nan if self.plain is None else self.plain.log_evidence
-        return self.posterior.log_evidence - uncracked_log_evidence
+        if self.plain is None:
+            return math.nan
+        return self.posterior.log_evidence - self.plain.log_evidence
 
     @property
     def verdict(self) -> str:
@@ -158,17 +158,15 @@ class Identification(Tabular):
         "no crack" comes with the sizes up to which a crack may exist all the same: the upper ends
         of :attr:`intervals`.
         """
-        keys_and_upper_ends = [
-            (key, upper_end)
+        if self.verdict != NO_CRACK_VERDICT:
+            return self.verdict
+        size_texts = [
+            f"{value_in_words(key, upper_end)} of {key_in_words(key)}"
             for key, (_, upper_end) in self.intervals.items()
             if key in CRACK_SIZE_KEYS
         ]
-        size_texts = [
-            f"{value_in_words(key, upper_end)} of {key_in_words(key)}"
-            for key, upper_end in keys_and_upper_ends
-        ]
         above_text = f" above {' or '.join(size_texts)}" if size_texts else " of the scene's size"
-        return self.verdict + above_text * (self.verdict == NO_CRACK_VERDICT)
+        return self.verdict + above_text
 
     @property
     def reason(self) -> str:
@@ -190,12 +188,11 @@ class Identification(Tabular):
                 "identify.uncracked",
             )
         required_p_value = 1.0 - prior_by_key["confidence"]
-        required_log_bayes_factor = prior_by_key["log_bayes_factor"]
-        crack_p_value = self.misfit[1]
-        uncracked_p_value = self.plain.misfit[1]
+        is_plate_possible = self.plain.misfit[1] >= required_p_value
         log_bayes_factor = self.log_bayes_factor
+        is_crack_favoured = log_bayes_factor > prior_by_key["log_bayes_factor"]
         bayes_factor_text = f"the log Bayes factor of crack over no crack is {log_bayes_factor:.3g}"
-        if max(crack_p_value, uncracked_p_value) < required_p_value:
+        if self.misfit[1] < required_p_value and not is_plate_possible:
             reason_text = (
                 "neither a crack of this kind nor a plate without one explains the measurements"
             )
@@ -204,30 +201,21 @@ class Identification(Tabular):
                 "measurement"
             )
             return undecided_verdict, f"{reason_text}; {alternatives_text} ({bayes_factor_text})"
-        if log_bayes_factor > required_log_bayes_factor and uncracked_p_value >= required_p_value:
+        plate_condition_text = _describe_unchanged_plate_condition_or_empty(self)
+        if is_crack_favoured and is_plate_possible:
             reason_text = (
                 "a plate without a crack, changed within the priors, explains the measurements, too"
             )
-            return (
-                undecided_verdict,
-                f"{reason_text} ({bayes_factor_text})"
-                f"{_describe_unchanged_plate_condition_or_empty(self)}",
-            )
-        if log_bayes_factor < -required_log_bayes_factor:
+            return undecided_verdict, f"{reason_text} ({bayes_factor_text}){plate_condition_text}"
+        if log_bayes_factor < -prior_by_key["log_bayes_factor"]:
             unseen_crack_text = (
                 f"{bayes_factor_text}; an undetected crack would have {_describe_intervals(self)}"
             )
-            return (
-                NO_CRACK_VERDICT,
-                unseen_crack_text + _describe_unchanged_plate_condition_or_empty(self),
-            )
-        conditions_text = _describe_single_crack_condition_or_empty(
-            self
-        ) + _describe_unchanged_plate_condition_or_empty(self)
-        if log_bayes_factor > required_log_bayes_factor:
-            return "crack", bayes_factor_text + _describe_warming_condition_or_empty(
-                self
-            ) + conditions_text
+            return NO_CRACK_VERDICT, unseen_crack_text + plate_condition_text
+        conditions_text = _describe_single_crack_condition_or_empty(self) + plate_condition_text
+        if is_crack_favoured:
+            warming_text = _describe_warming_condition_or_empty(self)
+            return "crack", f"{bayes_factor_text}{warming_text}{conditions_text}"
         return (
             undecided_verdict,
             f"{bayes_factor_text}; if there is a crack, it has {_describe_intervals(self)}"
@@ -409,28 +397,24 @@ class Identification(Tabular):
         branch, x = self._branch_and_unknowns_of_estimate
         likelihood = branch.likelihood
         prediction = likelihood.predict_most_probable(x)
-        predictions = prediction.values[0]
         prediction_deviations = np.where(
             prediction.is_predictable, np.sqrt(np.diag(prediction.covariance[0])), np.inf
         )
-        residuals = (likelihood.measurement_values - predictions) / np.hypot(
+        residuals = (likelihood.measurement_values - prediction.values[0]) / np.hypot(
             likelihood.measurement_deviations, prediction_deviations
         )
-        table_columns = (
-            likelihood.measurement_values,
-            likelihood.measurement_deviations,
-            predictions,
-            prediction_deviations,
-            residuals,
-        )
-        measurement_names = [measurement.name for measurement in likelihood.predictor.rows]
+        number_rows = np.column_stack(
+            [
+                likelihood.measurement_values,
+                likelihood.measurement_deviations,
+                prediction.values[0],
+                prediction_deviations,
+                residuals,
+            ]
+        ).tolist()
         table_rows = [
-            list(table_row)
-            for table_row in zip(
-                measurement_names,
-                *(table_column.tolist() for table_column in table_columns),
-                strict=True,
-            )
+            [measurement.name, *numbers]
+            for measurement, numbers in zip(likelihood.predictor.rows, number_rows, strict=True)
         ]
         return Table(FIT_COLUMN_NAMES, table_rows)
 
@@ -481,13 +465,11 @@ class Identification(Tabular):
             title_parts.append(f"{unknown_key} = {estimate_text} ± {deviation_text}")
         if len(self.alternatives) > 1:
             title_parts.append("NOT THE ONLY ONE")
-        title_parts += ["IF IT IS ONE CRACK"] * bool(
-            _describe_single_crack_condition_or_empty(self)
-        )
-        has_clamp_condition = (
-            self.verdict == "crack" and _describe_unchanged_plate_condition_or_empty(self)
-        )
-        return ", ".join(title_parts + ["IF ITS CLAMP HOLDS AS BEFORE"] * bool(has_clamp_condition))
+        if _describe_single_crack_condition_or_empty(self):
+            title_parts.append("IF IT IS ONE CRACK")
+        if self.verdict == "crack" and _describe_unchanged_plate_condition_or_empty(self):
+            title_parts.append("IF ITS CLAMP HOLDS AS BEFORE")
+        return ", ".join(title_parts)
 
 
 def _list_small_deviation_warnings(measurements: Measurements) -> list[str]:
@@ -515,9 +497,8 @@ def _list_misfit_warnings(identification: Identification) -> list[str]:
     Reasons are a posterior that the grid does not resolve, measurements that no crack explains
     (with the worst one), and single measurements that alone contradict a plate without a crack.
     """
-    (chi_square, p_value) = identification.misfit
-    rows = identification.measurements.rows
-    warning_texts = []
+    chi_square, p_value = identification.misfit
+    rows, warning_texts = identification.measurements.rows, []
     required_p_value = 1.0 - identification.priors["confidence"]
     if identification.posterior.unresolved_probability > OPTIONS.min_part_probability:
         warning_texts.append(
@@ -569,13 +550,9 @@ def _describe_single_crack_condition_or_empty(identification: Identification) ->
     have unknowns: no misfit can then exclude two cracks. Otherwise return "".
     """
     identify_table, rows = identification._identify_table, identification.measurements.rows
-    number_unknown_keys = [
-        unknown_axis.key
-        for unknown_axis in identify_table.unknown
-        if not isinstance(unknown_axis.values[0], str)
-    ]
     n_crack_unknowns = len(identify_table.mesh_axes) + sum(
-        key.startswith("crack.") for key in number_unknown_keys
+        unknown_axis.key.startswith("crack.") and not isinstance(unknown_axis.values[0], str)
+        for unknown_axis in identify_table.unknown
     )
     measured_modes = {
         measurement.mode for measurement in rows if measurement.quantity != "frequency_uncracked"
@@ -626,17 +603,16 @@ def _describe_unchanged_plate_condition_or_empty(identification: Identification)
             "explains the measurements without a crack: measure the temperature, too; or open and "
             "close the clamp, measure again, and give the change as identify.before_deviation"
         )
-    clamp_and_temperature_factors = [
+    clamp_factor, temperature_factor = (
         0.0
         if is_uncracked_explained
         else max(1.0, clamp_deviation / stated_change)
         if stated_change
         else 1.0
         for stated_change in (identify_table.before_deviation, thermal_frequency_change)
-    ]
+    )
     misfit_with_changes = uncracked_posterior.compute_misfit_with_change_factors(
-        clamp_factor=clamp_and_temperature_factors[0],
-        temperature_factor=clamp_and_temperature_factors[1],
+        clamp_factor=clamp_factor, temperature_factor=temperature_factor
     )
     if (misfit_with_changes[1] >= required_p_value) == is_uncracked_explained:
         return ""
@@ -693,20 +669,18 @@ def _describe_intervals(identification: Identification) -> str:
 
     Sizes of the crack may also be below the bounds of the search.
     """
-    unknown_grid = identification.posterior.branch_by_words[
-        identification.posterior.best_words_and_unknowns[0]
-    ].likelihood.predictor.model.unknown_grid
+    posterior = identification.posterior
+    branch = posterior.branch_by_words[posterior.best_words_and_unknowns[0]]
+    lower_bounds = branch.likelihood.predictor.model.unknown_grid.lower_bounds
     interval_texts = []
-    for (key, interval_ends), search_lower_bound in zip(
-        identification.intervals.items(), unknown_grid.lower_bounds, strict=True
+    for (key, (lower_end, upper_end)), search_lower_bound in zip(
+        identification.intervals.items(), lower_bounds, strict=True
     ):
-        lower_text, upper_text = (
-            value_in_words(key, interval_end) for interval_end in interval_ends
-        )
-        below_bound_text = (
-            f", or below {value_in_words(key, search_lower_bound)}, "
-            "outside the bounds of the search"
-        )
-        interval_text = f"{key_in_words(key)} {lower_text} to {upper_text}"
-        interval_texts.append(interval_text + below_bound_text * (key in CRACK_SIZE_KEYS))
+        lower_text, upper_text = value_in_words(key, lower_end), value_in_words(key, upper_end)
+        interval_texts.append(f"{key_in_words(key)} {lower_text} to {upper_text}")
+        if key in CRACK_SIZE_KEYS:
+            interval_texts[-1] += (
+                f", or below {value_in_words(key, search_lower_bound)}, "
+                "outside the bounds of the search"
+            )
     return "; ".join(interval_texts)

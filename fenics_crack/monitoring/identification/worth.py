@@ -38,6 +38,7 @@ from fenics_crack.monitoring.identification.predictor import (
 )
 from fenics_crack.scene.scene import unit_of_key
 from fenics_crack.scene.words import key_in_words, value_in_words
+from fenics_crack.sweep.file import KEPT_MODE_NUMBERS
 
 
 @with_old_names(
@@ -125,7 +126,7 @@ def rank_measurements_by_information(
     for measurement in candidate_rows:
         measurement.check(model.scene)
     if measurements is None:
-        candidate_rows = (*model.list_candidates(), *_list_probe_candidates(measured_rows))
+        candidate_rows = tuple(_list_default_candidates(model, measured_rows))
     n_measured_rows = len(measured_rows)
     predictor = likelihood.predictor.make_predictor(measured_rows, candidate_rows)
     predictions = predictor(x[None]).values[0]
@@ -347,12 +348,32 @@ def _compute_information_and_deviations(
     )
 
 
-def _list_probe_candidates(measured_rows: Sequence[Measurement]) -> list[Measurement]:
-    """List displacements for a further probe, at 24 phases of the load's period.
+def _list_default_candidates(
+    model: ForwardModel, measured_rows: Sequence[Measurement]
+) -> list[Measurement]:
+    """List candidates for further measurements.
 
-    The list is empty without measured displacements. Standard deviations are the median of those.
+    Candidates are natural frequencies of all modes, and the ratios of harmonics "ratio_2_1" and
+    "ratio_3_1" at all points and solved load frequencies. If displacements were measured, further
+    ones are at 24 phases of the load's period, with the median of the standard deviations.
     """
-    phases, candidates = 2.0 * np.pi * np.arange(24) / 24, []
+    coarse_cases = model.coarse_cases
+    quantity_names = ["frequency_open", "frequency_tied", "frequency_resonance"]
+    if coarse_cases.uncracked_cases is not None:
+        quantity_names.append("frequency_uncracked")
+    candidates = [
+        Measurement(quantity_name, 1.0, 1.0, mode)
+        for quantity_name in quantity_names
+        for mode in KEPT_MODE_NUMBERS
+    ]
+    point_names = ["", *coarse_cases.sweep_result.scene.label_by_point_name]
+    candidates += [
+        Measurement(ratio_name, 1.0, 1.0, frequency=load_frequency, point=point_name)
+        for load_frequency in coarse_cases.swept_loads.frequencies
+        for point_name in point_names
+        for ratio_name in ("ratio_2_1", "ratio_3_1")
+    ]
+    phases = 2.0 * np.pi * np.arange(24) / 24
     for probe_group in ProbeDisplacements.group_displacements(measured_rows, ()):
         group_rows = [measured_rows[row_index] for row_index in probe_group.row_indices]
         median_deviation = float(np.median([measurement.deviation for measurement in group_rows]))
