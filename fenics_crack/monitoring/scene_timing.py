@@ -359,10 +359,9 @@ def find_passages_and_modes(
         )
         raise InputError("arrivals", repr(arrivals), requirement_text)
     diagram = _compute_campbell_diagram(scene, arrivals)
-    passage_fits = _fit_passages(scene.given("tip_timing"), arrivals, diagram)
     return [
         (passage_fit, *match_mode_or_give_reason(passage_fit, diagram))
-        for passage_fit in passage_fits
+        for passage_fit in _fit_passages(scene.given("tip_timing"), arrivals, diagram)
     ]
 
 
@@ -502,9 +501,10 @@ def find_tip_factor_by_dof(
             tip_direction /= np.linalg.norm(tip_direction)
         else:
             tip_direction = _find_circumferential_direction(run.scene, node_points[node_index])
-        dofs_and_factors = zip(dofs[node_index].tolist(), tip_direction.tolist(), strict=True)
         factor_by_dof = {
-            dof: factor for dof, factor in dofs_and_factors if dof >= 0 and factor != 0.0
+            dof: factor
+            for dof, factor in zip(dofs[node_index].tolist(), tip_direction.tolist(), strict=True)
+            if dof >= 0 and factor != 0.0
         }
     return {
         structure.dof_of(blade_number or structure.watched_sector_index + 1, dof): factor
@@ -518,9 +518,9 @@ def describe_probed_tip_displacement(timing_table: TipTiming, run: Run) -> str:
     An example is "the probes measure 1 times the y displacement at (0.1, 0.1) m".
     """
     structure = run.structure.whole
-    dofs_and_factors = find_tip_factor_by_dof(timing_table, run).items()
     term_texts = [
-        f"{factor:.4g} times the {structure.dof_name(dof)}" for dof, factor in dofs_and_factors
+        f"{factor:.4g} times the {structure.dof_name(dof)}"
+        for dof, factor in find_tip_factor_by_dof(timing_table, run).items()
     ]
     return f"the probes measure {' and '.join(term_texts)}"
 

@@ -39,17 +39,9 @@ FOLDED_HARMONICS_TEXT = (
     "harmonics that are not fitted may be aliased onto the fitted ones: raise "
     "tip_timing.fitted_harmonics, or use more probes"
 )
-NO_REPETITION_TEXT = (
-    "each probe measures the vibration only once, which cannot test the fit and its standard "
-    "errors: record more revolutions"
-)
 UNCLEAR_HARMONIC_FORMAT = (
     "its amplitude exceeds its error at no speed, and is at most {}; more fitted revolutions give "
     "a smaller error (tip_timing.fitted_revolutions)"
-)
-CORRELATED_RESIDUALS_TEXT = (
-    "the residuals are correlated, due to drift or another vibration nearby: the order and the "
-    "standard errors may be wrong"
 )
 UNTESTED_ORDER_FORMAT = (
     "cannot test an order: order {:g} fits, but others may fit as well; give the possible ones "
@@ -248,7 +240,11 @@ def _conclude_from_passages(
                 _describe_orders(OTHER_ORDERS_TEXT, fit.ambiguous),
             ),
             (fit.disagree, fit.disagreement_in_words),
-            (fit.in_doubt, CORRELATED_RESIDUALS_TEXT),
+            (
+                fit.in_doubt,
+                "the residuals are correlated, due to drift or another vibration nearby: the order "
+                "and the standard errors may be wrong",
+            ),
         )
         warning_texts += [
             f"blade {blade}, {fit.speed / RAD_PER_S_PER_RPM:.5g} rpm: {doubt_text}"
@@ -452,7 +448,11 @@ def _list_fit_notes_and_doubts(fit: TipFit) -> tuple[list[str], list[str]]:
         (fit.does_not_fit, misfit_text),
         (fit.may_be_folded and has_spare_probes and not fit.does_not_fit, FOLDED_HARMONICS_TEXT),
         (not has_spare_probes, NO_SPARE_PROBE_TEXT),
-        (fit.seen_once and has_spare_probes, NO_REPETITION_TEXT),
+        (
+            fit.seen_once and has_spare_probes,
+            "each probe measures the vibration only once, which cannot test the fit and its "
+            "standard errors: record more revolutions",
+        ),
         (fit.ambiguous, _describe_orders(OTHER_ORDERS_TEXT, fit.ambiguous)),
         (fit.hidden, _describe_orders("probes at these angles cannot measure", fit.hidden)),
     )

@@ -286,32 +286,30 @@ def list_measurement_limit_remarks(scene: Scene, measurements: Measurements) -> 
     shape depends on the load's size.
     """
     identify_table = scene.given("identify")
-    crack, measurement_rows, remark_texts = scene.crack, measurements.rows, []
-    is_edge_given = not any(axis.key == "crack.edge" for axis in identify_table.unknown)
-    if (
-        is_edge_given
-        and crack is not None
-        and crack.edge
-        and all(measurement.is_natural_frequency for measurement in measurement_rows)
-    ):
-        other_edge = {"left": "right", "right": "left"}[crack.edge]
-        remark_texts.append(
+    crack, measurement_rows = scene.crack, measurements.rows
+    other_edge = ""
+    if crack is not None and not any(axis.key == "crack.edge" for axis in identify_table.unknown):
+        other_edge = {"left": "right", "right": "left"}.get(crack.edge or "", "")
+    limits_and_remarks = (
+        (
+            other_edge
+            and all(measurement.is_natural_frequency for measurement in measurement_rows),
             f"a crack from the {other_edge} edge has the same natural frequencies, which cannot "
-            "distinguish the edges"
-        )
-    if identify_table.meshes:
-        remark_texts.append(
+            "distinguish the edges",
+        ),
+        (
+            identify_table.meshes,
             "the intervals do not include the error of the mesh files: compare with the result of "
-            "meshes twice as fine"
-        )
-    if any(
-        measurement.depends_on_shape_alone for measurement in measurement_rows
-    ) and not has_load_independent_motion_shape(scene):
-        remark_texts.append(
+            "meshes twice as fine",
+        ),
+        (
+            any(measurement.depends_on_shape_alone for measurement in measurement_rows)
+            and not has_load_independent_motion_shape(scene),
             "with a clearance or a steady load, the shape of the motion depends on the size of the "
-            "load: check that the scene has the real load"
-        )
-    return tuple(remark_texts)
+            "load: check that the scene has the real load",
+        ),
+    )
+    return tuple(remark_text for is_limited, remark_text in limits_and_remarks if is_limited)
 
 
 def _yield_unresolved_resonance_remarks(

@@ -147,9 +147,8 @@ class Measurement:
             check_number("measurements.rpm", self.rpm, 0.0)
         if not math.isnan(self.temperature):
             check_number("measurements.temperature", self.temperature)
-        natural_frequency_keys = ("mode", "rpm", "temperature")
         allowed_keys = (
-            natural_frequency_keys
+            ("mode", "rpm", "temperature")
             if self.is_natural_frequency
             else ("frequency", "point", *["phase"] * is_displacement)
         )
@@ -235,29 +234,39 @@ class Measurement:
         Reasons are a rotor speed without an engine order, an unknown point, a crack that cannot be
         removed, and too few harmonics.
         """
-        if not math.isnan(self.rpm) and (scene.excitation.order is None or scene.speed == 0.0):
-            allowed_text = "left out unless the scene has [rotation] and excitation.order"
-            raise InputError("measurements.rpm", self.rpm, allowed_text)
         point_names = scene.label_by_point_name
-        if self.point and self.point not in point_names:
-            allowed_text = (
-                f"empty, or one of [output.points]: {', '.join(point_names) or 'there are none'}"
-            )
-            raise InputError("measurements.point", self.point, allowed_text)
-        if (
-            self.quantity == "frequency_uncracked"
-            and get_crack_removal_changes_or_none(scene) is None
-        ):
-            allowed_text = (
-                "left out, since the crack cannot be removed from this scene; of mesh files "
-                "name that without a crack in identify.uncracked"
-            )
-            raise InputError("measurements.quantity", self.quantity, allowed_text)
         highest_order = max(self.harmonic_orders, default=0)
         n_harmonics = scene.harmonic_balance.harmonics
-        if n_harmonics < highest_order:
-            allowed_text = f"at least {highest_order} for {self.quantity}"
-            raise InputError("harmonic_balance.harmonics", n_harmonics, allowed_text)
+        for is_unfit, key, key_value, allowed_text in (
+            (
+                not math.isnan(self.rpm) and (scene.excitation.order is None or scene.speed == 0.0),
+                "measurements.rpm",
+                self.rpm,
+                "left out unless the scene has [rotation] and excitation.order",
+            ),
+            (
+                self.point and self.point not in point_names,
+                "measurements.point",
+                self.point,
+                f"empty, or one of [output.points]: {', '.join(point_names) or 'there are none'}",
+            ),
+            (
+                self.quantity == "frequency_uncracked"
+                and get_crack_removal_changes_or_none(scene) is None,
+                "measurements.quantity",
+                self.quantity,
+                "left out, since the crack cannot be removed from this scene; of mesh files "
+                "name that without a crack in identify.uncracked",
+            ),
+            (
+                n_harmonics < highest_order,
+                "harmonic_balance.harmonics",
+                n_harmonics,
+                f"at least {highest_order} for {self.quantity}",
+            ),
+        ):
+            if is_unfit:
+                raise InputError(key, key_value, allowed_text)
 
 
 @dataclass(frozen=True, repr=False)
@@ -581,10 +590,11 @@ class Measurements(Tabular):
 
     def to_dict(self) -> dict[str, Any]:
         """Return columns by name, with empty cells, as :meth:`from_csv` reads them."""
-        column_names = [measurement_field.name for measurement_field in fields(Measurement)]
         values_by_column = {
-            column_name: [getattr(measurement, column_name) for measurement in self.rows]
-            for column_name in column_names
+            measurement_field.name: [
+                getattr(measurement, measurement_field.name) for measurement in self.rows
+            ]
+            for measurement_field in fields(Measurement)
         }
         values_by_column["mode"] = [mode or "" for mode in values_by_column["mode"]]
         for column_name in ("frequency", "phase", "rpm", "temperature"):

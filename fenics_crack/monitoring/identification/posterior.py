@@ -308,7 +308,7 @@ class PosteriorBranch:
         first_grid_log_likelihood = _evaluate_log_likelihood(likelihood, first_grid.nodes).reshape(
             first_grid.shape
         )
-        self.optima = _find_optima(likelihood, first_grid.axes, first_grid_log_likelihood)
+        self.optima = _find_optima(likelihood, first_grid, first_grid_log_likelihood)
         model = likelihood.predictor.model
         best_optima = self.optima[:3]
         half_width_fractions = np.linspace(
@@ -486,19 +486,19 @@ def _split_points_into_batches(points: np.ndarray) -> list[np.ndarray]:
 
 
 def _find_optima(
-    likelihood: Likelihood, axes: Sequence[np.ndarray], log_likelihood: np.ndarray
+    likelihood: Likelihood, first_grid: UnknownGrid, log_likelihood: np.ndarray
 ) -> list[Optimum]:
     """Find maxima of the likelihood by least squares.
 
-    The best 8 local maxima of ``log_likelihood`` on the grid of ``axes`` are starts. Left out are
-    optima within one standard deviation of a better one in every unknown, and optima with a
-    log-likelihood more than 8 below the best.
+    The best 8 local maxima of ``log_likelihood`` on ``first_grid`` are starts. Left out are optima
+    within one standard deviation of a better one in every unknown, and optima with a log-likelihood
+    more than 8 below the best.
     """
-    local_maximum_indices = np.argwhere(
+    local_maximum_indices = np.flatnonzero(
         log_likelihood == maximum_filter(log_likelihood, size=3, mode="nearest")
     )
-    start_grid_indices = sorted(
-        local_maximum_indices, key=lambda grid_index: -log_likelihood[tuple(grid_index)]
+    start_indices = sorted(
+        local_maximum_indices, key=lambda node_index: -log_likelihood.flat[node_index]
     )[: OPTIONS.max_least_squares_starts]
     optima: list[Optimum] = []
     unknown_grid = likelihood.predictor.model.unknown_grid
@@ -515,13 +515,7 @@ def _find_optima(
         )
         return np.asarray((residual_rows[1:] - residual_rows[0]).T / np.diag(fraction_steps))
 
-    for grid_index in start_grid_indices:
-        start_point = np.array(
-            [
-                axis_values[axis_index]
-                for axis_values, axis_index in zip(axes, grid_index, strict=True)
-            ]
-        )
+    for start_point in first_grid.nodes[start_indices]:
         fractions = np.clip((start_point - lower_bounds) / unknown_ranges, 1e-6, 1.0 - 1e-6)
         least_squares_fit = least_squares(
             compute_residuals_at_fractions,
@@ -544,13 +538,12 @@ def _find_optima(
     optima.sort(key=lambda optimum: -optimum.log_likelihood)
     distinct_optima: list[Optimum] = []
     for optimum in optima:
-        near_optimum_flags = (
-            np.all((optimum.x - distinct_optimum.x) ** 2 < np.diag(distinct_optimum.covariance))
-            for distinct_optimum in distinct_optima
+        is_near_better_optimum = any(
+            np.all(np.abs(optimum.x - better_optimum.x) < better_optimum.deviations)
+            for better_optimum in distinct_optima
         )
-        if optimum.log_likelihood > optima[
-            0
-        ].log_likelihood - OPTIONS.allowed_optimum_log_drop and not any(near_optimum_flags):
+        log_drop = optima[0].log_likelihood - optimum.log_likelihood
+        if log_drop < OPTIONS.allowed_optimum_log_drop and not is_near_better_optimum:
             distinct_optima.append(optimum)
     return distinct_optima
 
@@ -569,8 +562,8 @@ class Posterior:
     def __init__(self, branch_by_words: Mapping[str, PosteriorBranch]) -> None:
         self.branch_by_words = dict(branch_by_words)
         log_evidences = [branch.log_evidence for branch in self.branch_by_words.values()]
-        self.log_evidence = float(logsumexp(log_evidences) - np.log(len(log_evidences)))
         log_evidence_sum = logsumexp(log_evidences)
+        self.log_evidence = float(log_evidence_sum - np.log(len(log_evidences)))
         self.grid_masses_by_words = {
             words_text: np.exp(branch.grid_log_likelihood - log_evidence_sum) * branch.prior_masses
             for words_text, branch in self.branch_by_words.items()
@@ -707,10 +700,10 @@ class Posterior:
         self, unknown_index: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return an unknown's grid values in ascending order, with probabilities: (n,) each."""
-        values = np.concatenate(
+        unknown_values = np.concatenate(
             [branch.axes[unknown_index] for branch in self.branch_by_words.values()]
         )
-        masses = np.concatenate(
+        value_masses = np.concatenate(
             [
                 np.moveaxis(point_masses, unknown_index, 0)
                 .reshape(point_masses.shape[unknown_index], -1)
@@ -718,8 +711,8 @@ class Posterior:
                 for point_masses in self.grid_masses_by_words.values()
             ]
         )
-        sorted_value_indices = np.argsort(values, kind="stable")
-        return values[sorted_value_indices], masses[sorted_value_indices]
+        sorted_value_indices = np.argsort(unknown_values, kind="stable")
+        return unknown_values[sorted_value_indices], value_masses[sorted_value_indices]
 
     def compute_interval(self, unknown_index: int, probability: float) -> tuple[float, float]:
         """Return the equal-tailed credible interval of an unknown with a probability."""

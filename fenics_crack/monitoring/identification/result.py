@@ -313,9 +313,10 @@ class Identification(Tabular):
         InputError
             A measurement does not fit the forward model, or a standard deviation is not > 0.
         """
-        deviations = frequency_deviation, harmonic_deviation
         branch, x = self._branch_and_unknowns_of_estimate
-        return rank_measurements_by_information(branch.likelihood, x, measurements, deviations)
+        return rank_measurements_by_information(
+            branch.likelihood, x, measurements, (frequency_deviation, harmonic_deviation)
+        )
 
     def save(self, folder: str | Path) -> None:
         """Write ``identify.json`` and ``identify.h5`` to a folder, on this rank alone.

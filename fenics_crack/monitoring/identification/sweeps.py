@@ -80,9 +80,12 @@ def find_largest_vibration_ratio_and_place(
         np.abs(model.coarse_cases.get_harmonic_amplitudes(point_name, load_frequency, 1))
     )
     largest_index = int(np.argmax(interpolated_amplitudes))
-    return float(
-        interpolated_amplitudes[largest_index] / largest_solved_amplitude
-    ) if largest_solved_amplitude > 0.0 else 0.0, grid_points[largest_index]
+    vibration_ratio = (
+        float(interpolated_amplitudes[largest_index] / largest_solved_amplitude)
+        if largest_solved_amplitude > 0.0
+        else 0.0
+    )
+    return vibration_ratio, grid_points[largest_index]
 
 
 # --- the sweeps of the forward model --------------------------------------------------------------
@@ -196,11 +199,10 @@ def solve_forward(
         if refined_axis is None and not remaining_axes:
             break
         refined_axis = refined_axis or remaining_axes.pop(0)
-        axis_index = [axis.key for axis in unknown_axes].index(refined_axis.key)
-        sweep_result = sweeper.run_and_join_added_values(
-            sweep_result, unknown_axes, axis_index, refined_axis
-        )
-        unknown_axes[axis_index] = refined_axis
+        sweep_result = sweeper.run_and_join_added_values(sweep_result, unknown_axes, refined_axis)
+        unknown_axes = [
+            refined_axis if axis.key == refined_axis.key else axis for axis in unknown_axes
+        ]
     cracked_sweeps = sweeper.run_check_sweeps(
         "forward", {}, [*sweeper.mesh_file_axes, *unknown_axes], sweep_result
     )
@@ -217,11 +219,12 @@ def solve_forward(
     uncracked_sweeps = sweeper.run_check_sweeps(
         "uncracked", removal_value_by_key, uncracked_axes, uncracked_sweep
     )
-    cracked_and_uncracked_models = (
+    return SolvedForwardModels(
+        scene,
+        unknown_axes,
         _build_models(scene, uncracked_plate, swept_loads, cracked_sweeps, uncracked_sweeps),
         _build_models(scene, uncracked_plate, swept_loads, uncracked_sweeps),
     )
-    return SolvedForwardModels(scene, unknown_axes, *cracked_and_uncracked_models)
 
 
 @dataclass(frozen=True)
@@ -295,11 +298,7 @@ class _ForwardSweeper:
         return sweep_result
 
     def run_and_join_added_values(
-        self,
-        sweep_result: SweepResult,
-        unknown_axes: Sequence[Axis],
-        axis_index: int,
-        refined_axis: Axis,
+        self, sweep_result: SweepResult, unknown_axes: Sequence[Axis], refined_axis: Axis
     ) -> SweepResult:
         """Solve added values of an unknown, and join the sweeps (collective).
 
@@ -309,8 +308,6 @@ class _ForwardSweeper:
             Sweep with the values solved before.
         unknown_axes : sequence of Axis
             Unknowns with the values solved before.
-        axis_index : int
-            Index of the unknown among them.
         refined_axis : Axis
             Unknown with old and added values.
 
@@ -319,15 +316,14 @@ class _ForwardSweeper:
         SweepResult
             All cases.
         """
-        previous_axis_values = unknown_axes[axis_index].values
-        added_axis_values = tuple(
+        added_axes = [*self.mesh_file_axes, *unknown_axes]
+        axis_index = [axis.key for axis in added_axes].index(refined_axis.key)
+        added_values = tuple(
             axis_value
             for axis_value in refined_axis.values
-            if axis_value not in previous_axis_values
+            if axis_value not in added_axes[axis_index].values
         )
-        added_axes = [*self.mesh_file_axes, *unknown_axes]
-        axis_index += len(self.mesh_file_axes)
-        added_axes[axis_index] = Axis(refined_axis.key, added_axis_values)
+        added_axes[axis_index] = Axis(refined_axis.key, added_values)
         added_sweep = self.run_or_read_sweep("forward", self.coarse_scene, added_axes)
         return _join_sweeps(sweep_result, added_sweep, axis_index)
 
@@ -369,16 +365,20 @@ class _ForwardSweeper:
                 for axis in (*self.mesh_file_axes, *identify_table.unknown)
                 if axis.key in axis_keys
             ]
-            finer_scene = self.fine_scene.replace(scene_changes)
-            thinned_axes = _thin_axes(check_axes, n_kept_values)
-            finer_sweep = self.run_or_read_sweep(f"{sweep_name}_finer", finer_scene, thinned_axes)
+            finer_sweep = self.run_or_read_sweep(
+                f"{sweep_name}_finer",
+                self.fine_scene.replace(scene_changes),
+                _thin_axes(check_axes, n_kept_values),
+            )
         if not identify_table.meshes:
             halfway_axes = [
                 Axis(axis.key, _list_halfway_values(axis) or axis.values) for axis in unknown_axes
             ]
-            halfway_scene = self.coarse_scene.replace(scene_changes)
-            thinned_axes = _thin_axes(halfway_axes, n_kept_values)
-            halfway_sweep = self.run_or_read_sweep(sweep_name, halfway_scene, thinned_axes)
+            halfway_sweep = self.run_or_read_sweep(
+                sweep_name,
+                self.coarse_scene.replace(scene_changes),
+                _thin_axes(halfway_axes, n_kept_values),
+            )
         return all_cases_sweep, finer_sweep, halfway_sweep
 
 

@@ -69,23 +69,22 @@ class Worth(Tabular):
 
     def to_dict(self) -> dict[str, Any]:
         """Return columns by name, with a row for every candidate."""
-        rows = self.measurements
-        values_by_column: dict[str, Any] = {
-            "measurement": [measurement.name for measurement in rows],
-            "value": [measurement.value for measurement in rows],
-            "deviation": [measurement.deviation for measurement in rows],
+        return {
+            "measurement": [measurement.name for measurement in self.measurements],
+            "value": [measurement.value for measurement in self.measurements],
+            "deviation": [measurement.deviation for measurement in self.measurements],
             "information": self.information_gains.tolist(),
-        }
-        return values_by_column | {
-            f"left_of_{key}": deviation_array.tolist()
-            for key, deviation_array in self.improved_deviations_by_key.items()
+            **{
+                f"left_of_{key}": deviation_array.tolist()
+                for key, deviation_array in self.improved_deviations_by_key.items()
+            },
         }
 
     def _unit_by_name(self) -> Mapping[str, str]:
-        unit_by_column = {
-            f"left_of_{key}": unit_of_key(key) for key in self.current_deviation_by_key
+        return {
+            "information": "nats",
+            **{f"left_of_{key}": unit_of_key(key) for key in self.current_deviation_by_key},
         }
-        return unit_by_column | {"information": "nats"}
 
     def _repr_text(self) -> str:
         if not self.measurements:
@@ -193,14 +192,16 @@ def _assume_candidate_deviations(
     Displacements keep the median of measured ones. Others have the relative standard deviation of
     frequencies or of ratios, times the ``predictions`` (n,).
     """
-    own_deviations = np.array([measurement.deviation for measurement in candidate_rows])
-    is_at_probe = np.array(
-        [measurement.quantity == "displacement" for measurement in candidate_rows]
+    frequency_deviation, ratio_deviation = relative_deviations
+    return np.array(
+        [
+            measurement.deviation
+            if measurement.quantity == "displacement"
+            else (frequency_deviation if measurement.is_natural_frequency else ratio_deviation)
+            * prediction
+            for measurement, prediction in zip(candidate_rows, predictions, strict=True)
+        ]
     )
-    row_relative_deviations = np.where(
-        [measurement.is_natural_frequency for measurement in candidate_rows], *relative_deviations
-    )
-    return np.where(is_at_probe, own_deviations, row_relative_deviations * predictions)
 
 
 def list_advice_texts(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> list[str]:
