@@ -99,15 +99,7 @@ def identify(
     --------
     >>> found = fc.identify(scene, "measured.csv", {"crack.length": [0.02, 0.04]})  # doctest: +SKIP
     """
-    if unknown is not None:
-        identify_table = scene.identify or Identify.from_mapping({"unknown": unknown})
-        changed_table = replace(identify_table, unknown=Identify.convert_value("unknown", unknown))
-        scene = replace(scene, identify=changed_table)
-    if scene.identify is None:
-        raise InputError("identify", None, "given: a table [identify] with keys and values")
-    word_keys = [axis.key for axis in scene.identify.unknown if isinstance(axis.values[0], str)]
-    if len(word_keys) == len(scene.identify.unknown) and not scene.identify.meshes:
-        raise InputError("identify.unknown", word_keys, "keys of which at least one has numbers")
+    scene = _with_unknowns(scene, unknown)
     if not isinstance(measurements, Measurements):
         measurement_path = measurements
         measurements = on_root(comm, lambda: Measurements.read(measurement_path))
@@ -119,11 +111,12 @@ def identify(
         for row in measurement_rows
         if row.is_natural_frequency and (load_frequency := row.get_load_frequency(scene))
     ]
+    identify_table = scene.given("identify")
     uncracked_plate = solve_uncracked_plate(scene, comm)
     has_other_unknowns = any(
-        not axis.key.startswith(("crack.", "contact.")) for axis in scene.identify.unknown
+        not axis.key.startswith(("crack.", "contact.")) for axis in identify_table.unknown
     )
-    scene_load_frequencies = (scene.excitation.omega / RAD_PER_TURN, *scene.identify.frequencies)
+    scene_load_frequencies = (scene.excitation.omega / RAD_PER_TURN, *identify_table.frequencies)
     uncracked_plate.check_units_and_modes(
         measurements,
         [load_frequency for load_frequency in scene_load_frequencies if load_frequency > 0.0],
@@ -160,6 +153,26 @@ def identify(
         f"variance of {measurement_name}: more values in identify.unknown make intervals narrower"
     )
     return replace(identification, remarks=(*identification.remarks, remark_text))
+
+
+def _with_unknowns(scene: Scene, unknown: Mapping[str, Any] | None) -> Scene:
+    """Return a scene with the unknowns in its table ``[identify]``; None keeps the scene's own.
+
+    Raises
+    ------
+    InputError
+        There are no unknowns, or all have text values.
+    """
+    if unknown is not None:
+        identify_table = scene.identify or Identify.from_mapping({"unknown": unknown})
+        changed_table = replace(identify_table, unknown=Identify.convert_value("unknown", unknown))
+        scene = replace(scene, identify=changed_table)
+    if scene.identify is None:
+        raise InputError("identify", None, "given: a table [identify] with keys and values")
+    word_keys = [axis.key for axis in scene.identify.unknown if isinstance(axis.values[0], str)]
+    if len(word_keys) == len(scene.identify.unknown) and not scene.identify.meshes:
+        raise InputError("identify.unknown", word_keys, "keys of which at least one has numbers")
+    return scene
 
 
 def infer_unknowns(

@@ -662,24 +662,9 @@ class MeasurementPredictor:
         independent_variances : (m, q)
             Variances of independent errors.
         """
-        is_natural_frequency = np.array(
-            [feature.is_natural_frequency for feature in self._features]
+        feature_sizes, size_slopes = _compute_sizes_and_slopes(
+            self._features, feature_values, smoothing_factors
         )
-        with np.errstate(divide="ignore", invalid="ignore"):
-            feature_sizes = np.where(
-                is_natural_frequency,
-                np.exp(np.where(is_natural_frequency, feature_values.real, 0.0)),
-                np.abs(feature_values),
-            )
-            size_slopes = (
-                np.where(
-                    np.abs(feature_values) > 0.0,
-                    np.conj(feature_values) / np.abs(feature_values),
-                    1.0,
-                )
-                / smoothing_factors
-            )
-        size_slopes = np.where(is_natural_frequency, feature_sizes / smoothing_factors, size_slopes)
         predictions, independent_variances = np.zeros((2, len(feature_values), len(self.rows)))
         common_errors = np.zeros((*predictions.shape, 1 + N_LOWEST_MODES))
         complex_slopes = np.zeros((*predictions.shape, len(self._features)), dtype=complex)
@@ -801,6 +786,28 @@ def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
     return tuple(
         face_state._replace(prior_weight=face_state.prior_weight / total_weight)
         for face_state in face_states
+    )
+
+
+def _compute_sizes_and_slopes(
+    features: Sequence[Feature], feature_values: np.ndarray, smoothing_factors: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return sizes of f features, and slopes by their smooth forms: (m, f) each.
+
+    Sizes are natural frequencies [Hz] and amplitudes [m]. ``feature_values`` and
+    ``smoothing_factors`` (m, f) are as in :class:`FeaturePrediction`.
+    """
+    is_natural_frequency = np.array([feature.is_natural_frequency for feature in features])
+    frequencies = np.exp(np.where(is_natural_frequency, feature_values.real, 0.0))
+    amplitudes = np.abs(feature_values)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        amplitude_slopes = (
+            np.where(amplitudes > 0.0, np.conj(feature_values) / amplitudes, 1.0)
+            / smoothing_factors
+        )
+    return (
+        np.where(is_natural_frequency, frequencies, amplitudes),
+        np.where(is_natural_frequency, frequencies / smoothing_factors, amplitude_slopes),
     )
 
 
