@@ -721,11 +721,11 @@ class Wave:
             # The quasi-static part follows the forces in time, with their kinks.
             displacement_at_times -= (
                 force_at_times - basis_at_times @ self.row_force_coefficients
-            ) @ self.static_displacement_per_force.T
+            ) @ self._static_displacement_per_force.T
         return displacement_at_times
 
     @property
-    def static_displacement_per_force(self) -> np.ndarray:
+    def _static_displacement_per_force(self) -> np.ndarray:
         """Quasi-static displacement by unit contact forces: (n_local, n_columns) [m/N].
 
         Columns are those of :attr:`row_force_coefficients`. Only with quasi-static modes.

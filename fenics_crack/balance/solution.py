@@ -219,7 +219,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         """
         friction_coefficient, static_motion_per_force = friction_coefficient_of(self.contact), None
         if self.static_above is not None and not self.still:
-            static_motion_per_force = rows @ self.static_displacement_per_force
+            static_motion_per_force = rows @ self._static_displacement_per_force
         motion_coefficients = self.structure.sum_over_ranks(
             self._displacement_rows_mean_if_still @ rows.T
         )
