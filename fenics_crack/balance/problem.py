@@ -36,6 +36,7 @@ from fenics_crack.balance.compliance import (
     ComplianceModel,
     load_coefficients,
     make_compliance_model,
+    relative_residual_rounding,
     resized_compliance_model,
 )
 from fenics_crack.balance.contact_integrals import (
@@ -89,13 +90,7 @@ from fenics_crack.motion.search import (
     search_orbit,
     series_states_at_period_parts,
 )
-from fenics_crack.numerics.equations import (
-    COARSE_TOLERANCE,
-    MACHINE_EPSILON,
-    ROUNDING,
-    Linearisation,
-    residual_rounding,
-)
+from fenics_crack.numerics.equations import COARSE_TOLERANCE, ROUNDING, Linearisation
 from fenics_crack.numerics.fourier import resize_harmonics
 from fenics_crack.numerics.newton import (
     MAX_FULL_STEPS,
@@ -907,26 +902,6 @@ def halved_harmonic_counts(harmonics: int, min_harmonics: int) -> list[int]:
     while harmonic_counts[0] > min_harmonics:
         harmonic_counts.insert(0, max((harmonic_counts[0] + 1) // 2, min_harmonics))
     return harmonic_counts
-
-
-def relative_residual_rounding(compliance_model: ComplianceModel, law: ContactLaw) -> float:
-    """Return the rounding error |F| / |x| of the residual F for uncoupled pairs.
-
-    x are the unknowns. The error is machine epsilon times the largest contact stiffness times
-    compliance. Raises InputError if rounding leaves nothing of the contact force.
-    """
-    max_contact_stiffness = float(np.max(law.stiffness))
-    row_sums = np.abs(compliance_model.matrices).sum(axis=2)
-    max_allowed_stiffness = COARSE_TOLERANCE / (
-        MACHINE_EPSILON * float(row_sums[0].max(initial=1e-300))
-    )
-    if not max_contact_stiffness < max_allowed_stiffness:
-        requirement = (
-            f"at most {max_allowed_stiffness:.2g} N/m on this structure, else rounding hides "
-        )
-        requirement += "the contact force; for rigid contact use UnilateralConstraint"
-        raise InputError("contact stiffness", max_contact_stiffness, requirement)
-    return residual_rounding(max_contact_stiffness * float(row_sums.max(initial=0.0)))
 
 
 def _allowed_search_iterations(system: ContactSystem) -> float:
