@@ -1,1 +1,1 @@
-"""Solutions followed along a parameter."""
+"""Response curves: solutions followed along a parameter, their stability and bifurcations."""

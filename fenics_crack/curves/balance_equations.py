@@ -105,10 +105,11 @@ class BalanceEquations(CurveSystem):
 
     @cached_property
     def max_force_slope(self) -> float:
-        """Largest slope of contact forces over gaps, under the stiffer law of both ends [N/m].
+        """Largest slope of the contact forces over the gaps [N/m].
 
-        With a residual flexibility, the smaller slope over slow gaps: gap plus residual flexibility
-        times contact force.
+        The law at the curve's start or end counts, whichever is stiffer. With a residual
+        flexibility, the result is the smaller slope over slow gaps. A slow gap is the gap plus
+        residual flexibility times contact force.
         """
         laws = (self.problem_at(value).contact for value in (self.start, self.end))
         return max(self.system(self.start).max_contact_stiffness(law) for law in laws)
@@ -160,7 +161,7 @@ class BalanceEquations(CurveSystem):
     def unknown(self, state: np.ndarray, value: float) -> np.ndarray:
         """Return the unknowns (2H+1, n_pairs) [m] for a row of :attr:`ResponseCurve.points`.
 
-        A row from a solution with a fraction of the period is repeated to fill the period.
+        On a branch with twice the period, a row of the parent curve is repeated to fill the period.
         """
         return stretch_period(state, max(1, self.shape[0] // 2 // max(1, len(state) // 2)))
 
@@ -230,11 +231,11 @@ class BalanceEquations(CurveSystem):
         base_omega_and_change: tuple[float, float],
         damping_factor_and_change: tuple[float, float],
     ) -> CompiledEquations | None:
-        """Make the kernel's equations along frequencies or damping factors; None if damping couples
-        modes.
+        """Make the kernel's equations along a frequency or a damping factor.
 
         Each tuple has the value at the curve's start and the change to its end.
-        ``base_omega_and_change`` [rad/s] is the response's frequency.
+        ``base_omega_and_change`` [rad/s] is the response's frequency. None is returned if damping
+        couples modes.
         """
         modal_fields = self._unvaried_compliance_model.modal_fields_for_kernel(
             base_omega_and_change, damping_factor_and_change, self.problem.residual_compliance
@@ -297,8 +298,9 @@ class _BalanceOfVariedStructure(BalanceEquations):
         )
 
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
-        """Make the kernel's equations, for a parameter that changes the gap without contact
-        linearly.
+        """Make the kernel's equations along a load factor or a clearance.
+
+        The gap without contact is linear in both parameters.
         """
         residual_derivative = self._unvaried_compliance_model.residual_derivative(
             self.parameter_name, np.zeros(start_system.shape)
@@ -404,8 +406,8 @@ class BalanceAlongSpeed(BalanceEquations):
     """Harmonic-balance equations along a rotor speed [rad/s].
 
     The load frequency keeps its ratio to the speed. The modes change with the speed. The residual's
-    derivative by the speed is a central difference: the quasi-static part of the compliance, and
-    with it the sets of closed pairs, change, too.
+    derivative by the speed is a central difference. The speed also changes the quasi-static part of
+    the compliance, and with it the sets of closed pairs.
     """
 
     parameter_name, has_varying_integrals = "speed", True
@@ -427,9 +429,9 @@ class BalanceAlongSpeed(BalanceEquations):
     def _common_cutoff(self, problem: Problem, start: float, end: float) -> float:
         """Return the frequency above which modes are quasi-static on the whole curve [rad/s].
 
-        A mode that crosses the cutoff would become quasi-static on the way. The cutoff lies between
-        two modes that do not cross it at start, middle and end; without such modes, it is the
-        larger cutoff of start and end.
+        A mode whose frequency crosses the cutoff would become quasi-static on the way. So the
+        cutoff lies between two successive modes that stay below and above it at start, middle and
+        end. Without such modes, it is the larger cutoff of start and end.
         """
         min_cutoff = super()._common_cutoff(problem, start, end)
         run_up_structure = as_run_up_structure(problem.structure)

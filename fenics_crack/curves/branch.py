@@ -48,8 +48,8 @@ from fenics_crack.numerics.path import (
 class ReturnToParent(Event):
     """Event at which a branch with a doubled period joins its parent branch again.
 
-    There the parent branch crosses or the parameter turns back, and the motion repeats itself after
-    half its period.
+    The motion then repeats itself after half its period. Either the parent branch crosses, or the
+    parameter turns back.
     """
 
     is_terminal, description = True, "joined the branch that it left"

@@ -107,7 +107,7 @@ class StepLimits:
 
 
 class GrowingCurve:
-    """Curve that grows from a first point: iterate over it, or :meth:`run` it.
+    """Curve that grows from a first point, by iteration or by :meth:`run`.
 
     Parameters
     ----------
@@ -266,7 +266,7 @@ class GrowingCurve:
             self._append_segment(segment)
 
     def _yield_segments(self) -> Iterator[PathSegment]:
-        """Yield the path from the last point to the end of the curve, piece by piece.
+        """Follow the path from the last point to the end, and yield it in segments.
 
         Sets ``status``, ``complete`` and ``has_returned``.
         """
@@ -336,7 +336,7 @@ class GrowingCurve:
 
 @with_old_names(progress="progress_fraction")
 class Continuation(GrowingCurve):
-    """Curve that grows point by point: iterate over it, and take its ``curve`` at any time.
+    """Curve that grows point by point, in a loop; ``curve`` has the points so far.
 
         for point in Continuation(Problem(plate, 1000.0, law), "omega", 1000.0, 3000.0):
             ...
@@ -516,8 +516,9 @@ def make_first_path_point(
 def can_follow_orbits(problem: Problem, parameter: str, start: float, end: float) -> bool:
     """Return True if exact orbits can be followed along a parameter.
 
-    The structure is small, and the law has an exact flow with at most 120 modes. At ``start`` and
-    ``end``, the load is not too slow for time integration.
+    The structure must be small, and the law must have an exact flow with at most 120 modes. At
+    ``start`` and ``end``, the load must not be too slow for time integration. InputError: as
+    :func:`check_range`.
     """
     check_range(problem, parameter, start, end)
     flow = exact_flow_or_none(problem.structure, problem.contact)

@@ -226,7 +226,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         Harmonic balance: gap coefficients; for a structure with a residual flexibility R_inf, those
         of the slow gap s = g + R_inf lambda, with gap g and contact force lambda. With friction (n,
         2H+1, 2 n_pairs), normal gaps first. Exact orbits: modal displacements and velocities at
-        phase zero, in the modes of the varied structure.
+        phase zero, in the modes of the varied structure; with friction also slider positions.
     tolerance : float or None
         Error to which :meth:`solution` keeps an exact orbit's Fourier coefficients; None for points
         that solve the truncated harmonic-balance equations.
@@ -502,7 +502,10 @@ class ResponseCurve(ObservedMotion, Tabular):
         return np.where(self.undecided, "undecided", verdicts)
 
     def reason(self, index: int) -> str:
-        """Return why the stability at a point is undecided; "" if decided or not assessed."""
+        """Return why the stability at a point is undecided.
+
+        The text is empty if the stability is decided, or was not assessed.
+        """
         if self.undecided is None or not self.undecided[index]:
             return ""
         if self.exact:
@@ -564,8 +567,8 @@ class ResponseCurve(ObservedMotion, Tabular):
     def at_bifurcations(self) -> Self:
         """Curve with the first point, the bifurcations and the last point alone.
 
-        Amplitudes and other numbers can so be evaluated at bifurcations. Only exact orbits keep
-        their multipliers.
+        The purpose is to evaluate amplitudes and other numbers at bifurcations. Only exact orbits
+        keep their multipliers.
         """
         source_curve = self if self.exact else replace(self, multipliers=None, irregular=None)
         bifurcation_curves = [bifurcation.point for bifurcation in self.bifurcations]

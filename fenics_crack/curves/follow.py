@@ -202,12 +202,14 @@ def continue_parameter(
     def make_curve(
         curve_start: float, curve_end: float, first_guess: Any = initial
     ) -> GrowingCurve:
+        """Make a curve between two parameter values, with its first point."""
         ends, guess = (curve_start, curve_end), first_guess
         return Continuation(
             problem, parameter, *ends, exact=is_exact, initial=guess, **remaining_options
         )
 
     def follow_other_curve(returned_curve: GrowingCurve | None = None) -> GrowingCurve | None:
+        """Follow another curve from start to end; None with ``initial``, or if none is found."""
         return (
             _find_other_curve(make_curve, start, end, returned_curve) if initial is None else None
         )
@@ -355,11 +357,14 @@ def run_to_end(
     throw: bool,
     find_other_curve: Callable[[GrowingCurve], GrowingCurve | None] | None = None,
 ) -> ResponseCurve:
-    """Follow a curve to its end, or another curve if the first returns to the start.
+    """Follow a curve to its end, and return it with its stability.
+
+    If the curve returns to its start, another curve is followed instead.
 
     Parameters
     ----------
     growing_curve : GrowingCurve
+        Curve with a first point.
     progress : bool
         Show a progress bar.
     throw : bool
@@ -371,7 +376,8 @@ def run_to_end(
     Returns
     -------
     ResponseCurve
-        Curve with its stability if requested. After Ctrl-C: the points so far, without stability.
+        Curve, with its stability if requested for ``growing_curve``. After Ctrl-C: the points so
+        far, without stability.
     """
     try:
         try:

@@ -68,15 +68,18 @@ from fenics_crack.numerics.path import (
 )
 
 ACCEPTED_LOG_CHANGE = 0.01
-"""Change in ln |mu| that every step may make, for a Floquet multiplier mu."""
+"""Maximum change in ln |mu| of a Floquet multiplier mu that every step may make."""
 
 MIN_STEP_RATIO = 0.01
-"""Shortest step that is shortened for a multiplier's change, relative to the longest step."""
+"""Minimum length of a step that may be rejected because multipliers change too much.
+
+Relative to the longest step.
+"""
 
 MIN_COLLISION_STEP_RATIO = 0.02
-"""Shortest step that is shortened for a multiplier collision, relative to the longest step.
+"""Minimum length of a step that may be rejected because of a multiplier collision.
 
-With the default longest step this is 0.1 % of the range.
+Relative to the longest step. With the default longest step this is 0.1 % of the range.
 """
 
 
@@ -88,6 +91,7 @@ def leading_multipliers_and_counts(multipliers: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     multipliers : (n_points, n) complex
+        All multipliers at each point.
 
     Returns
     -------
@@ -265,6 +269,7 @@ class NeimarkSacker(Event):
         crossing_excess = 0.0 if end_excesses[0] * end_excesses[1] < 0.0 else MULTIPLIER_TOLERANCE
 
         def crossing_function(point: PathPoint) -> float:
+            """Return |mu| - 1 of the pair, less 0 or the tolerance; 0 within rounding."""
             excess_over_crossing = (
                 complex_pair_modulus_excess(multipliers_of(point), multiplier_pair_index)
                 - crossing_excess

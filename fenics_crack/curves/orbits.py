@@ -2,14 +2,14 @@
 
     F(x, p) = scale (z(T; x, v) - z(0)) = 0.
 
-z = (q, q') is the state at phase zero of the load, and T = 2 pi m / omega. v is a parameter of
-:mod:`balance_equations`. The unknowns are
+z = (q, q') is the state at phase zero of the load: modal amplitudes and velocities. The period
+T = 2 pi m / omega has m load periods. v is a parameter of :mod:`balance_equations`. The unknowns
 
-    x = scale z(0) - x_0 - p x_1.
+    x = scale z(0) - x_0 - p x_1
 
-x_0 and x_0 + x_1 are the rest states under the mean load at the start and at the end. Steps are
-thus relative to the motion; otherwise, a large preload could hide a resonance. dF/dx = M - I, with
-the monodromy matrix M in the unknowns.
+are relative to rest: x_0 and x_0 + x_1 are the rest states under the mean load at the start and at
+the end. Steps are thus relative to the motion; otherwise, a large preload could hide a resonance.
+dF/dx = M - I, with the monodromy matrix M in the unknowns.
 
 Over the load's frequency, its factor, the damping and the clearance, the kernel has the equations,
 and all points of a path share one flow. Over the contact stiffness, the friction and a rotor's
@@ -20,9 +20,11 @@ motion. Over damping and stiffness
 
     dq'' + C dq' + Lambda dq + P_A S P_A^T dq = -C' q' + P_A S D' lambda_A.
 
-Here ' in C' and D' is the derivative by p, and S = (D_AA)^-1 with the compliance D of the closed
-pairs A. Over the speed the modes change, and dF/dp is a forward difference with one more flow per
-point. The same holds with friction over damping, stiffness and the coefficient of friction.
+C is the modal damping, Lambda has the squares of the natural frequencies, and P_A^T takes modal
+amplitudes to the gaps of the closed pairs A. C' and D' are derivatives by p, and S = (D_AA)^-1 with
+the compliance D of the pairs. Over the speed the modes change, and dF/dp is a one-sided difference
+with one more flow per point. The same holds with friction over damping, stiffness and the
+coefficient of friction.
 """
 
 from __future__ import annotations
@@ -50,7 +52,7 @@ from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 from fenics_crack.numerics.path import BranchPoint, Fold
 
 FORWARD_PARAMETER_STEP = math.sqrt(MACHINE_EPSILON)
-"""Step in the path parameter, 0 to 1, for forward differences: 1.5e-8.
+"""Step in the path parameter, 0 to 1, for one-sided differences: 1.5e-8.
 
 Truncation and rounding error are then about equal.
 """
@@ -160,7 +162,7 @@ class OrbitEquations(CurveSystem):
         return self._scale_state(state, value) - self._scaled_rest_state(value)
 
     def _scale_state(self, state: np.ndarray, value: float) -> np.ndarray:
-        """Return a state times the scale factors, with the rest state.
+        """Return a state times the scale factors; the rest state is not subtracted.
 
         Over the speed, the state is first converted to the modes at the curve's start.
         """
@@ -292,6 +294,7 @@ class OrbitEquations(CurveSystem):
         residual = self.unknown(motion.state, value) - unknown
 
         def monodromy() -> np.ndarray:
+            """Return the monodromy matrix in the unknowns: (n_unknowns, n_unknowns)."""
             tangent_matrix = motion.track.derivative_of_end_state
             if self.parameter_name == "speed":
                 matrix_from_start_modes = self._matrix_from_start_modes_to_modes_at(value)
@@ -301,6 +304,7 @@ class OrbitEquations(CurveSystem):
             return np.asarray(self.state_factors[:, None] * tangent_matrix / self.state_factors)
 
         def by_parameter() -> np.ndarray:
+            """Return the residual's derivative by the path parameter: (n_unknowns,)."""
             if self.parameter_name == "speed" or self._start_flow.friction_law:
                 parameter_step = (
                     FORWARD_PARAMETER_STEP if parameter < 0.5 else -FORWARD_PARAMETER_STEP

@@ -199,7 +199,7 @@ def damping_by_half_power_width(
     Returns
     -------
     float
-        nan if the harmonic does not fall to 1/sqrt(2) on both sides.
+        Damping ratio; nan if the harmonic does not fall to 1/sqrt(2) on both sides.
     """
     cosine_coefficients, sine_coefficients = (
         coefficients[:, 2 * subharmonic - 1],
@@ -213,11 +213,11 @@ def damping_by_half_power_width(
 def _first_index_below_half_power(
     values: np.ndarray, amplitudes: np.ndarray, peak_index: int, index_step: int
 ) -> int:
-    """Return the first index on one side below half the peak's power.
+    """Return the index of the first point below half power, on one side of the peak.
 
-    The amplitude there is below 1/sqrt(2) of the amplitude at ``peak_index``. If the curve ends or
-    turns back before, return the last index before. ``index_step`` is -1 to go down, 1 to go up;
-    ``values`` and ``amplitudes`` are (n,).
+    The amplitude at this point is below 1/sqrt(2) times the peak's amplitude. If the curve ends or
+    turns back before, return the last index before. ``index_step`` is -1 for points before
+    ``peak_index``, 1 for points after it. ``values`` and ``amplitudes`` are (n,).
     """
     point_index, last_value_change = peak_index, 0.0
     half_power_amplitude = amplitudes[peak_index] / math.sqrt(2.0)

@@ -9,10 +9,10 @@ with the complex work P. f_k and u_k are complex coefficients for the exciting h
 the load, on a wheel only on the watched blade, and u_k of the displacement. Re P / Im P is linear
 in w next to the resonance of a single mode. The Jacobian is bordered by a row and a column.
 
-Contact with open or closed pairs is conewise linear. The motion is therefore v times the
-motion under the load itself, with the mean load and the clearance divided by v. Both are in the
-mean of the linear gap alone. F / v, a function of s / v, thus depends on v in the mean only, and P
-/ v does not.
+Contact is linear for each set of closed pairs, and a scaled motion has the same sets. So the motion
+is v times the motion under the load itself, with mean load and clearance divided by v. Both are in
+the mean of the linear gap alone. F / v, a function of s / v, thus depends on v in the mean only,
+and P / v does not.
 
 Further modes and harmonics shift the phase. With U(w) the displacement along the load, on the
 response curve through the point,
@@ -160,9 +160,9 @@ class PhasePoint(Linearisation):
         return residual_derivative
 
     def _phase_cotangent_change(self, work_change: complex) -> float:
-        """Return the change in the phase cotangent Re P / Im P by a change in P.
+        """Return the change in Re P / Im P, the cotangent of the phase.
 
-        P is the load's complex work [N m]; ``work_change`` is its change.
+        P is the load's complex work [N m], and ``work_change`` a small change in it.
         """
         complex_work = self.complex_work
         return (

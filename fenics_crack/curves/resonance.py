@@ -59,8 +59,8 @@ PATH_TO_RESONANCE_OPTIONS = PathOptions(
 )
 """Step options for the response curve to the first resonance.
 
-The curve's parameter is in halves of the start frequency, so that steps are relative to the motion.
-The curve reaches from a tenth of the frequency to three times the frequency.
+The path parameter p gives the load frequency w_0 (1 - p / 2), with the start frequency w_0. The
+curve may reach from w_0 / 10 to 3 w_0.
 """
 MAX_DISTANCE_TO_PEAK = 0.1
 """Maximum distance, in half-power widths, from phase resonance to largest response of one mode.
@@ -121,9 +121,9 @@ class Resonance(Described):
 
 
 class _PhaseResonanceEvent(ZeroCrossing):
-    """Event at which the displacement at the load has no part in phase with the load.
+    """Event that ends a path at a phase resonance.
 
-    A path ends there.
+    The displacement at the load then has no part in phase with the load.
     """
 
     is_terminal, must_be_located, description = True, True, EndReason.REACHED.value
@@ -172,6 +172,7 @@ def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
         raise InputError("load", float(abs(problem.structure.force).max()), load_requirement)
 
     def phase_cosine(path_point: PathPoint) -> float:
+        """Return the cosine of the phase between load and displacement."""
         complex_work = exciting_harmonic.complex_work(
             frequency_equations.linearise(path_point.unknown, path_point.parameter)
         )
@@ -468,8 +469,8 @@ def follow_resonance(
     Returns
     -------
     ResponseCurve
-        Curve with the parameter "resonance": a factor and the load frequency at each point. The
-        status gives the number of points at which several modes answer together.
+        Curve with the parameter "resonance": a factor and the load frequency at each point. If
+        several modes answer together at some points, the status gives their number.
 
     Raises
     ------

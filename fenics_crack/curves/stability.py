@@ -9,9 +9,9 @@ If no orbit is found, the exact motion that begins with the solution is followed
 "irregular" if a small disturbance grows
 (:func:`fenics_crack.motion.attractors.find_irregular_motion`).
 
-Laws that are not linear in contact have no exact flow. Their multipliers come from the linear flow
-along the solution, and decide if the solution's error is small. Their uncertainty is the difference
-from the multipliers with twice the harmonics.
+Smooth laws, not piecewise linear, have no exact flow. Their multipliers come from the linear flow
+along the solution. They decide the stability if the solution's error is small. The uncertainty is
+the difference from the multipliers with twice the harmonics.
 
 Linear flow
 -----------
@@ -19,10 +19,11 @@ Small disturbances z = (q, q') of a solution with gap s(t) follow, in modal coor
 
     q'' + C q' + (W^2 + P kappa(t) P^T) q = 0,      kappa = d lambda / ds along s(t).
 
-A step with length h has three parts: half a kick, q' -= h/2 P kappa P^T q, an exact drift without
+C is the modal damping, W holds the natural frequencies, and P^T takes modal amplitudes q to gaps. A
+step with length h has three parts: half a kick, q' -= h/2 P kappa P^T q, an exact drift without
 contact, and half a kick with the stiffness at the end. The product M_N of N steps per period
 has an error with even powers of h alone. The error of (4 M_2N - M_N) / 3 is thus of fourth order. N
-is doubled until this matrix hardly changes, or is large.
+is doubled until this matrix hardly changes, up to 8192.
 
 References
 ----------
@@ -99,7 +100,7 @@ def monodromy_of_linear_flow(
     Raises
     ------
     ConvergenceError
-        The steps, at most 8192 per period, cannot resolve the matrix.
+        The matrix is not finite, even with 8192 steps per period.
     InputError
         The law's tangent is not the slope of its force along the solution.
     """
@@ -149,7 +150,7 @@ def _monodromy_matrix_by_equal_steps(
     """Return the monodromy matrix of the linear flow by equal steps.
 
     ``n_steps`` is the number of steps per period, a power of two. The error is of second order in
-    the step length. Parts of the period are computed side by side, and their matrices then
+    the step length. The matrices of several parts of the period are computed together, and then
     multiplied in sequence. The result (2 n_modes, 2 n_modes) is not finite with too few steps.
     """
     step_size = 2.0 * np.pi / base_omega / n_steps
@@ -297,7 +298,7 @@ def shoot(
     Examples
     --------
     >>> orbit = fc.shoot(structure, solution)
-    >>> distance = orbit.multipliers
+    >>> multipliers = orbit.multipliers
     """
     check_count("settle", settle, 0)
     assessment, subharmonic = (

@@ -2,14 +2,14 @@
 
 Each point is assessed like a single solution (:mod:`fenics_crack.balance.assessment`) by its
 nearest exact orbit. Folds and branch points are those of the truncated equations. If no orbit
-decides at the first, the middle and the last point, the other points are not assessed. Of the
-points without a verdict, up to eight are followed in time, evenly spread. If two neighbours of
-these are irregular, so are the points between them, provided that none of these has a verdict.
+decides at the first, the middle and the last point, the other points are not assessed. Up to eight
+points without a verdict, evenly spread, are followed in time. If two successive ones are irregular,
+the points between them count as irregular, provided that none of them has a verdict.
 
-Laws without an exact flow are assessed by the linear flow along the solution. Between two points
-there is a period doubling or a Neimark-Sacker point if the numbers of multipliers outside the unit
-circle say so (:mod:`orbit_events`). It is located on the path between the points
-(:class:`fenics_crack.numerics.path.ZeroCrossing`).
+Under laws without an exact flow, points are assessed by the linear flow along the solution. Between
+two points there is a period doubling or a Neimark-Sacker point if numbers of multipliers outside
+the unit circle change as in :mod:`orbit_events`. This point is located on the path between both
+points (:class:`fenics_crack.numerics.path.ZeroCrossing`).
 
 References
 ----------
@@ -45,16 +45,16 @@ from fenics_crack.numerics.newton import PathPoint, point_on_path
 from fenics_crack.numerics.path import ZeroCrossing
 
 MAX_FOLLOWED_POINTS = 8
-"""Maximum number of points whose exact motion is integrated.
+"""Maximum number of points without a verdict whose exact motion is integrated.
 
-Each takes 0.05 to 0.5 s.
+A motion takes 0.05 to 0.5 s of computation.
 """
 
 
 def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     """Assess the stability along a curve by nearest exact orbits.
 
-    Laws that are not linear in contact have no exact orbits. Each point is then assessed like a
+    Smooth laws, not piecewise linear, have no exact orbits. Each point is then assessed like a
     solution in :func:`floquet`. Period doublings and Neimark-Sacker points are found from the
     multipliers of the linear flow.
 
@@ -68,7 +68,8 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     ResponseCurve
         Same points, with the multipliers of their orbits. Points with an irregular exact motion are
         "irregular", with the growth of a small disturbance. Points are "undecided" (nan) if the
-        predicted error is above 0.1, or if no orbit is accepted for the solution.
+        predicted error is above 0.1, or if no orbit is accepted for the solution. They are also
+        undecided if the largest multiplier is 1 to 1e-6.
 
     Raises
     ------
@@ -140,7 +141,7 @@ def judge_by_linear_flow(curve: ResponseCurve) -> ResponseCurve:
     """Return a curve with stability and bifurcations by the linear flow.
 
     The flow is linearised along each solution, for laws without exact orbits. A period doubling or
-    Neimark-Sacker point is located wherever multipliers leave the unit circle between two points.
+    Neimark-Sacker point is located wherever multipliers cross the unit circle between two points.
     """
     begin_stage("stability of each point")
     solutions = (curve.solution(point_index, search=False) for point_index in range(len(curve)))
@@ -179,6 +180,7 @@ def _locate_bifurcation(
     Parameters
     ----------
     curve : ResponseCurve
+        Harmonic-balance curve.
     index : int
         Index of the point before the bifurcation.
     test_function : callable
@@ -201,6 +203,7 @@ def _locate_bifurcation(
     )
 
     def test_value_at(path_point: PathPoint) -> float:
+        """Return the test function at a point of the path."""
         problem = system.problem_at(system.value(path_point.parameter))
         static_cutoff, omega = problem.static_cutoff, problem.base_omega
         monodromy_matrix = monodromy_of_linear_flow(

@@ -13,7 +13,8 @@ A plate is cut into blocks at all tips and along all cracks. One edge crack give
                     clamped (y = 0)
 
 So both crack faces have identical nodes, and quadrilaterals can be graded towards the tip block by
-block (:mod:`fenics_crack.fem.grading`). The uniform grid of the paper is a special case.
+block (:mod:`fenics_crack.fem.grading`). The uniform grid (``mesh.layout = "grid"``) is a special
+case.
 
 Sectors of a disk
 -----------------
@@ -59,8 +60,21 @@ def check_cell_count(
 ) -> None:
     """Raise InputError if a mesh would have too many cells for gmsh or the memory.
 
-    The limits are 5e6 cells, and the machine's memory for matrices and a factor. The error names
-    the key ``mesh.key``; ``size_note`` adds text to the message, as the shortest element.
+    The limits are 5e6 cells, and the machine's memory for the mesh, the matrices, or a factored
+    stiffness.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene to mesh.
+    mesh_key : str
+        Key in the table ``[mesh]`` named in the error, as "size".
+    n_cells : float
+        Estimated number of cells.
+    dofs_per_cell : int
+        Average number of dofs per cell.
+    size_note : str
+        Text to add to the message, as the shortest element's length.
     """
     n_dofs, allowed_cells = dofs_per_cell * n_cells, 5e6  # a mesh file may have any number of cells
     factor_bytes = estimate_factor_bytes(n_dofs, solid=scene.dimension == 3)
@@ -166,7 +180,10 @@ def mesh_plate(scene: Scene) -> tuple[NamedParts, Cracks]:
 
 
 def _crack_paths(scene: Scene) -> tuple[CrackPath, ...]:
-    """Return a plate's crack paths, in the scene's order, from mouth to tip or left to right."""
+    """Return a plate's crack paths, in the scene's order.
+
+    A path runs from the mouth to the tip, or from left to right for a crack inside.
+    """
     width, crack_paths = scene.geometry.sides[0], []
     for crack in scene.crack_by_name.values():
         left_end, right_end = ((end_x, crack.given("height")) for end_x in crack.span(width))
@@ -266,8 +283,8 @@ def _check_plate_cells(scene: Scene) -> None:
 def _find_doubled_corner_indices(slits: list[Slit], n_columns: int) -> list[tuple[int, int]]:
     """Return the block corners on cracks except at tips, as (column, row).
 
-    At such a corner each crack face has a separate point. An end of a crack at the plate's edge is
-    a mouth, not a tip.
+    At these corners each crack face has a separate point. An end of a crack at the plate's edge is
+    a mouth, not a tip. ``slits`` are the cracks among the blocks.
     """
     return [
         (i, row)
@@ -292,8 +309,14 @@ def _add_surfaces(
 ) -> list[int]:
     """Add the surface of each block to gmsh, and return the tags, column by column.
 
-    The lower side of a block above a crack is a curve from ``upper_by_ij``, the upper crack face;
-    of all other blocks, from ``horizontal_by_ij``.
+    Parameters
+    ----------
+    n_columns, n_rows : int
+        Number of blocks in each direction.
+    horizontal_by_ij, vertical_by_ij : Curves
+        Lower and left sides of the blocks, and the plate's upper and right sides.
+    upper_by_ij : Curves
+        Upper crack faces, as lower sides of the blocks above.
     """
     surfaces = []
     for i in range(n_columns):
@@ -330,7 +353,10 @@ def _add_groups_and_find_tags(entities_by_name: dict[str, tuple[int, list[int]]]
 
 
 def _set_cell_kind(scene: Scene, surface_tags: list[int]) -> None:
-    """Set gmsh's cells on the surfaces: structured blocks, quadrilaterals or free triangles."""
+    """Set the cells on gmsh's surfaces, from the scene's mesh settings.
+
+    Blocks get structured triangles or quadrilaterals. Graded triangles are unstructured.
+    """
     if scene.has_graded_lengths or (scene.mesh.layout, scene.mesh.cells) == ("graded", "triangle"):
         gmsh.option.setNumber("Mesh.Algorithm", 6)  # frontal Delaunay
         surface_tags = []

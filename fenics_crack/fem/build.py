@@ -21,9 +21,10 @@ corners. So pressures are linear, and b_i gives the mean over a patch:
     b_i . u = 1 / w_i int psi_i n . u ds.
 
 Nodes of tips and fronts have no pair. On a solid, the basis function of a front's node is
-distributed to its neighbours on the face. Each share is proportional to the overlap: psi_j = sum_i
-S_ij psi_i with sum_j S_ij = 1. So the areas sum to the crack's area, and a uniform pressure is
-exact. Also, the pressure acts up to the front, where closed faces would otherwise interpenetrate.
+distributed to its neighbours on the face. Each share is proportional to the overlap, the integral
+of both basis functions' product: psi_j = sum_i S_ij psi_i with sum_j S_ij = 1. So the areas sum to
+the crack's area, and a uniform pressure is exact. Also, the pressure acts up to the front, where
+closed faces would otherwise interpenetrate.
 
 With ``mesh.patches`` there are fewer pressures, each a weighted sum of linear ones. Nodes of tips
 and fronts belong to the nearest patch. On a plate, psi_j is linear between selected nodes. On a
@@ -479,10 +480,11 @@ def _match_face_nodes(
 def _watched_pair_by_name(
     cracks: Cracks, crack_of_pair: np.ndarray, distances_on_crack: np.ndarray
 ) -> dict[str, int]:
-    """Return the index of each crack's watched pair, by name, as "the mouth of crack 1".
+    """Return the index of each crack's watched pair, by name.
 
-    Results report the watched pair. A crack without pairs has none. The arrays (n_pairs,) are the
-    crack of each pair, and the distance along the path or from the front [m].
+    Results report this pair, with a name such as "the mouth of crack 1". A crack without pairs has
+    no entry. The arrays (n_pairs,) are the crack of each pair, and the distance along the path or
+    from the front [m].
     """
     pair_by_name: dict[str, int] = {}
     crack: Any

@@ -61,10 +61,14 @@ with _replaced_pkg_resources_context(), leave_working_folder(), report_missing_l
         (getattr(module, "get_options", None) or module.get_parameters)()
         for module in (dolfinx.jit, ffcx)
     ]
+    """Options for compiling forms, by name: DOLFINx's dict, then FFCx's dict."""
 
 _HAS_FUNCTIONSPACE = hasattr(dolfinx.fem, "functionspace")
+"""True for DOLFINx versions with the function ``functionspace``."""
 _JIT_KEYWORD = "jit_options" if _HAS_FUNCTIONSPACE else "jit_params"
+"""DOLFINx's keyword argument for options when a form is compiled."""
 _CACHE_FOLDER = _OPTIONS[0].pop("cache_dir")
+"""Folder with compiled forms."""
 
 
 def gmsh_is_running() -> bool:
@@ -115,6 +119,7 @@ def _quiet_compiler_context() -> Iterator[None]:
     """
 
     def is_important(record: logging.LogRecord) -> bool:
+        """Return True for a warning or an error."""
         return record.levelno > logging.INFO
 
     logging.root.addFilter(is_important)

@@ -239,7 +239,7 @@ def _points_on_both_sides(
     crack_normal: np.ndarray,
     crack_size: float,
 ) -> tuple[list[float], list[float]] | None:
-    """Return a point below and a point above a point on a crack, along the normal.
+    """Return two points next to a point on a crack, below and above it.
 
     Parameters
     ----------
@@ -338,7 +338,9 @@ def label_connected_rows(node_rows: np.ndarray) -> np.ndarray:
 
 
 def find_unique_rows(node_rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find the distinct rows among rows of nodes (n, k); the order in a row does not matter.
+    """Find the distinct rows among rows of nodes (n, k).
+
+    The order of nodes in a row does not matter.
 
     Returns
     -------
@@ -747,15 +749,16 @@ def _front_edges_or_tips(crack_facets: np.ndarray, boundary_facets: np.ndarray) 
 
 
 def _label_corner_stars(cells: Cells, is_passable: np.ndarray, is_split: np.ndarray) -> np.ndarray:
-    """Label cell corners by connected neighbourhood of a node: (n_cells n_corners,) int.
+    """Label the corners of all cells at nodes to be doubled: (n_cells n_corners,) int.
 
-    Corners of two cells at the same split node have the same label if passable facets with this
-    node connect the cells. At all other nodes every corner has a different label.
+    Corners with the same label stay a single node. Two corners at a node to be doubled have the
+    same label if a chain of cells with this node connects both cells. Neighbours in the chain share
+    a passable facet with the node. At all other nodes every corner has a different label.
 
     Parameters
     ----------
     is_passable : (n_facets - 1,) bool
-        True if a sorted facet equals the next and is off the cracks.
+        True for a facet between two cells and off the cracks, as index in the sorted facets.
     is_split : (n_nodes,) bool
         True for nodes to be doubled.
     """

@@ -60,7 +60,7 @@ GAUSS_POINTS_AT_FRONT, GAUSS_POINTS_ELSEWHERE = 6, 5
 """Gauss points per direction, in cells at the front and in other cells. At the front, 4 points give
 1 to 3 % noise in K. Elsewhere, 5 points change K by 0.1 %, and 4 points by 0.3 %."""
 MAX_POINTS_IN_MEMORY = 100_000
-"""Maximum number of quadrature points for which arrays are held in memory together."""
+"""Maximum number of quadrature points with arrays in memory at the same time."""
 
 
 def front_functionals(
@@ -68,8 +68,8 @@ def front_functionals(
 ) -> tuple[list[Station], np.ndarray, np.ndarray]:
     """Return the stations of all fronts, and the linear functionals for K (collective).
 
-    The stress intensities are of_displacement times displacement plus of_forces times contact
-    forces.
+    Stations at corners of a front are left out. The stress intensities are of_displacement times
+    displacement plus of_forces times contact forces.
 
     Parameters
     ----------
@@ -206,8 +206,9 @@ def _check_front_is_resolved(front: Front) -> None:
 def _rows_by_station(front: Front, functional_rows: np.ndarray) -> np.ndarray:
     """Arrange the functionals for K_I, K_II and K_III by station: (n_stations, 3, m).
 
-    ``functional_rows`` (3 n_stations, m) are means of K over the hat functions, mode after mode.
-    At both ends of an open front, the last hat is half, with a centroid inside. So both end
+    ``functional_rows`` (3 n_stations, m) give means of K over the hat functions: all stations for
+    K_I, then for K_II and K_III. The m columns are dofs or pairs. At an end of an open front there
+    is only half a hat, so the mean belongs to a point inside. With three stations or more, both end
     stations are extrapolated linearly from the last two hats.
     """
     rows_by_mode = functional_rows.reshape(3, len(front.station_parameters), -1)

@@ -89,10 +89,11 @@ class Front:
 
     @cached_property
     def hat_peak_parameters(self) -> np.ndarray:
-        """Return the curve parameters t at the peaks of the hat functions, equally spaced.
+        """Return the curve parameters t at the peaks of the hat functions, equally spaced: (n,).
 
-        On a closed front the last value is the first peak again, a turn later. An open front with
-        two intervals or more has a peak in the middle, where a half-ellipse is deepest.
+        On a closed front the last value is the first peak again, a turn later, so n is the number
+        of stations plus 1. An open front with two intervals or more has a peak in the middle, where
+        a half-ellipse is deepest.
         """
         n_station_intervals = max(
             1,
@@ -120,7 +121,10 @@ class Front:
 
     @property
     def corner_station_indices(self) -> list[int]:
-        """Return the indices of stations at corners of the front, where K is undefined."""
+        """Return the indices of stations at corners of the crack front, where K is undefined.
+
+        A corner ends this smooth part of the front inside the solid.
+        """
         if self.is_closed:
             return []
         end_stations = np.array([0, len(self.station_parameters) - 1])
@@ -253,7 +257,10 @@ class Front:
 
 
 def find_fronts(structure: Structure) -> list[Front]:
-    """Find the smooth parts of all crack fronts in a solid, crack by crack (collective)."""
+    """Find the smooth parts of all crack fronts in a solid, crack by crack (collective).
+
+    Fronts are cut at corners with 45 degrees or more.
+    """
     rank_nodes = structure.nodes
     assert rank_nodes is not None
     cracks: tuple[CrackSurface, ...] = rank_nodes.mesh_dofs.part_mesh.crack_paths_or_surfaces
@@ -371,7 +378,8 @@ def _fit_parameters_and_curve(
     node_parameters : (n,)
         Parameter t of each node: angle on the ellipse [rad], or distance along the nodes [m].
     curve_function : callable
-        Takes t and an order; returns c(t) for order 0, otherwise the derivative: (..., 3).
+        Takes t (...) and an order; returns c(t) [m] for order 0, else the derivative of this order
+        by t: (..., 3).
     """
     centroid = node_positions.mean(axis=0)
     _, extents, axes = np.linalg.svd(node_positions - centroid, full_matrices=False)

@@ -29,10 +29,16 @@ MAX_ELEMENT_LENGTH_PER_DISTANCE = 1.0 / 3.0
 
 @dataclass(frozen=True)
 class ElementInterval:
-    """Part of a plate's side from ``start`` to ``stop``, in the scene's unit of length.
+    """Part of a plate's side, divided into elements.
 
-    ``length_over_previous`` is the ratio of neighbouring element lengths, above 1 for growing ones.
-    ``n_elements`` 0 leaves the number to gmsh.
+    Attributes
+    ----------
+    start, stop : float
+        Ends, in the scene's unit of length.
+    n_elements : int
+        Number of elements; 0: gmsh chooses the number.
+    length_over_previous : float
+        Ratio between the lengths of successive elements, from ``start`` to ``stop``.
     """
 
     start: float
@@ -42,7 +48,7 @@ class ElementInterval:
 
 
 Slit = tuple[int, range]
-"""Crack among the blocks: index of the horizontal line, and range of block columns along the crack.
+"""Crack among the blocks: index of the horizontal block line, and range of columns.
 """
 
 
@@ -192,7 +198,10 @@ def _index_of_nearest_position(positions: np.ndarray, position: float) -> int:
 
 
 def _graded_faces(scene: Scene, crack: Crack) -> list[_GradedFace]:
-    """Return the graded parts of a crack's face, one for each tip."""
+    """Return the graded parts of a crack's face, one for each tip.
+
+    A crack inside the plate has two parts, from its middle to either tip.
+    """
     width = scene.geometry.sides[0]
     left_end, right_end = crack.span(width)
     coarse_end_position = 0.5 * (left_end + right_end)
@@ -253,7 +262,7 @@ def _intervals_with_graded_elements(
     tolerance = MIN_RELATIVE_CELL_SIZE * extent
 
     def lengths_at_tip(position: float) -> list[float]:
-        """Return the element lengths prescribed at a position; empty off tips and cracks."""
+        """Return the element lengths [m] prescribed at a position; empty off tips and cracks."""
         return [
             tip_length
             for tip, tip_length in tip_positions_and_element_lengths
@@ -261,14 +270,21 @@ def _intervals_with_graded_elements(
         ]
 
     def element_length(position: float, faces_along: list[_GradedFace]) -> float:
-        """Return the shortest element length at a position, from crack faces, tips or size."""
+        """Return the element length [m] at a position.
+
+        The crack faces ``faces_along`` or a tip require the shortest length. Without faces the
+        length is at most ``size``.
+        """
         return min(
             ([face.element_length(position) for face in faces_along] or [size])
             + lengths_at_tip(position)
         )
 
     def make_intervals(start: float, stop: float) -> list[ElementInterval]:
-        """Divide between two positions; from tip to tip, into two intervals up to the middle."""
+        """Divide the side between two neighbouring cuts [m] into one or two intervals.
+
+        Between two tips, or two cracks, elements grow from both to the middle: two intervals.
+        """
         faces_along = [face for face in faces if face.covers(start, stop)]
         for face in faces_along if len(faces_along) == 1 else ():
             ends = sorted((face.coarse_end_position, face.tip_position))
@@ -330,8 +346,8 @@ def _graded_count_and_ratio(
 ) -> tuple[int, float]:
     """Return number and length ratio of geometrically growing elements on an interval.
 
-    The elements grow from about ``min_length`` to about ``max_length``, at most half the
-    interval.
+    The ratio is an element's length over the previous length. The elements grow from about
+    ``min_length`` to about ``max_length``, at most half the interval.
     """
     if min_length >= max_length:
         return math.ceil(interval_length / max_length), 1.0

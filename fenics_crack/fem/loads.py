@@ -57,7 +57,8 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
     Returns
     -------
     nodal_force_harmonics : (2K+1, n_dofs) [N]
-        Mean, then cosine and sine part of each order, on all owned dofs, clamped dofs included.
+        Mean, then cosine and sine parts up to the loads' highest order K. The columns are all
+        owned dofs, clamped dofs included.
     watched_vector : (n_local,) or None
         Vector whose product with the displacement u is the displacement to be reported [m]. None:
         report the dof with the largest load.
@@ -130,9 +131,10 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
 
 
 def _largest_force_direction(force_vectors: Sequence[Vector]) -> Vector:
-    """Return the unit vector along a load's largest cosine or sine part, else along the mean.
+    """Return the unit vector along the largest part of a load.
 
-    ``force_vectors`` are mean, then cosine and sine parts; at least one must not be zero.
+    The largest cosine or sine part counts; if all of them are zero, the mean. ``force_vectors`` are
+    mean, then cosine and sine parts; at least one must not be zero.
     """
     mean_force_vector, *cos_and_sin_vectors = force_vectors
     largest_force_vector = max(
@@ -241,7 +243,7 @@ def _checked_force_on_free_dofs(
 ) -> np.ndarray:
     """Return the given forces; raise InputError if all act on clamped dofs (collective).
 
-    ``key`` and ``place`` name the load in the error.
+    The error has the load's ``key``, and its point or edge as ``place``.
     """
     has_force, has_free_force = (
         np.any(gather_rows(dofs.comm, nodal_forces.ravel()))

@@ -260,8 +260,8 @@ def _own_row_range(node_starts: np.ndarray, comm: MPI.Comm) -> tuple[int, int]:
 def _own_nodes(model: Model, node_dofs: np.ndarray, start: int, stop: int, comm: MPI.Comm) -> Nodes:
     """Return the nodes of this rank's rows ``start`` to ``stop``, with cells for drawing.
 
-    Rank 0 also has nodes without dofs, and all cells. Cells are kept if all are of a single kind
-    except wedges, and every row is a translation of a model node.
+    Rank 0 also has all cells, and the cells' nodes without dofs. Cells are kept if all are of a
+    single kind except wedges, and every row is a translation of a model node.
     """
     nodes_have_all_dofs = int(np.count_nonzero(node_dofs >= 0)) == comm.allreduce(stop - start)
     vtk_type = (
@@ -289,9 +289,10 @@ def _own_nodes(model: Model, node_dofs: np.ndarray, start: int, stop: int, comm:
 
 
 def _read_number_or_pair_values(name: str, number_or_path: float | str, n_pairs: int) -> Any:
-    """Return a setting that is a number, or read a value per pair (n_pairs,) from a file.
+    """Return a contact setting: a number, or a value per pair read from a file.
 
-    ``name`` is the key for errors. Without pairs a file is not read, and the result is 0.
+    A file gives an array (n_pairs,). Without pairs a file is not read, and the result is 0.
+    ``name`` is the key for errors.
     """
     if not isinstance(number_or_path, str):
         return number_or_path
@@ -305,8 +306,8 @@ def _read_number_or_pair_values(name: str, number_or_path: float | str, n_pairs:
 def table_pair_upper_bound(table: StructureTable) -> int:
     """Return an upper bound for the number of contact pairs in a table ``[structure]``.
 
-    The bound is the gap file's number of columns, else the model's number of coincident nodes. The
-    result is 0 if the table has neither, or the file cannot be read.
+    The bound is the gap file's number of columns, else the number of coincident node pairs in the
+    model. The result is 0 if the table has neither, or the file cannot be read.
     """
     path = table.gap or table.model
     if path is None:

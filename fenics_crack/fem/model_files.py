@@ -360,3 +360,4 @@ READERS_BY_ENDING: dict[str, Callable[[Path, NodePositions, CellLabels], None]] 
     ".inp": _read_abaqus, ".bdf": _read_nastran, ".dat": _read_nastran, ".nas": _read_nastran,
     ".cdb": _read_ansys,
 }  # fmt: skip
+"""Function to read an input file into nodes and cells, by the ending of the file name."""

@@ -66,6 +66,8 @@ def find_coincident_node_pairs(points: np.ndarray) -> np.ndarray:
 class _TwinNodes:
     """Pairs of coincident nodes of a model that the stiffness does not connect.
 
+    These twin nodes lie on opposite crack faces. Both have dofs.
+
     Attributes
     ----------
     points : (n_nodes, 3) [m]
@@ -83,8 +85,8 @@ class _TwinNodes:
     connectivity : (n_nodes, n_nodes) bool
         True if the stiffness connects two nodes.
     is_in_half_held_pair : (n_nodes,) bool
-        True for two coincident nodes of which a single one has dofs. The other node is clamped, or
-        tied by equations.
+        True for two coincident nodes if only one node has dofs. The other node is clamped, or tied
+        by equations.
     """
 
     def __init__(self, model: Model, dofs: np.ndarray, stiffness: sparse.csr_matrix) -> None:
@@ -163,8 +165,8 @@ def find_gap_matrix_and_pairs(
     Raises
     ------
     InputError
-        There are no coincident nodes, three nodes coincide, or both nodes of a pair lie on the same
-        side.
+        No two free nodes coincide without a connection, three nodes coincide, or both nodes of a
+        pair lie on the same side.
     """
     twins = _TwinNodes(model, dofs, stiffness)
     facets = _crack_face_facets(model, twins)
@@ -199,8 +201,9 @@ def find_gap_matrix_and_pairs(
 def _find_crack_of_each_pair(twins: _TwinNodes, twin_pair_index: np.ndarray) -> np.ndarray:
     """Return the crack number of each pair: (n_pairs,) int.
 
-    Pairs whose nodes the stiffness connects, on both faces, are on the same crack. Cracks are
-    numbered from 0, from bottom to top. ``twin_pair_index`` selects pairs of ``twins``.
+    Two pairs are on the same crack if the stiffness connects their nodes on both faces, directly or
+    by a chain of pairs. Cracks are numbered from 0, from bottom to top. ``twin_pair_index``
+    (n_pairs,) has the index of each contact pair among the pairs of ``twins``.
     """
     from scipy.sparse.csgraph import connected_components
 
@@ -237,7 +240,8 @@ def _crack_face_facets(model: Model, twins: _TwinNodes) -> list[Facets]:
     """Return the facets on crack faces: triangles, then quadrilaterals; empty without any.
 
     A facet is on a crack face if a single cell has it, exactly two such facets coincide, and a
-    corner is in a pair. Facets with half-held pairs are left out.
+    corner is in a pair. A facet is left out if it touches a half-held pair, two coincident
+    nodes, only one with dofs.
     """
     facet_sets = []
     for n_facet_corners in (3, 4):

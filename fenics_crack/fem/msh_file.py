@@ -112,7 +112,8 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
     Returns
     -------
     NamedParts
-        gmsh's group tags of named curves or surfaces, and positions of named points.
+        gmsh's group tags of named curves or surfaces, and positions of named points. A name with
+        several points has no position.
     Cracks
         Cracks sorted from bottom to top.
 
@@ -503,9 +504,10 @@ count as zero."""
 def _check_none(
     is_wrong: np.ndarray, problem: str, positions: np.ndarray, requirement: str
 ) -> None:
-    """Raise InputError if any of n parts of a mesh is wrong, and name the centre of the first.
+    """Raise InputError if any of n cells, facets or points is wrong.
 
-    ``is_wrong`` (n,) is True for wrong parts, ``positions`` (n, k, d) [m] are the parts' nodes.
+    ``is_wrong`` (n,) is True for a wrong cell, with nodes at ``positions`` (n, k, d) [m]. The error
+    has the texts ``problem``, with the centre of the first wrong cell, and ``requirement``.
     """
     if np.any(is_wrong):
         centre = positions[np.argmax(is_wrong)].mean(axis=0)

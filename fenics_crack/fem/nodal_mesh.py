@@ -137,12 +137,13 @@ class NodalMesh:
 
     @cached_property
     def _all_cell_sides(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the edges of a plate's cells or the facets of a solid's cells, each once.
+        """Return all edges of a plate's cells, or all facets of a solid's cells.
 
         Returns
         -------
         sides : (n, k) int
-            Nodes of each edge or facet, in cyclic order; of a facet only the corners.
+            Nodes of each edge, a middle node between the ends. For a facet, the corners in cyclic
+            order.
         cell_counts : (n,) int
             Number of cells with this side: 1 on the boundary.
         cell_index : (n,) int

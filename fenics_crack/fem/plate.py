@@ -185,6 +185,7 @@ class Dofs:
     node_to_global_rotations: np.ndarray | None = None
     """Rotation from each node's frame into space: (n_nodes, d, d). None without a sector."""
     _rotation_matrix: sparse.csr_matrix | None = None
+    """Rotation of the free dofs from the nodes' frames into space: (n_local, n_local), or None."""
 
     def __init__(
         self,

@@ -223,10 +223,10 @@ def find_ray_hit_distance(point: np.ndarray, direction: np.ndarray, triangles: n
 
 
 def find_reaches_from_crack_middle(scene: Scene) -> tuple[float, float]:
-    """Measure the solid in the plane of the first crack, behind and ahead of the middle [m].
+    """Measure how far the solid reaches from the first crack's middle [m].
 
-    Both lengths are >= 0, along the crack's direction e_1 from the crack's middle to the farthest
-    point of the solid's section.
+    The solid is cut by the crack's plane. The results are the distances along the crack's direction
+    e_1 to the farthest point of the section behind the middle, then ahead. Both are >= 0.
     """
     crack, geometry = _make_mesher_cracks(scene, 1.0)[0], scene.geometry
     triangles = (
@@ -321,7 +321,8 @@ def _value_for_message(scene: Scene, key: str) -> object:
 def _make_mesher_cracks(scene: Scene, metres_per_unit: float) -> list[dict[str, Any]]:
     """Convert a scene's cracks to dicts for :func:`fenics_crack.fem.solid_mesher.insert_cracks`.
 
-    The scene's lengths must be in the mesh's unit already; ``metres_per_unit`` is passed on.
+    The scene's lengths must be in the mesh's unit already. This unit, ``metres_per_unit`` [m], is
+    the entry "unit" of each dict.
     """
     mesher_cracks = []
     for crack_key, crack in scene.crack_by_name.items():

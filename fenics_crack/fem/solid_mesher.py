@@ -53,11 +53,18 @@ MAX_SHORT_TO_LONG_RADIUS = 1.0 - 1e-9
 """Maximum ratio of shorter to longer radius. In gmsh 4.8, intersections fail for an ellipse with
 equal radii."""
 N_CURVE_INTERVALS = 40
-"""Number of intervals on a curve between sample points, and of triangles that identify a face."""
+"""Number of intervals between sample points on a curve.
+
+Also the number of triangles for matching a cracked part's surface to a face.
+"""
 
 
 class Refusal(Exception):
-    """Error for an unusable key of a scene. Arguments: key, and requirement on the value."""
+    """Error for an unusable value in a scene.
+
+    The arguments are the key, such as "mesh.size", and the requirement on the value. The calling
+    process raises InputError.
+    """
 
 
 def read(path: str, _max_bytes: int, request: dict[str, Any] | None = None) -> dict[str, Any]:
@@ -392,7 +399,10 @@ def insert_cracks(
 
 
 def _describe_part_extent(crack: CrackData, part_triangles: np.ndarray) -> str:
-    """Return text for an error: the part's extent, and a hint if a crack seems to be in mm."""
+    """Return text for an error: the part's extent.
+
+    If the crack's point seems to be in mm, the text has a hint.
+    """
     lower_corner, upper_corner = part_triangles.min(axis=(0, 1)), part_triangles.max(axis=(0, 1))
     lower_corner_text, upper_corner_text = (
         ", ".join(f"{crack['unit'] * coordinate:.4g}" for coordinate in box_corner)
@@ -446,8 +456,8 @@ def _sample_curve(curve_tag: int) -> np.ndarray:
 def _make_front_data(crack: CrackData, rim: set[int]) -> FrontData:
     """Return the data of a crack's front (keys in :func:`insert_cracks`).
 
-    The front are the curves in ``rim`` on the border of the ellipse or rectangle; all other curves
-    lie on the part's surface.
+    ``rim`` has gmsh's tags of all curves around the crack's surface. The curves on the border of
+    the ellipse or rectangle form the front; all other curves lie on the part's surface.
     """
     half_axes, frame, is_straight = crack["half"], np.array(crack["frame"]), crack["reach"] is None
     front_curves, point_arrays, extent_behind_front = [], [np.zeros((0, 3))], 0.0
@@ -609,14 +619,14 @@ def add_graded_field(
 
 
 def use_smallest_length(length_fields: list[int]) -> None:
-    """Let gmsh's element length be the minimum of fields."""
+    """Make gmsh's element length the minimum of length fields, given by gmsh's tags."""
     minimum_field = gmsh.model.mesh.field.add("Min")
     gmsh.model.mesh.field.setNumbers(minimum_field, "FieldsList", length_fields)
     gmsh.model.mesh.field.setAsBackgroundMesh(minimum_field)
 
 
 def set_size_options(**options: float) -> None:
-    """Set gmsh's options ``Mesh.MeshSize...`` by the end of the name."""
+    """Set gmsh's options for element lengths: ``Max=2.0`` sets ``Mesh.MeshSizeMax``."""
     for option_suffix, option_value in options.items():
         gmsh.option.setNumber(f"Mesh.MeshSize{option_suffix}", option_value)
 
@@ -651,7 +661,7 @@ def collect_mesh(
 def collect_groups(groups: list[tuple[Any, ...]]) -> dict[str, Any]:
     """Collect the nodes and named groups of gmsh's current mesh as arrays.
 
-    A group with several kinds of elements, or several entities, becomes several rows.
+    A group with several kinds of elements, or several entities, becomes several rows in the arrays.
 
     Parameters
     ----------

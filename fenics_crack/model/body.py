@@ -104,4 +104,4 @@ class Setting:
 
 
 DEFAULT_SETTING = Setting()
-"""Setting of a new structure: factors of 1, and no added clearance."""
+"""Setting of a new structure: factors of 1, no added clearance, and no chosen watched dof."""

@@ -2,8 +2,8 @@
 
 A law gives the force lambda of a pair from its gap g alone (g > 0: penetration). In the equation of
 motion, M u'' + C u' + K u + B lambda(g) = f, a force lambda >= 0 pushes the crack faces apart. A
-new law is a class with the four members of :class:`ContactLaw`. Methods ask :func:`is_unilateral`,
-:func:`is_rigid` and :func:`is_piecewise_linear` what else they need, and never ask for a class.
+new law is a class with the four members of :class:`ContactLaw`. Solution methods that need more of
+a law ask :func:`is_unilateral`, :func:`is_rigid` or :func:`is_piecewise_linear`, not for its class.
 
 Coupled pairs
 -------------
@@ -24,8 +24,8 @@ solution, piecewise linear in s. With the set A of closed pairs,
 The primal-dual active set method, a semismooth Newton method, finds the sets. If it cycles, Murty's
 method changes one pair at a time (``kernel/sets.c``). If rounding spoils that, or D is singular, a
 least-squares problem with bounds gives the minimum of lambda^T D lambda / 2 - lambda^T s for lambda
->= 0; Lawson and Hanson's method for it is finite. A law that is not piecewise linear is solved by
-Newton's method at all instants together.
+>= 0. Lawson and Hanson's method solves it in a finite number of steps. A law that is not piecewise
+linear is solved by Newton's method at all instants together.
 
 A convex piecewise-linear law is a sum of penalties with clearances of their own. Each penalty is a
 row: the layered law has the gap rows B twice, with the clearances g0 and g0 + p and the stiffnesses
@@ -61,7 +61,7 @@ from fenics_crack.numerics.equations import CENTRAL_DIFFERENCE_STEP, MACHINE_EPS
 
 
 class ContactLaw(Protocol):
-    """Interface of every contact law."""
+    """Interface of every contact law, from the gap of a pair to its contact force."""
 
     @property
     def stiffness(self) -> float | np.ndarray:
@@ -79,7 +79,10 @@ class ContactLaw(Protocol):
 
 @dataclass(frozen=True)
 class _PenaltyBase:
-    """Base of the laws with a penalty stiffness k, the slope of the contact force [N/m]."""
+    """Base of the laws with a penalty stiffness k [N/m].
+
+    k is the largest slope of the contact force over the gap.
+    """
 
     stiffness: float | np.ndarray
 
@@ -115,7 +118,10 @@ class UnilateralPenalty(_PenaltyBase):
         return self.stiffness * np.maximum(gap, 0.0)
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
-        """Return the slopes d lambda / d g [N/m] for gaps g (..., n_pairs) [m]: k or 0."""
+        """Return the slopes d lambda / d g [N/m] for gaps g (..., n_pairs) [m].
+
+        A slope is k for g > 0, else 0.
+        """
         return self.stiffness * (gap > 0.0)
 
 
@@ -399,8 +405,8 @@ def spring_compliances(contact: ContactLaw, n_pairs: int) -> np.ndarray:
     Returns
     -------
     (n_pairs,) or (2 n_pairs,) [m/N]
-        1/k; with friction followed by 1/k_t of the tangential springs. Under the layered law those
-        of the layer, followed by those below it.
+        1/k; with friction followed by 1/k_t of the tangential springs. Under the layered law: the
+        layer's compliances, then the compliances below the layer.
     """
     friction = friction_of(contact)
     row_stiffnesses: tuple[float | np.ndarray, ...] = (contact.stiffness,)
@@ -422,9 +428,10 @@ def count_rows_per_pair(contact: object) -> int:
 def merge_rows_of_pairs(
     contact: object, n_pairs: int, gaps: np.ndarray, forces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Merge the two rows of each pair under the layered law: its gap, and its total force.
+    """Merge the two rows of each pair under the layered law.
 
-    Under other laws, and without such rows, gaps and forces are returned unchanged.
+    The results are the pair's gap, and the sum of both contact forces. Under other laws, gaps and
+    forces are returned unchanged.
 
     Parameters
     ----------
@@ -718,18 +725,18 @@ class FrictionContactSolver:
 
 
 SETS_MEMORY_FRACTION = 1 / 32
-"""Fraction of the machine's memory in which one solver or flow keeps matrices of closed pairs.
+"""Fraction of the machine's memory in which a solver or flow stores matrices of closed pairs.
 
-Several processes, each with this much, must fit into the memory. A matrix that was not kept takes
-the time of five Taylor pieces of a motion.
+Several processes, each with this much, must fit into the memory. To compute a matrix again takes
+the time of five intervals of the exact flow, with a Taylor series each.
 """
 MAX_SMOOTH_LAW_ITERATIONS = 200
 """Maximum number of iterations for contact forces of a smooth law, or by least squares."""
 REGULAR_EIGENVALUE_RATIO: float = kernel.REGULAR_EIGENVALUE_RATIO
 """Smallest over largest eigenvalue, 1e-6, above which a compliance counts as regular.
 
-Rigid contact is solved with a regular residual flexibility alone. A penalty law in place of rigid
-contact has springs of this compliance, relative to the mean residual flexibility of the pairs.
+Rigid contact can only be solved if the residual flexibility is regular. A penalty law that replaces
+rigid contact has springs of this compliance, relative to the pairs' mean residual flexibility.
 """
 
 
@@ -779,7 +786,7 @@ class ActiveSetSolver:
         Returns
         -------
         (m, n_pairs, n_pairs) [N/m]
-            Contact forces of the closed pairs by unit gaps, for each set.
+            Inverse of D on each set: contact forces of the closed pairs by unit gaps.
 
         Raises
         ------
@@ -985,6 +992,7 @@ def solve_contact_forces_by_newton(
     """
 
     def gap_law_force_and_slope(force: np.ndarray, slow_gap: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return the gap s - D lambda, and the law's force and slope there: (n, n_pairs) each."""
         total_gap = slow_gap - force @ compliance
         return (total_gap, *law_force_and_slope_function(total_gap))
 
@@ -1048,10 +1056,10 @@ def _minimising_step_fraction_by_instant(
     gap: np.ndarray,
     slope_tolerance: np.ndarray,
 ) -> np.ndarray:
-    """Find, for each instant, the fraction of a Newton step that minimises a function.
+    """Find the best fraction of a Newton step for contact forces, for each instant.
 
-    The function is the convex one of :func:`solve_forces`. Bisection finds the zero of the slope
-    along the step.
+    The fraction minimises the convex function of :func:`solve_contact_forces_by_newton`. Bisection
+    finds the zero of the slope along the step.
 
     Parameters
     ----------

@@ -41,12 +41,12 @@ relative to K_ii / M_ii, and a row sum of M relative to the largest row sum.
 MIN_SOLID_ROW_ENTRIES = 40
 """Minimum mean number of entries in a row of a solid's matrix.
 
-Measured: 45 or more in solids, 18 to 32 in planes. With fewer entries, MUMPS orders for minimum
-fill, and factors plane matrices in 0.6 of the time with its own choice. For solids this order would
-be slower, and the factors larger.
+Measured: 45 or more in solids, 18 to 32 in planes. With fewer entries, MUMPS eliminates in the
+order of minimum fill. For plane matrices, its own choice would take 1.7 times as long. For solids
+this order would be slower, and the factors larger.
 """
 OPTIONS_PREFIX = "crack_factor_"
-"""Beginning of the names of PETSc options that reach the solvers here."""
+"""Prefix of PETSc options for the factorisations of this module."""
 ORDERING_OPTION, PRINT_OPTION = "mat_mumps_icntl_7", "mat_cholmod_print"
 """PETSc options for the order of elimination in MUMPS, and for messages of CHOLMOD."""
 

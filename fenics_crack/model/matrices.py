@@ -1,6 +1,6 @@
 """Check matrices and vectors of users, and distribute them over ranks.
 
-They come as NumPy or SciPy arrays, PETSc matrices, or files
+Matrices come as NumPy or SciPy arrays, PETSc matrices, or files
 (:mod:`fenics_crack.model.matrix_formats`).
 """
 
@@ -82,7 +82,10 @@ class AbsentMatrix:
 
     @staticmethod
     def input_error(purpose: str) -> InputError:
-        """Return the error for a purpose, named in the message, that needs matrices or a mesh."""
+        """Return the InputError for a result that needs matrices or a mesh.
+
+        ``purpose`` names this result in the message.
+        """
         requirement = (
             f"a structure with matrices, as fc.build_structure(scene) returns, for {purpose}"
         )
@@ -207,9 +210,9 @@ def check_and_distribute_parts(
 ) -> dict[str, Any]:  # fmt: skip
     """Check and distribute the data of :meth:`Structure.from_matrices` (collective).
 
-    The damping is not among them. ``gaps`` are the matrices B of the normal and B_t of the
-    tangential gaps, or None. ``load_parts`` are the load's mean, cosine and sine part, in this
-    order, by the names of their arguments.
+    The damping is left out. ``gaps`` are the matrices B of the normal and B_t of the tangential
+    gaps, or None. ``load_parts`` are the load's mean, cosine and sine part, in this order, by the
+    names of their arguments.
 
     Returns
     -------
@@ -300,6 +303,7 @@ def add_harmonics_to_load(
     Parameters
     ----------
     load_coefficients : (2K+1, n_local) [N]
+        Present load: mean, then cosine and sine parts of harmonics 1 to K.
     harmonics : dict of int to (cosine, sine)
         Harmonics to add by their orders, 1 to 100; each part is (n,) [N] or None.
     mass : PETSc.Mat
@@ -308,7 +312,7 @@ def add_harmonics_to_load(
     Returns
     -------
     (2K'+1, n_local) [N]
-        K' is the highest order of both.
+        New load. K' is the highest order in the present load and in ``harmonics``.
     """
     n, own_rows = mass.size[0], slice(*mass.owner_range)
     if not isinstance(harmonics, Mapping):

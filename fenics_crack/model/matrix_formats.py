@@ -43,7 +43,7 @@ MIN_ENTRY_BYTES_BY_FORMAT = {"coordinate": 4, "array": 2}
 MATRIX_LAYOUTS, ENTRY_TYPES = ("coordinate", "array"), ("real", "integer")
 """Words that the first line of a Matrix Market file may have: sparse or dense, and the entries."""
 TRANSPOSE_SIGN_BY_SYMMETRY = {"symmetric": 1, "skew-symmetric": -1}
-"""Factor of an entry below the diagonal to give the one above it."""
+"""Factor from an entry below the diagonal to the mirrored entry above."""
 SYMMETRIES = ("general", *TRANSPOSE_SIGN_BY_SYMMETRY)
 """Words for the symmetry in the first line of a Matrix Market file."""
 _LABEL_PATTERN = re.compile(r"\s*(?:(\d+)\s+)?(\d+)[\s.,]+(\d|[A-Z]+)")
@@ -106,7 +106,7 @@ class LabelledMatrix:
 def read_matrix(
     path: Path, matrix_letter: str, labels_path: Path | None = None, n_rows: int | None = None
 ) -> LabelledMatrix:
-    """Read a matrix from a file of CalculiX, Abaqus or Nastran, or a Matrix Market file.
+    """Read a matrix from another program's file, or from a Matrix Market file.
 
     The ending selects the format: .sti and .mas CalculiX, .pch and .op4 Nastran. A file .mtx is
     Abaqus's if it has commas; all other files are Matrix Market files.
@@ -319,7 +319,10 @@ def _read_abaqus(path: Path) -> LabelledMatrix:
 
 
 def _read_nastran(path: Path, matrix_letter: str) -> LabelledMatrix:
-    """Read the DMIG matrix of a Nastran .pch file whose name begins with ``matrix_letter``."""
+    """Read a matrix DMIG from a Nastran .pch file, with the labels of its rows.
+
+    The matrix is the only one with a name that begins with ``matrix_letter`` and a further letter.
+    """
     entry_labels: list[list[int]] = []
     entries: list[float] = []
     is_wanted, form, column_label = False, 6, ["", ""]
@@ -360,10 +363,13 @@ def _read_nastran(path: Path, matrix_letter: str) -> LabelledMatrix:
 
 
 def _read_op4(path: Path, matrix_letter: str) -> sparse.csr_matrix:
-    """Read the matrix of a Nastran .op4 file whose name begins with ``matrix_letter``.
+    """Read a matrix from a Nastran .op4 file.
 
-    The file has a line for the matrix and a line for each column. The latter gives the first row,
-    or 0 if further lines announce strings of numbers without gaps.
+    The matrix is the first one with a name that begins with ``matrix_letter``.
+
+    The file has a line for the matrix, then a line for each column with the column's first row. If
+    this row is 0, the column is sparse: it consists of strings of successive numbers, and a further
+    line before each string gives its first row. The result is (n, n_columns).
 
     References
     ----------
@@ -373,14 +379,17 @@ def _read_op4(path: Path, matrix_letter: str) -> sparse.csr_matrix:
     line_number, line = 0, ""
 
     def read_line() -> str:
+        """Read the next line, and remember it for errors."""
         nonlocal line_number, line
         line_number, line = next(lines)
         return line
 
     def read_integers(count: int) -> list[int]:
+        """Read the next line's first ``count`` integers, of 8 characters each."""
         return [int(field) for field in cut_fields(read_line(), 8, 0, 8 * count)]
 
     def read_reals(count: int, width: int) -> list[float]:
+        """Read ``count`` real numbers of ``width`` characters from further lines."""
         column_entries: list[float] = []
         while len(column_entries) < count:
             column_entries += map(parse_real, cut_fields(read_line(), width))
@@ -626,9 +635,10 @@ def yield_numbered_lines(path: Path, comment: str) -> Iterator[tuple[int, str]]:
 
 
 def cut_fields(line: str, width: int, start: int = 0, stop: int | None = None) -> list[str]:
-    """Cut a line into fields of fixed width, from column ``start`` to ``stop`` or the end.
+    """Cut a line into fields with ``width`` characters each.
 
-    Fields after the end of the line are empty.
+    The fields are those from character ``start`` to ``stop``, or to the end of the line. Fields
+    after the end of the line are empty.
     """
     columns = range(start, len(line) if stop is None else stop, width)
     return [line[column : column + width].strip() for column in columns]

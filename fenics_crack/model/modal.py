@@ -61,7 +61,7 @@ class AllModes:
     Attributes
     ----------
     squares : (n,) [rad^2/s^2]
-        omega_j^2, ascending.
+        Squares omega_j^2 of the natural frequencies, ascending.
     shapes : (n_dofs, n)
         Phi, mass-normalised.
     damping : (n,) or (n, n) [1/s]
@@ -112,9 +112,9 @@ class AllModes:
         damping_factor : float
             Factor of the damping.
         is_loaded : (m, n) bool, optional
-            True for modes that the load drives, by default all. At an undamped resonance, any
-            other mode gets the impedance 1.5e-8 (omega_j^2 + omega^2): contact keeps its motion
-            finite.
+            True for modes that the load drives, by default all. At the resonance of an undamped
+            mode, the receptance is singular. A mode without load then gets the impedance
+            1.5e-8 (omega_j^2 + omega^2) instead, as contact keeps the motion finite.
 
         Returns
         -------
@@ -209,7 +209,7 @@ class AllModes:
         Returns
         -------
         (n_dofs, n_pairs) [m/N]
-            Displacement by these modes and the massless coordinates.
+            Displacement of the modes above this frequency and of the massless coordinates.
         """
         is_fast_mode = self._is_fast_mode(min_frequency)
         pair_responses: np.ndarray = (

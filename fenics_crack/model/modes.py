@@ -44,8 +44,9 @@ ROUNDING_ADVICE = (
 ZERO_TOLERANCE: float = kernel.ZERO_TOLERANCE
 """Relative size that counts as zero, 1e-14.
 
-A mode phi has the frequency 0 if omega^2 is at most this times the sum of K_ii phi_i^2, with the
-stiffness K. A static response is compared with the part of the modes, a gap with the largest gap.
+Three numbers are compared with a larger one: omega^2 of a mode phi with the sum of K_ii phi_i^2,
+with the stiffness K; the residual flexibility of a force with the flexibility of the modes; and a
+gap with the largest gap.
 """
 NEGLIGIBLE = ROUNDING
 """Rounding error, 1e-12, of solutions with the stiffness, relative to the largest.
@@ -400,9 +401,9 @@ def _find_modes_near_zero_omega(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the modes closest to zero frequency, with the inverse of K (collective).
 
-    If the stiffness K is singular, K + s M is factored instead, with the mass M and a shift s of
-    1e-6 times ``square_scale`` [rad^2/s^2]. ``ties`` bond the crack
-    (:func:`find_independent_ties`); None: it is open.
+    If the stiffness K is singular, K + s M is factored instead, with the mass M and the shift s of
+    1e-6 ``square_scale``. ``square_scale`` [rad^2/s^2] is the smallest positive K_ii / M_ii.
+    ``ties`` bond the crack (:func:`find_independent_ties`); None: it is open.
 
     Returns
     -------
@@ -560,6 +561,7 @@ def orthonormalise_against_basis(
     """
 
     def project_columns(directions: np.ndarray) -> np.ndarray:
+        """Return the inner products of directions (n_local, k) and columns, (k, m)."""
         return structure.sum_over_ranks(directions.T @ multiply_columns(matrix, columns))
 
     column_norms_squared = structure.sum_over_ranks(
@@ -703,8 +705,8 @@ def damped_count_and_max_omega_or_none(structure: Structure) -> tuple[int, float
     max_frequency : float [rad/s]
         Highest frequency of a damped mode; all modes above are undamped.
 
-    None is returned instead of both if the highest mode is damped, as with Rayleigh damping, or if
-    the damping is a matrix.
+    None is returned instead of these two numbers in two cases: the structure's highest mode is
+    damped, as with Rayleigh damping, or the damping is a matrix.
 
     Raises
     ------
@@ -744,14 +746,14 @@ def project_damping_on_modes(
     Parameters
     ----------
     mode_columns : (n_local, m)
-        X, with X^T M X = I and X^T K X = diag(squares).
+        X, with X^T M X = I and X^T K X = diag(squared_omegas).
     squared_omegas : (m,) [rad^2/s^2]
         Squares of the modes' frequencies.
 
     Returns
     -------
     (m,) or (m, m) [1/s]
-        Diagonal of X^T C X if all other entries are at most 1.5e-8 of the largest, else X^T C X.
+        X^T C X; the diagonal alone if all other entries are at most 1.5e-8 of its largest entry.
     """
     if isinstance(structure.damping, RayleighDamping):
         return structure.damping.rate(squared_omegas)

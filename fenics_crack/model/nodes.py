@@ -26,7 +26,7 @@ from fenics_crack.model.matrices import ReadOnlyArrays, floats_or_nan
 from fenics_crack.numerics.fourier import evaluate_series
 
 AXES = "xyz"
-
+"""Names of the coordinate axes, and of displacement components."""
 
 MAX_NODE_DISTANCE_RATIO = 0.05
 """Maximum distance of a point from its nearest node, relative to the size of the mesh."""
@@ -47,8 +47,8 @@ class Nodes(ReadOnlyArrays):
     vtk_type : int
         VTK's number of the cell type; 0: no cells of one kind.
     mesh_dofs : fenics_crack.fem.plate.Dofs or None
-        DOLFINx's mesh and the dofs on it, for later integrals over the mesh. A mesh made again may
-        be shared by the ranks in another way. None without DOLFINx's mesh.
+        DOLFINx's mesh and the dofs on it, kept for later integrals over the mesh. If the mesh were
+        made again, the ranks might have other parts of it. None without DOLFINx's mesh.
     frames : (m, d, d) or None
         Matrix of each node that turns its displacements into the axes x, y (and z). None: they are
         along these axes already.
@@ -255,9 +255,10 @@ class Coordinates:
 
     @property
     def watched_pairs(self) -> dict[str, int]:
-        """Index of one pair for each crack, by the pair's position in words: {"the mouth": 0}.
+        """Index of each crack's watched pair, by its position in words.
 
-        Without a mesh, the first pair: {"pair 1": 0}. Without pairs, empty.
+        An example is {"the mouth": 0}. Results report these pairs. Without a mesh, the first pair
+        is watched, {"pair 1": 0}. Without pairs, the dict is empty.
         """
         return self.pairs.places or ({"pair 1": 0} if self.n_pairs else {})
 
@@ -464,7 +465,10 @@ class Coordinates:
         return dof
 
     def dof_name(self, dof: int) -> str:
-        """Name a dof: "x displacement at (0.1, 0.1) m" (collective)."""
+        """Name a dof: "x displacement at (0.1, 0.1) m" (collective).
+
+        Without positions of nodes, the name has the dof's number.
+        """
         if self.nodes is None:
             return f"displacement of dof {dof}"
         comm = self.whole.comm

@@ -7,10 +7,11 @@ load's parts. The response to forces X c of angular frequency w is
 
 The sum has the N lowest modes; S = X^T G X is the static compliance of all other modes, with their
 flexibility G. With fewer modes in the sum, the static compliance of the modes between is added to
-S. One receptance thus gives those of fewer modes, as sums of small arrays. More modes extend it.
+S. So a receptance with N modes contains all receptances with fewer modes, as sums of small arrays.
+It is extended if more modes are requested.
 
-All structures with the same matrices share one receptance. Made from arrays alone it needs no
-matrices. Then only the dofs with known rows have displacements.
+All structures with the same matrices share a receptance. A receptance read from a file works
+without mass and stiffness matrices. Displacements are then known only for dofs in the file.
 
 References
 ----------
@@ -38,7 +39,7 @@ from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 
 @dataclass(frozen=True, eq=False)
 class Receptance:
-    """Lowest modes at pairs and load, and the other modes' statics.
+    """Lowest modes at pairs and load, and the static compliance of all other modes.
 
     The columns of X are sources: unit forces on the pairs, then the nonzero parts of the load
     (:func:`pair_and_load_force_matrix`). G is the static flexibility of all modes that are not
@@ -80,8 +81,8 @@ class Receptance:
     ) -> np.ndarray:
         """Return static responses of the modes beyond the first ``n_kept_modes``.
 
-        They are Y^T G X, the displacements along columns Y by the unit forces X on pairs and load.
-        G is the static flexibility of these modes.
+        The responses are Y^T G X: displacements along columns Y by the unit forces X on pairs and
+        load. G is the static flexibility of all modes beyond the first ``n_kept_modes``.
 
         Parameters
         ----------
@@ -258,7 +259,8 @@ def _extend_receptance(
 ) -> Receptance:
     """Make a receptance with ``n_modes`` modes (collective).
 
-    ``known_receptance`` with fewer modes saves its static solutions. None: they are computed.
+    ``known_receptance`` has fewer modes; its static compliance, less the part of the new modes, is
+    used again. None: the static responses are computed.
     """
     begin_stage("factorisation of the stiffness")
     with Factor(structure.stiffness, definite=True) as factored_stiffness:
@@ -325,7 +327,7 @@ def _extend_receptance(
 def modal_and_static_displacement_rows(
     structure: Structure, n_modes: int, dofs: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return displacements of dofs in the lowest modes, and static ones without them (collective).
+    """Return modal displacements of dofs, and static ones by the other modes (collective).
 
     Later requests for the same dofs take them from the receptance.
 
@@ -341,7 +343,7 @@ def modal_and_static_displacement_rows(
     (m, n_modes)
         Displacements of the dofs in the mass-normalised modes.
     (m, n_sources)
-        Static displacements by unit forces on pairs and load, without these modes.
+        Static displacements by unit forces on pairs and load, without the part of these modes.
     """
     known_receptance, structure = receptance(structure, n_modes), structure.original
     requested_dofs = [int(dof) for dof in dofs]
@@ -459,8 +461,10 @@ class ResidualFlexibility:
 
     G maps forces to displacements, with the stiffness K and the squares Lambda of the modes'
     frequencies. A force f first loses its part on the modes, r = f - M Phi Phi^T f, with the mass
-    M. The displacement x = K^-1 r then loses its part, too: x - Phi Phi^T M x. No digits cancel. If
-    the structure can move as a rigid body, these motions are among the modes.
+    M. The displacement x = K^-1 r then loses its part, too: x - Phi Phi^T M x. So no digits cancel.
+    Compliances of a well supported structure are computed faster: the part of the modes is
+    subtracted from the compliance with K^-1. If the structure can move as a rigid body, these
+    motions are among the modes.
 
     Attributes
     ----------
@@ -471,7 +475,7 @@ class ResidualFlexibility:
     squares : (n_modes,) [rad^2/s^2]
         Squares of the modes' frequencies.
     sources : (n_local, n_sources)
-        X: the forces of unit amplitude, a sparse matrix.
+        X: the forces of unit amplitude, as a sparse matrix.
     modal_sources : (n_sources, n_modes)
         X^T Phi.
     """

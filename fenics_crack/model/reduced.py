@@ -72,8 +72,8 @@ def _make_body_fields(
     """Return the fields of a :class:`ReducedBody` by name, but for basis and reference.
 
     The modal coordinates have mass 1 and stiffness ``squared_frequencies``. The coordinates without
-    mass, if any, follow, with the stiffness ``massless_stiffness``. A damping matrix is that of the
-    modes. ``gap``, ``tangential_gap`` and ``force`` are in all coordinates.
+    mass, if any, follow, with the stiffness ``massless_stiffness``. A damping matrix has the modes'
+    rows only. ``gap``, ``tangential_gap`` and ``force`` are in all coordinates.
     """
     n_modes, n_massless = len(squared_frequencies), len(massless_stiffness)
     if isinstance(damping, np.ndarray):
@@ -329,9 +329,9 @@ class MasslessStructure(QuasiStaticReduction):
     def flexibility(self) -> np.ndarray:
         """Inverse of the static compliance S of pairs and load without the modes.
 
-        The matrix has n_dofs - n_modes rows and columns. S is at the same time the stiffness of the
-        massless coordinates, which this matrix inverts. If the unit forces depend on each other,
-        the pseudoinverse is returned.
+        The matrix has n_dofs - n_modes rows and columns. S is also the stiffness of the massless
+        coordinates, so the result is their flexibility. If the unit forces depend on each other, it
+        is the pseudoinverse.
         """
         return self.root @ self.root.T
 
@@ -471,7 +471,7 @@ def check_faces_have_mass(structure: Structure, remedy: str) -> None:
 
 
 def as_massless_structure_or_none(structure: Structure | None) -> MasslessStructure | None:
-    """Return the structure itself if its crack faces have no mass, else None."""
+    """Return the structure itself if it is a :class:`MasslessStructure`, else None."""
     return structure if isinstance(structure, MasslessStructure) else None
 
 

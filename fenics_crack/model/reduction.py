@@ -179,13 +179,14 @@ def _reduce_massless(
     """Reduce a structure to ``n_kept`` modes and crack faces without mass.
 
     The reference, which estimates the error, has twice the modes, or ten more if that is larger. At
-    most it has n_dofs - n_pairs modes, so that each pair keeps a static part. If this limit leaves
-    a pair more than half of its residual flexibility, the reference has all modes. A number in
-    ``reference_choice`` is the number of modes instead; False omits the reference.
+    most it has n_dofs - n_pairs modes, so that each pair keeps a static part. The reference has all
+    modes if ``n_kept`` is not below this limit. It also has all modes if the limit leaves a pair
+    more than half of its residual flexibility. A number above ``n_kept`` in ``reference_choice`` is
+    the number of modes instead; False omits the reference.
 
     The reference removes a fraction of the truncation error, the attribute ``share``. The fraction
     is 1 - J_r / J, with the inertia J (J_r) of the modes beyond ``n_kept`` (beyond the reference).
-    It is at most 0.5 unless the reference has all modes.
+    It is at least 0.1, and at most 0.5 unless the reference has all modes.
 
     InputError: ``n_kept`` modes leave out a rigid-body motion.
     """
@@ -353,9 +354,9 @@ def _reduce_damping(
 ) -> DampingRule | np.ndarray | None:
     """Return the reduced damping T^T C T as a rule or matrix; None without damping.
 
-    T is the basis, with T^T M T = I and T^T K T = diag(squares). Rayleigh's coefficients and one
-    ratio for all modes stay. Any other damping is projected. A diagonal matrix becomes one ratio
-    for each coordinate, unless it damps a rigid-body motion.
+    T is the basis, with T^T M T = I and T^T K T = diag(squared_omegas). Rayleigh's coefficients and
+    one ratio for all modes stay. Any other damping is projected. If the projection is diagonal, it
+    becomes a ratio for each coordinate, unless it damps a rigid-body motion.
     """
     if structure.damping is None:
         return None

@@ -187,7 +187,8 @@ def describe_unstable_speed(structure: Structure, speed: float) -> str:
     """Return the error text for a speed [rad/s] at which the structure is unstable (collective).
 
     The stiffness is then not positive definite. A solid may still be stable by the Coriolis force,
-    which is left out. The text reports the size of the mesh, because a mesh in mm is unstable.
+    which is left out. The text reports the size of the mesh in m: positions in mm by mistake make a
+    structure unstable.
     """
     subject, problem = "the plate", f"is unstable at {speed / RAD_PER_S_PER_RPM:.6g} rpm"
     if structure.nodes is not None:
@@ -329,6 +330,7 @@ class RitzProjection:
             collect_garbage(structure.comm)
 
         def project_matrix(petsc_matrix: object) -> np.ndarray:
+            """Return the symmetric projection V^T A V of a matrix A on the basis V: (n, n)."""
             projection = structure.sum_over_ranks(basis.T @ multiply_columns(petsc_matrix, basis))
             return np.asarray(0.5 * (projection + projection.T))
 
@@ -364,7 +366,7 @@ class RitzProjection:
         )
 
     def stiffness_and_load(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return stiffness and load at a speed W [rad/s], in the coordinates of the basis V.
+        """Return stiffness and load at a speed W [rad/s], projected on the basis V.
 
         Returns
         -------

@@ -217,7 +217,7 @@ class RayleighDamping:
         return self.mass + self.stiffness * squares
 
     def matrix(self, mass: Any, stiffness: Any) -> Any:
-        """Return the damping matrix C = a M + b K from mass M and stiffness K (collective)."""
+        """Return the damping matrix C = a M + b K as a PETSc matrix (collective)."""
         mass_term = mass.copy()
         mass_term.scale(self.mass)
         total = weighted_sum(mass_term, self.stiffness, stiffness)
@@ -315,8 +315,9 @@ class Structure(Coordinates):
     def clearance(self) -> np.ndarray:
         """Clearance g0 of every pair: (n_pairs,) [m].
 
-        Clearance added by varying the structure is included. If tangential gaps follow the normal
-        ones as pairs, a clearance for each normal pair leaves them alone.
+        Clearance added by varying the structure is included. If the structure has tangential gaps
+        as further pairs (:meth:`with_tangential_pairs`), they get no added clearance when it is
+        given for each normal pair.
         """
         clearance, added_clearance = self.body.clearance.copy(), self.setting.added_clearance
         clearance[: np.size(added_clearance) if np.ndim(added_clearance) else None] += (
@@ -347,7 +348,10 @@ class Structure(Coordinates):
 
     @cached_property
     def clamp(self) -> Clamp | None:
-        """Inertia and load of the mesh for the reaction at the clamp; None without a mesh."""
+        """Inertia and load of the mesh, for the reaction at the clamp.
+
+        None without a mesh, and after :meth:`with_added_load_harmonics`.
+        """
         return self.body.clamp and self.body.clamp.with_weights(self.setting.load_weights)
 
     @cached_property
@@ -475,7 +479,7 @@ class Structure(Coordinates):
 
     @property
     def watched_sector_index(self) -> int:
-        """Index, from 0, of the sector with the watched dof; 0 unless it is a bladed disk."""
+        """Index of the sector with the watched dof, from 0; always 0 without sectors."""
         return 0
 
     def dof_of(self, blade: int, dof: int) -> int:
@@ -575,6 +579,7 @@ class Structure(Coordinates):
         empty_gap_matrix = sparse.csr_matrix((self.n_local, 0))
 
         def bond_pairs(structure: Structure) -> Structure:
+            """Return a structure with the springs, and without contact pairs."""
             bonded_stiffness = add_springs(structure.stiffness, structure.gap, spring_stiffnesses)
             return structure._plain_structure_with_changes(
                 stiffness=bonded_stiffness,
@@ -592,9 +597,9 @@ class Structure(Coordinates):
         Parameters
         ----------
         harmonics : dict of int to (cosine, sine)
-            f_c and f_s of f_c cos(k w t) + f_s sin(k w t) by the order k, a multiple of the load's
-            frequency: (n,) [N] or None, whole on every rank. They are added to harmonics of the
-            load.
+            Amplitudes f_c and f_s of f_c cos(k w t) + f_s sin(k w t) by the order k, with the
+            load's frequency w: (n,) [N] or None, whole on every rank. The load's own harmonics
+            stay, and add up with equal orders. The result has no :attr:`clamp`.
 
         Raises
         ------
@@ -666,9 +671,10 @@ class Structure(Coordinates):
         return direction_and_structure_cache[0][1]._in_setting(self.setting)
 
     def with_doubled_pairs(self, clearance: float) -> Structure:
-        """Return this structure with every pair twice: B = [B, B] (n_local, 2 n_pairs).
+        """Return this structure with every pair twice, for a law with two springs per pair.
 
-        The second of two equal pairs has a further clearance [m].
+        The gap matrix becomes [B, B], (n_local, 2 n_pairs). The second copy of each pair has
+        ``clearance`` [m] in addition.
         """
         clearances = np.add.outer(
             (0.0, clearance),
@@ -783,7 +789,9 @@ class Structure(Coordinates):
         damping: Any = None,
         comm: MPI.Comm = MPI.COMM_SELF,
     ) -> Structure:
-        """Make a structure from its matrices: M u'' + C u' + K u + B lambda(g) = f, g = B^T u - g0.
+        """Make a structure from its matrices and load.
+
+            M u'' + C u' + K u + B lambda(g) = f,        g = B^T u - g0
 
         Crack faces touch where g > 0: a column of B has 1 at the dof that moves towards the other
         face, -1 at the other face's.
@@ -796,12 +804,13 @@ class Structure(Coordinates):
         gap : (n, n_pairs) or (n,)
             B; None: no pairs.
         force_sin, force_cos, force_mean : (n,) [N] or None
-            Load on the first harmonic, and its mean; of more columns (n, K) column k has k times
-            the frequency.
+            Sine and cosine part of the load, and its mean. With K columns (n, K) in place of (n,),
+            column k is harmonic k. The mean has a single column.
         clearance : float or (n_pairs,) [m]
             g0; negative for preload.
         tangential : (n, n_pairs) or (n,)
-            B_t, for friction; (n, 2 n_pairs) along two directions at right angles of all pairs.
+            B_t, for friction. In space (n, 2 n_pairs): the first direction of all pairs, then the
+            second direction, at right angles to it.
         damping : ModalDamping, RayleighDamping, (n, n) matrix or None
             Modal or Rayleigh damping, or C [N s/m] in any of the forms above.
         comm : MPI.Comm
@@ -845,7 +854,10 @@ def _is_mean_kept(load_weights: np.ndarray) -> bool:
 
 
 def _add_tangents(structure: Structure) -> Structure:
-    """Return a structure with the mesh's tangential gaps, also in its structure at rest."""
+    """Return a structure with the mesh's tangential gaps.
+
+    If it rotates, its structure at rest gets them, too.
+    """
     return _change_with_rotation(
         structure,
         lambda source: source._in_setting(
