@@ -111,8 +111,8 @@ class Verification(SavedResult):
     def with_part(self, cause: str, part_or_reason: PartOrReason) -> Verification:
         """Return a copy with the part of a cause, or with the reason for no part.
 
-        A reason makes the causes "mesh" and "friction" unknown; any further cause then contributes
-        nothing and is listed in ``absent``. An empty reason adds nothing.
+        A reason for "mesh" or "friction" goes to ``unknown``; for any further cause to ``absent``:
+        the cause contributes nothing. An empty reason adds nothing.
         """
         if not isinstance(part_or_reason, str):
             counts, convergence_by_name = part_or_reason
@@ -173,7 +173,7 @@ class Verification(SavedResult):
         }
 
     def find_reasons_by_missing_cause(self, quantity: str) -> dict[str, str]:
-        """Return the reason by cause, for varied causes without a part for a quantity."""
+        """Return the reasons by cause, for each varied cause without a part for the quantity."""
         return {
             cause: MISSING_PART_REASON_BY_CAUSE.get(
                 cause, "the run for comparison does not have this number"
@@ -335,10 +335,10 @@ class Verification(SavedResult):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns by heading, with a row per quantity and cause, total or sum.
+        """Return columns by heading; each quantity has a row per cause, and for total and sum.
 
-        A row has the counts of all runs, up to three values, order and safety factor from these
-        values, and the uncertainty of the scene's value. Entries without a meaning are nan.
+        A row has counts and values of up to three runs, order and safety factor from the values,
+        and the uncertainty of the scene's value. Entries without a meaning are nan.
         """
         rows = [row for name in self.values for row in self._yield_cause_rows(name)]
         keys = dict.fromkeys(key for row in rows for key in row)
@@ -488,7 +488,7 @@ class Verification(SavedResult):
 
     @property
     def incomplete_error_notes(self) -> tuple[str, ...]:
-        """Sentences on quantities with no part from a varied cause, with the reason."""
+        """Sentences on quantities with an error without a varied cause, and the reason."""
         return tuple(
             f"{', '.join(names_without_cause)}: error due to the {cause} not included: "
             f"{self.find_reasons_by_missing_cause(names_without_cause[0])[cause]}"
