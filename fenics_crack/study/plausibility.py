@@ -416,7 +416,7 @@ def _compare_frequency_in_other_unit(
 
 
 def _is_near_natural_frequency(omega: float, natural_omegas: np.ndarray) -> bool:
-    """Return True if any natural frequency is within 10 %."""
+    """Return True if ``omega`` is within 10 % of any natural frequency (both [rad/s])."""
     return bool(np.any(np.abs(natural_omegas - omega) < 0.1 * natural_omegas))
 
 
@@ -486,7 +486,7 @@ def _peak_rotation_and_displacement(
 
 
 def _n_face_elements_or_none(_: object, scene: Scene, key_figures: KeyFigures) -> int | None:
-    """Return the number of elements along each crack face, or None.
+    """Return the number of elements along the crack face with fewest, if a remark may name it.
 
     None for a grid without patches, whose columns and rows set the number. None, too, for contact
     at the mouth alone.
