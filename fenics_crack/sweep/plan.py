@@ -259,10 +259,11 @@ def _find_pair_upper_bound(scene: Scene) -> int:
 
 
 def _find_keys_sharing_geometry(scene: Scene, swept_keys: Collection[str]) -> set[str]:
-    """Return the scene keys that cases with a shared structure may change.
+    """Return the scene keys in which cases with a shared structure may differ.
 
-    Crack clearances are included. Forces are not if the structure has other loads, harmonics of the
-    force, or rotation, because the load then is no multiple of unit forces.
+    They are :data:`GEOMETRY_INDEPENDENT_KEYS` and swept crack clearances. Forces are left out if
+    the load is no sum of scaled unit forces: with other loads, harmonics of the force, rotation, or
+    swept keys of the base, loads or rotation.
     """
     geometry_independent_keys = GEOMETRY_INDEPENDENT_KEYS | {
         swept_key for swept_key in swept_keys if re.fullmatch(r"crack.*\.clearance", swept_key)
