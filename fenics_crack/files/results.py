@@ -588,8 +588,8 @@ def _unpack_balance_points(
 ) -> tuple[ResponseCurve, Sequence[np.ndarray]]:
     """Rebuild a curve of harmonic balance without special points (collective).
 
-    Parameters and errors are as in :func:`_unpack_exact_points`. The gaps of the first solution are
-    compared to 1e-4.
+    Parameters are as in :func:`_unpack_exact_points`. InputError if the first solution's gaps in
+    the file differ by more than 1e-4 from those of the displacement computed anew.
 
     Returns
     -------
@@ -798,7 +798,4 @@ _PACK_UNPACK_FUNCTIONS_BY_CLASS: dict[type[Result], tuple[PackFunction, UnpackFu
     ResponseCurve: (_pack_curve, _unpack_curve),
     TimeHistory: (_pack_history, _unpack_history),
 }
-"""Functions to convert a result to datasets and back, by class.
-
-Their files do not hold the structure.
-"""
+"""Functions to convert a result to datasets and back, by class; files lack the structure."""
