@@ -582,11 +582,11 @@ def read_verification_or_none(result_file: StoredFile) -> Verification | None:
 def displacement_added_by_halved_elements(scene: Scene) -> float:
     """Estimate the displacement [m] added by halved elements under a point force.
 
-    F [N] is the force at a point, E Young's modulus [Pa], t the thickness [m], h the element size
-    [m]. The force acts at a corner with angle a [rad]; a = pi on an edge and about 2 pi inside. In
-    a plate the displacement along an edge is F / (E t) ln 2 (1 / (a + sin a) + 1 / (a - sin a)). In
-    a solid the displacement is about F / (E h). Without a force at a point, or with matrices as
-    structure, return 0.
+    F [N] is the amplitude of the force at a point, E Young's modulus [Pa], t the thickness [m], h
+    the element size [m]. The force acts at a corner with angle a [rad]: pi on an edge, 2 pi inside.
+    In a plate the added displacement is F / (E t) ln 2 (1 / (a + sin a) + 1 / (a - sin a)). In a
+    solid it is about F / (E h). Without a force at a point, without h in a solid, or with matrices
+    as structure, return 0.
     Source: Timoshenko, Goodier, Theory of Elasticity, sections 36 to 38.
     """
     point_loads = [load for load in scene.loads if load.point is not None]
