@@ -204,8 +204,8 @@ class CrackTipHistory(NamedTuple):
     growth_law : Growth or None
         Table ``[growth]`` of the scene: law of fatigue crack growth.
     closed_front_error : float [Pa m^1/2]
-        Largest correction of K_I by contact in a solid. K_I is set to zero while the front is
-        closed, and is never negative. 0 in a plate.
+        Largest correction of K_I by contact in a solid without clearance: K_I is set to zero while
+        the front is closed, and while negative. 0 in a plate.
     """
 
     K_I: np.ndarray
