@@ -252,7 +252,8 @@ def _set_vector_dimension(scene: SceneTables) -> None:
 def _check_shape(scene: SceneTables) -> None:
     """Check a plate or solid with load and cracks.
 
-    Raises InputError for missing sides, and for points or cracks outside.
+    Raises InputError for missing sides, load points or keys of a crack, and for points or cracks
+    outside the body. Sides and cracks in a mesh file are not checked.
     """
     geometry, mesh, contact = scene.geometry, scene.mesh, scene.contact
     is_box = geometry.file is None and mesh.layout != "file"
