@@ -1,7 +1,7 @@
 """Share the jobs of a sweep among ranks; rank 0 writes the results.
 
 Each rank has a present and a next job, so that no rank waits for rank 0. Rank 0 solves chunks, too,
-and receives results between two chunks.
+and receives results between two cases.
 
 Messages to a rank are jobs, which are short and so arrive while the rank computes, and a message
 with the tag ``END``. After ``END`` a rank stops at the end of the present case. Messages from a
