@@ -365,6 +365,11 @@ def run_reader_for_arrays(
     -------
     dict or str
         The arrays by name; or a text with the reason why the file cannot be read.
+
+    Raises
+    ------
+    OSError
+        From :func:`regular_file_size`.
     """
     max_array_bytes = max_allowed_unpacked_bytes(regular_file_size(path, None))
     request_entries = {
