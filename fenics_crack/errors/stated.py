@@ -187,9 +187,11 @@ def _estimate_run_up_errors(
     resonance_value = verification.values[resonance_name]
 
     def speed_at_resonance(frequency: float) -> float:
+        """Return the speed [rad/s] at resonance, for a changed resonance frequency."""
         return speed * (1.0 + (frequency / resonance_value - 1.0) / detuning_per_speed)
 
     def convert_to_speed(convergence: GridConvergence) -> GridConvergence:
+        """Convert a resonance frequency's convergence to the speed's convergence."""
         extrapolated_speed = speed_at_resonance(convergence.extrapolated)
         return replace(
             convergence,
@@ -236,6 +238,7 @@ def estimate_frequency_mesh_errors(
     unit_factor, _, unit = choose_frequency_factor_name_unit(scene.is_frequency_in_hertz)
 
     def name_frequencies(kind_omegas: Mapping[str, np.ndarray]) -> dict[str, float]:
+        """Return frequencies by name, in the scene's unit; 0 and inf are left out."""
         return {
             natural_frequency_name(scene, kind, mode_number): unit_factor * float(omega)
             for kind, omega_of_modes in kind_omegas.items()
@@ -244,6 +247,7 @@ def estimate_frequency_mesh_errors(
         }
 
     def estimate_error_by_mesh() -> PartOrReason:
+        """Estimate errors from the coarser mesh; without a coarser mesh, return the reason."""
         coarse_study_or_reason = prepare_coarser_study_or_reason(study)
         if isinstance(coarse_study_or_reason, str):
             return coarse_study_or_reason

@@ -345,6 +345,7 @@ class Verification(SavedResult):
         return {key: [row.get(key, math.nan) for row in rows] for key in keys}
 
     def _yield_cause_rows(self, quantity_name: str) -> Iterator[dict[str, Any]]:
+        """Yield a quantity's rows for :meth:`to_dict`: by cause, then total and sum."""
         quantity_entry_by_key = {"quantity": quantity_name, "unit": self.units[quantity_name]}
         for cause in self.contributions(quantity_name):
             convergence, counts = self.parts[cause][quantity_name], self.counts[cause]

@@ -143,7 +143,7 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
 
 
 def _scene_with_chosen_counts(run: SolvedStudy) -> Scene:
-    """Write the harmonics and modes chosen by the solver into the solved scene.
+    """Return the solved scene with the harmonics and modes chosen by the solver.
 
     A tolerance becomes a fixed number of harmonics. The reduction gets the number of modes in the
     solution; if all modes are kept, the reduction is "off", so a finer mesh keeps all modes, too. A
