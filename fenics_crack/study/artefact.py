@@ -210,6 +210,7 @@ class PreparedStructure:
         local_slice = slice(None if comm.rank == 0 else 0)
 
         def local_matrix(sparse_rows: GatheredCsrMatrix | None, n_columns: int) -> Any:
+            """Return the matrix with all rows on rank 0, and no rows elsewhere; None for None."""
             matrix: Any = sparse_rows and sparse_rows.to_matrix(n_dofs, n_columns)
             return matrix if comm.rank == 0 or matrix is None else matrix[:0]
 
@@ -489,6 +490,7 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
     file_dependencies = dependencies_of_structure(file_scene, MPI.COMM_SELF)
 
     def needs_mesh(changed_scene: Scene) -> bool:
+        """Return True if a changed scene needs another mesh than the scene in the file."""
         changed_dependencies = dependencies_of_structure(changed_scene, MPI.COMM_SELF)
         return dependencies_without_amplitudes(
             changed_dependencies

@@ -244,6 +244,7 @@ class Campbell(SavedResult):
             return self._crossings_in_actual_state(order)
 
         def omega_minus_order_line(speed: float, mode: int) -> float:
+            """Return w - n W [rad/s] of a mode at the rotor speed W; zero at a crossing."""
             return self._omega_of_kind(mode, speed, kind) - order * speed
 
         is_above = getattr(self, f"omega_{kind}") > order * self.speed[:, None]

@@ -534,6 +534,7 @@ def _make_tip_rows_and_reader(study: Study) -> ExtraRows:
     tips, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
 
     def read_leading_tip_numbers(record: Record) -> dict[str, float]:
+        """Return numbers by name of the tip with the largest range of positive K_I."""
         tip_histories = compute_crack_tip_histories(record, tips, force_rows, study.scene.growth)
         value_by_name = tip_histories[leading_crack_tip_index(tip_histories)].value_by_name()
         if study.scene.dimension == 3:  # under a mean load it may be largest at another station
@@ -564,6 +565,7 @@ def _make_ellipse_rows_and_reader(study: Study) -> ExtraRows:
     ]
 
     def read_ellipse_numbers(record: Record) -> dict[str, float]:
+        """Return numbers by name of the deepest station and of the front's ends."""
         tip_histories = compute_crack_tip_histories(
             record, stations, force_rows, study.scene.growth
         )

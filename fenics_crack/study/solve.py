@@ -146,6 +146,7 @@ def _solve_to_tolerance(unreduced_study: Study) -> tuple[Study, PeriodicSolution
     reduced_studies = list[Study]()
 
     def iterate_structures() -> Iterator[Structure]:
+        """Yield structures with more and more modes; append the studies to reduced_studies."""
         for study in iterate_studies_with_more_modes(unreduced_study):
             reduced_studies.append(study)
             yield study.structure
