@@ -179,6 +179,7 @@ def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
     send_requests: list[MPI.Request] = []
 
     def may_continue() -> bool:
+        """Forget messages sent completely; return False once END has arrived."""
         send_requests[:] = [
             send_request for send_request in send_requests if not send_request.Test()
         ]
@@ -297,6 +298,7 @@ class Manager:
         other_ranks = range(1, comm.size)
 
         def may_continue() -> bool:
+            """Receive messages that have arrived; return False after an error or Ctrl-C."""
             while self._n_jobs_at_other_ranks and comm.iprobe():
                 if stop_request.is_requested(MPI.COMM_SELF):
                     self._remaining_case_numbers_by_geometry.clear()  # no further job

@@ -116,9 +116,10 @@ class Plan:
     ) -> list[list[np.ndarray]]:
         """Split case numbers by geometry, then into chunks of at most 16.
 
-        A geometry is a structure shared by several cases. Chunks follow the frequency axis if a
-        frequency is swept. Otherwise they follow the last axis without effect on the geometry; if
-        each axis changes the geometry, a chunk is a single case.
+        A geometry is a structure shared by several cases. Return for each geometry a list of
+        chunks, arrays of case numbers. Chunks follow the frequency axis if a frequency is swept.
+        Otherwise they follow the last axis without effect on the geometry; if each axis changes the
+        geometry, a chunk is a single case.
         """
         swept_keys = list(self._swept_values_by_key)
         independent_axis_indices = [

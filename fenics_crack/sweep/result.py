@@ -156,6 +156,7 @@ def run_sweep(
     managers: list[Manager] = []
 
     def make_manager_and_case_options() -> SharedCaseOptions:
+        """Open the file and append the sweep's manager to managers; return the case options."""
         plan = Plan(scene)
         option_by_name = {"verdicts": verdicts, "judged": judged}
         omitted_options = [name for name, is_wanted in option_by_name.items() if not is_wanted]
