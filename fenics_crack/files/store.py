@@ -398,6 +398,7 @@ def _read_and_check_result_file(path: Path) -> StoredFile:
     """
 
     def refusal(reason: str) -> InputError:
+        """Return the error for an unreadable file, with the reason in brackets."""
         kinds_text = "an .h5 file that solve, curve or another command wrote"
         return InputError("path", str(path), f"a readable result file, {kinds_text} ({reason})")
 
