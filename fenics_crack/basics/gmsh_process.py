@@ -26,6 +26,7 @@ def keep_interrupt_handler() -> Iterator[None]:
     interrupt_handler, original_signal_function = signal.getsignal(signal.SIGINT), signal.signal
 
     def set_handler_in_main_thread(signal_number: int, handler: Any) -> Any:
+        """Set a signal handler, in the main thread only; return the earlier handler."""
         if threading.current_thread() is threading.main_thread():
             return original_signal_function(signal_number, handler)
         return signal.getsignal(signal_number)
