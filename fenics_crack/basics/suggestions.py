@@ -127,7 +127,7 @@ def find_similar_names(
 def find_similar_or_longer_names(
     name: str, known_names: Collection[str], min_likeness: float = MIN_LIKENESS
 ) -> list[str]:
-    """Return known names similar to a name, or else longer names that contain the name.
+    """Return known names similar to a name, or else longer names.
 
     In a longer name, a word begins with the name: "tol" finds "tolerance". A name with less than
     three letters finds no longer name. ``min_likeness`` is the minimum ratio of difflib for similar

@@ -93,8 +93,8 @@ def compute_numbers(
 
     The quantities are the scene's ``output.quantities``, by default all with a stated error.
     Quantities equal to zero, except for rounding, are left out. The frequencies are the open modes
-    1 to 3, and the open, bonded and bilinear frequency of the mode ``mode_number``, by default the
-    mode with the resonance nearest to the load.
+    1 to 3, and the open, bonded and bilinear frequency of the mode ``mode_number``. The default is
+    the mode with the resonance nearest to the load.
     """
     quantity_names = study.scene.quantities or observable_names(required_flags=STATED_WITH_ERROR)
     values_by_name: dict[str, float] = {}

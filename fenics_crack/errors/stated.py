@@ -429,12 +429,12 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def _find_motions_with_kept_and_more_modes(self, larger_study: Study) -> tuple[Motion, Motion]:
         """Find motions with kept modes, and with the modes of ``larger_study`` (collective).
 
-        If possible, return two exact orbits next to the answer. If no orbit with more modes is
-        found and the answer has less than 40 harmonics per load period
-        (:data:`MIN_HARMONICS_FOR_MODAL_CHANGE`), the second motion is the first after a step of
-        Newton's method. Without orbits, return two harmonic-balance solutions with equal numbers of
-        harmonics. The number is at least 40 per period if crack faces have no mass and a search for
-        orbits does not take long.
+        If possible, return two exact orbits next to the answer. An answer with few harmonics may
+        lack an orbit with more modes: the second motion is then the first after a step of Newton's
+        method. Few means less than 40 per load period (:data:`MIN_HARMONICS_FOR_MODAL_CHANGE`).
+        Without orbits, return two harmonic-balance solutions with equal numbers of harmonics. The
+        number is at least 40 per period if crack faces have no mass and a search for orbits does
+        not take long.
         """
         balance_solution, assessment = self.balance_solution, self.answer.assessment
         min_harmonics = MIN_HARMONICS_FOR_MODAL_CHANGE * balance_solution.subharmonic
@@ -776,7 +776,10 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
 
 
 def _without_refused_stress_intensities(study: Study) -> Study:
-    """Return a study that requests no stress intensities if its elements are too long for them."""
+    """Remove requested stress intensities if a study's elements are too long for them.
+
+    Return the changed study, or the study itself.
+    """
     try:
         make_requested_rows_and_readers(study)
     except InputError:

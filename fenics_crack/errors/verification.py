@@ -173,7 +173,7 @@ class Verification(SavedResult):
         }
 
     def find_reasons_by_missing_cause(self, quantity: str) -> dict[str, str]:
-        """Return the reasons by cause, for each varied cause without a part for the quantity."""
+        """Return the reason by cause, for varied causes without the quantity's part."""
         return {
             cause: MISSING_PART_REASON_BY_CAUSE.get(
                 cause, "the run for comparison does not have this number"
@@ -335,10 +335,11 @@ class Verification(SavedResult):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns by heading; each quantity has a row per cause, and for total and sum.
+        """Return columns by heading, with several rows per quantity.
 
-        A row has counts and values of up to three runs, order and safety factor from the values,
-        and the uncertainty of the scene's value. Entries without a meaning are nan.
+        The rows are a row per cause, then total and sum. A row has counts and values of up to three
+        runs, order and safety factor from the values, and the uncertainty of the scene's value.
+        Entries without a meaning are nan.
         """
         rows = [row for name in self.values for row in self._yield_cause_rows(name)]
         keys = dict.fromkeys(key for row in rows for key in row)

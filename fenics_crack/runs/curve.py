@@ -175,7 +175,7 @@ def _follow_curve(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
 
 
 def iterate_curve_studies(scene_or_study: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
-    """Yield the study of a scene with a curve, each time reduced to more modes (collective).
+    """Yield a curve's study, each time reduced to more modes (collective).
 
     For a curve over the rotor speed (run-up) a single study is yielded, with one reduction basis
     for all speeds. A tolerance in the scene chooses the number of modes: as many as the solution at

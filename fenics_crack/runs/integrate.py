@@ -121,7 +121,7 @@ def integrate(
 def _march_function_and_steps(
     study: Study, method_name: str, steps_per_period: int | None
 ) -> tuple[Callable[..., TimeHistory], int]:
-    """Return the function that integrates by a method, and the time steps per load period.
+    """Return an integration method's function, and its time steps per load period.
 
     ``method_name`` is "events", "exponential" or "central_difference". ``steps_per_period`` is the
     number of steps, unless None. Then "events" takes 256 and "exponential" 512 steps; central

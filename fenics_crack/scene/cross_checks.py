@@ -226,10 +226,10 @@ def _check_tables_beside_matrices(scene: SceneTables, structure: kinds.Structure
 
 
 def _set_vector_dimension(scene: SceneTables) -> None:
-    """Give each zero vector in a table 2 components in a plane scene, 3 in a solid one.
+    """Give zero vectors in all tables as many components as dimensions.
 
-    Changes the scene in place. Raises InputError if a nonzero vector or an output point has another
-    number of components.
+    Vectors get 2 components in a plane, 3 in space. Changes the scene in place. Raises InputError
+    if a nonzero vector or an output point has another number of components.
     """
     dimension = scene.dimension
     for table_name in TABLE_CLASS_BY_NAME:

@@ -103,7 +103,7 @@ class SceneTables:
 
     @property
     def has_friction(self) -> bool:
-        """True if ``contact.friction`` is above 0, in the scene or in any case of the sweep."""
+        """True if ``contact.friction`` is above 0, possibly in a case of the sweep only."""
         contact_has_friction = self.contact is not None and bool(self.contact.friction)
         return contact_has_friction or any(self.swept_values_by_key.get("contact.friction", ()))
 

@@ -454,7 +454,7 @@ def with_file_paths(scene: Scene, change_path: Callable[[str], str]) -> Scene:
     """
 
     def change_paths(value: Any) -> Any:
-        """Return a path, an axis, a mesh file or a tuple of these with changed paths."""
+        """Return a value of the scene with all paths in it changed."""
         if isinstance(value, tuple):
             return tuple(map(change_paths, value))
         if isinstance(value, MeshFile):

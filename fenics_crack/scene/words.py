@@ -132,7 +132,7 @@ def _flatten_tables(nested_tables: Mapping[str, Any], key_prefix: str = "") -> d
 
 
 def _default_value(scene: Scene, key: str) -> Any:
-    """Return a scene's value for a full key that the scene's file does not set.
+    """Return the value of a full key that the scene's file does not set.
 
     The value is the default, or inferred from other keys; None if the scene has no such table.
     Tuples become lists.

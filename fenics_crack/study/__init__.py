@@ -1,3 +1,3 @@
-"""Prepare a scene for the solution, solve the scene, and read numbers from the solution."""
+"""Prepare and solve a scene, and read numbers from the solution."""
 
 import fenics_crack.basics.ranks  # noqa: F401  (MPI before PETSc)

@@ -210,7 +210,7 @@ class PreparedStructure:
         local_slice = slice(None if comm.rank == 0 else 0)
 
         def local_matrix(sparse_rows: GatheredCsrMatrix | None, n_columns: int) -> Any:
-            """Return the matrix with all rows on rank 0, and no rows elsewhere; None for None."""
+            """Return the matrix with all rows on rank 0; None for None."""
             matrix: Any = sparse_rows and sparse_rows.to_matrix(n_dofs, n_columns)
             return matrix if comm.rank == 0 or matrix is None else matrix[:0]
 
@@ -490,7 +490,7 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
     file_dependencies = dependencies_of_structure(file_scene, MPI.COMM_SELF)
 
     def needs_mesh(changed_scene: Scene) -> bool:
-        """Return True if a changed scene needs another mesh than the scene in the file."""
+        """Return True if a changed scene needs another mesh than the file's."""
         changed_dependencies = dependencies_of_structure(changed_scene, MPI.COMM_SELF)
         return dependencies_without_amplitudes(
             changed_dependencies
@@ -522,7 +522,7 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
 
 
 def dependencies_without_amplitudes(dependencies: tuple[Any, Any, Any]) -> tuple[Any, ...]:
-    """Return the values in which a scene must equal the scene of a structure's file.
+    """Return the values that must equal those in a structure's file.
 
     ``dependencies``, from :func:`dependencies_of_structure`, are all values that determine a
     structure. Removed are clearances, damping, and the excitation's keys force_mean, force_cos,
@@ -537,7 +537,7 @@ def dependencies_without_amplitudes(dependencies: tuple[Any, Any, Any]) -> tuple
 
 
 def _weight_matrix_between_scene_loads(file_scene: Scene, scene: Scene) -> np.ndarray:
-    """Return the matrix W with a scene's load as W times a prepared file's load.
+    """Return the matrix W from a prepared file's load to a scene's load.
 
     ``file_scene`` is the scene in the file. Shape and errors are those of
     :func:`weight_matrix_of_load_rows`.
@@ -551,7 +551,7 @@ def _weight_matrix_between_scene_loads(file_scene: Scene, scene: Scene) -> np.nd
 
 
 def weight_matrix_of_load_rows(file_load_rows: np.ndarray, scene: Scene) -> np.ndarray:
-    """Return the matrix W with a scene's load as W times a file's load.
+    """Return the matrix W from a file's load to a scene's load.
 
     The load is F, with a row for the mean and for each cosine and sine part of the excitation's
     force: F_scene = W F_file. Static responses to the file's rows then give those to the scene's.

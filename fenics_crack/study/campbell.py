@@ -244,7 +244,7 @@ class Campbell(SavedResult):
             return self._crossings_in_actual_state(order)
 
         def omega_minus_order_line(speed: float, mode: int) -> float:
-            """Return w - n W [rad/s] of a mode at the rotor speed W; zero at a crossing."""
+            """Return a mode's w - n W [rad/s], zero at a crossing."""
             return self._omega_of_kind(mode, speed, kind) - order * speed
 
         is_above = getattr(self, f"omega_{kind}") > order * self.speed[:, None]
@@ -280,7 +280,7 @@ class Campbell(SavedResult):
         return np.array(sorted(crossings)).reshape(-1, 2)
 
     def _kinds_before_and_after(self, mode: int, speed: float) -> tuple[str, str]:
-        """Return a mode's kind of frequency just below a rotor speed, and from this speed on.
+        """Return a mode's kinds of frequency just below and just above a rotor speed.
 
         ``mode`` counts from 1; ``speed`` is in rad/s. Kinds are "open", "tied", "partly",
         "bilinear".

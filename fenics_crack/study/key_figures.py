@@ -367,7 +367,7 @@ def _slopes_of_squared_omegas(modes: Modes) -> np.ndarray:
 
 
 def _count_elements_along_face(scene: Scene, structure: Structure) -> int | None:
-    """Return the number of elements along a face of the crack with fewest contact pairs.
+    """Return the number of elements along the crack with fewest contact pairs.
 
     It is the number of pairs over the order of the elements, rounded up because the node at a tip
     is no pair. Patches count as elements. None without pairs.

@@ -399,10 +399,10 @@ def _compare_frequency_in_other_unit(
 ) -> tuple[float, ...] | None:
     """Return three frequencies if the load frequency seems to be in another unit, else None.
 
-    The unit is doubtful if the load frequency is not within 10 % of a natural frequency, but
-    ``other_unit_factor`` times the load frequency is within 10 % of the first open or bonded
-    frequency. Returned are the load frequency over the first natural frequency with open crack, and
-    the latter in Hz and rad/s.
+    The unit is doubtful under two conditions. The load frequency is not within 10 % of a natural
+    frequency. But ``other_unit_factor`` times the load frequency is within 10 % of the first open
+    or bonded frequency. Returned are the load frequency over the first natural frequency with open
+    crack, and the latter in Hz and rad/s.
     """
     first_omega, omega = float(key_figures.omega_open[0]), scene.excitation.omega
     natural_omegas = np.concatenate([key_figures.omega_open, key_figures.omega_tied])
@@ -488,7 +488,7 @@ def _peak_rotation_and_displacement(
 
 
 def _n_face_elements_or_none(_: object, scene: Scene, key_figures: KeyFigures) -> int | None:
-    """Return the number of elements along the crack face with fewest, if a remark may name it.
+    """Return the smallest number of elements along a crack face, or None.
 
     None for a grid without patches, whose columns and rows set the number. None, too, for contact
     at the mouth alone.

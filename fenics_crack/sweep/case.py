@@ -241,7 +241,7 @@ def build_sweep_geometry(
 def iterate_geometries_with_more_modes(
     scene: Scene, case_options: SharedCaseOptions
 ) -> Iterator[SweepGeometry]:
-    """Yield structures with each number of modes that a sweep may have used for a case.
+    """Yield a case's structure with each number of modes that a sweep may use.
 
     This serves to find the structure with which a stored case was solved. The last structure is
     reduced as the scene says, as in a sweep without reduction errors.
