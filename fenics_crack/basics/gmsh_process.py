@@ -1,7 +1,7 @@
 """Import gmsh and keep Python's handler of Ctrl-C.
 
-The libraries of gmsh load in a third of the time before those of MPI and DOLFINx: the program
-imports this module first.
+The program imports this module first: before the libraries of MPI and DOLFINx, those of gmsh load
+in a third of the time.
 """
 
 from __future__ import annotations
@@ -20,12 +20,13 @@ from fenics_crack.basics.machine import report_missing_libraries
 def keep_interrupt_handler() -> Iterator[None]:
     """Restore the handler of Ctrl-C after the block, in which gmsh replaces it.
 
-    In a thread other than the main thread, Python forbids gmsh to set a handler: there, none is
-    set.
+    In a thread other than the main thread, Python forbids to set a handler: there gmsh's request
+    has no effect.
     """
     interrupt_handler, original_signal_function = signal.getsignal(signal.SIGINT), signal.signal
 
     def set_handler_in_main_thread(signal_number: int, handler: Any) -> Any:
+        """Set a signal handler, in the main thread only; return the earlier handler."""
         if threading.current_thread() is threading.main_thread():
             return original_signal_function(signal_number, handler)
         return signal.getsignal(signal_number)

@@ -58,8 +58,9 @@ def add_progress_text(describe_progress: Callable[[], str]) -> AbstractContextMa
 class StageLineHandler(logging.Handler):
     """Handler that shows the stages of a computation during a block.
 
-    On a terminal, the current stage is shown at once. A message with the stage's duration follows
-    every 5 s (:data:`MESSAGE_INTERVAL`); elsewhere than on a terminal it is a line.
+    On a terminal, the current stage is shown at once. Every 5 s (:data:`MESSAGE_INTERVAL`), a
+    message states the stage and the duration so far: on a terminal in place of the last message,
+    otherwise on a new line.
 
     Parameters
     ----------

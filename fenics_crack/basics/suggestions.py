@@ -129,8 +129,9 @@ def find_similar_or_longer_names(
 ) -> list[str]:
     """Return known names similar to a name, or else longer names.
 
-    A longer name has a word that begins with the name, of three letters or more: "tol" finds
-    "tolerance". ``min_likeness`` is the minimum ratio of difflib for similar names.
+    In a longer name, a word begins with the name: "tol" finds "tolerance". A name with less than
+    three letters finds no longer name. ``min_likeness`` is the minimum ratio of difflib for similar
+    names.
     """
     beginning_pattern = re.compile(f"(^|_){re.escape(name)}", re.IGNORECASE)
     longer_names = [

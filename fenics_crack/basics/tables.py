@@ -341,7 +341,7 @@ _PREFIX_BY_EXPONENT = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "
 
 
 def choose_factor_and_prefixed_unit(largest_magnitude: float, unit: str) -> tuple[float, str]:
-    """Return a prefixed unit for numbers, and the factor to it: (1e6, "µm").
+    """Return the factor to a prefixed unit for numbers, and this unit: (1e6, "µm").
 
     ``largest_magnitude`` is the largest absolute number in ``unit``.
     """

@@ -75,9 +75,9 @@ SI_UNIT_AND_FACTOR_BY_UNIT = {
 def leave_working_folder() -> Iterator[None]:
     """Work in the folder of Python's modules during a block.
 
-    A library may look for settings meanwhile: in a stranger's folder they may load code, run
-    programs or change numbers. If this user may not enter the earlier folder, as root's, the
-    process stays in the new folder.
+    Libraries look for settings in the working folder. In a stranger's folder, settings may load
+    code, run programs or change numbers. After the block the process returns to the earlier folder,
+    if this user may enter it.
     """
     working_folder_descriptor = os.open("/proc/self/cwd", os.O_PATH)
     try:
@@ -365,6 +365,11 @@ def run_reader_for_arrays(
     -------
     dict or str
         The arrays by name; or a text with the reason why the file cannot be read.
+
+    Raises
+    ------
+    OSError
+        From :func:`regular_file_size`.
     """
     max_array_bytes = max_allowed_unpacked_bytes(regular_file_size(path, None))
     request_entries = {

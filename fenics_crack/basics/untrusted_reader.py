@@ -1,10 +1,10 @@
 """Read strange files in a program of its own: ``untrusted_reader.py READER SOCKET``.
 
-READER is a Python file with ``read(path, most)``; its libraries are loaded once. SOCKET is the
+READER is a Python file with ``read(path, max_bytes)``; its libraries are loaded once. SOCKET is the
 number of an open socket, at which requests arrive. A copy of this process (fork) reads each
-requested file. Arrays with up to ``most`` bytes of numbers, or the reason for an error, go as .npz
-to the file that comes with the request. A strange file may crash the copy, ask for all memory or
-not end, so memory and times are limited. The answer at the socket is the copy's exit status.
+requested file. Arrays with up to ``max_bytes`` bytes of numbers, or the reason for an error, go as
+.npz to the file that comes with the request. A strange file may crash the copy, ask for all memory
+or not end, so memory and times are limited. The answer at the socket is the copy's exit status.
 """
 
 import contextlib

@@ -1,12 +1,17 @@
 """Vary the causes of an answer's error, each alone.
 
-:mod:`stated` and :mod:`verify` judge two causes equally. The part of *harmonics* is the distance
-to the exact orbit's numbers, if the answer has an accepted exact orbit. *Friction* has two cases:
+A cause is the mesh, modes, harmonics, friction or samples. The contribution to an error is called
+the cause's part. :mod:`stated` and :mod:`verify` use the two estimates in this module:
 
-- If the answer has no friction, the part is the change from a frictionless exact orbit to an
-  orbit with friction. Both orbits have few modes, and crack faces without mass. Extremes may agree
-  by chance: so the part is at least the root mean square of the motion's change. The difference to
-  the same change with half the modes is added.
+*Harmonics.* If the answer has an accepted exact orbit, the part is the distance to the orbit's
+numbers.
+
+*Friction.*
+
+- If the answer has no friction, two exact orbits are compared, without and with friction. Both have
+  few modes, and crack faces without mass. The part is a number's change from orbit to orbit, plus
+  the difference from the same change with half the modes. Extremes of both orbits may agree by
+  chance: so the part is at least the root mean square of the motion's change.
 - If a solid has friction along a line at each pair, the part is 2 r times the change by friction.
   Here r is the frictionless motion's ratio of sliding across the lines to sliding along them.
 """
@@ -67,7 +72,10 @@ SLIDING_STRESS_INTENSITY_NAMES = ("K_II_max", "K_III_max")
 """Quantities without an estimated friction error: friction at the tip itself changes K_II, K_III.
 """
 N_START_HARMONICS = 10
-"""Harmonics per load period of the solutions from which friction's exact orbits are sought."""
+"""Number of harmonics per load period in solutions from which exact orbits are sought.
+
+The orbits, without and with friction, give the error due to neglected friction.
+"""
 SINGLE_HARMONIC_REASON_TEXT = "without contact the motion has the harmonics of the load alone"
 """Printed reason why harmonics are not varied without contact."""
 
@@ -85,9 +93,9 @@ class JudgedAnswer:
     answer_values_by_name : dict of str to float
         Values of the answer's quantities by name.
     balance_solution : PeriodicSolution
-        Solution by harmonic balance with the answer's number of harmonics, the base of comparisons.
-        :mod:`verify` uses the answer itself; :mod:`stated`, too, if the answer has the Fourier
-        coefficients of an exact orbit.
+        Solution with the answer's number of harmonics, for comparison with further runs. In
+        :mod:`verify` the answer; in :mod:`stated` a harmonic-balance solution, or the answer if
+        the answer has an exact orbit's Fourier coefficients.
     balance_numbers : Numbers
         Quantities of the balance solution.
     """
@@ -103,8 +111,8 @@ class JudgedAnswer:
     ) -> dict[str, float]:
         """Return the values of a motion's quantities by name (collective).
 
-        ``study`` must have the motion's structure; the default is the answer's study. A quantity
-        that vanishes to rounding has no value.
+        ``study`` must have the motion's structure; the default is the answer's study. Quantities
+        equal to zero, except for rounding, are left out.
         """
         study, mode_number = study or self.study, self.balance_numbers.mode_number
         if isinstance(motion, PeriodicOrbit):
@@ -146,14 +154,15 @@ class JudgedAnswer:
     def estimate_error_by_friction(self) -> PartOrReason:
         """Estimate the error due to neglected friction (collective).
 
-        Compare exact orbits without friction, and with the coefficient ``contact.friction_error``.
-        If a solid has friction along lines already, sliding across the lines gives the error.
+        Two exact orbits are compared: without friction, and with ``contact.friction_error`` as
+        coefficient. If a solid has friction along lines already, sliding across the lines gives
+        the error.
 
         Returns
         -------
         PartOrReason
-            Part, or the reason for no part. The reason is empty if no pair touches, or if the scene
-            sets ``contact.friction`` without friction lines.
+            Error by quantity name, or a text with the reason for no error. The text is empty if no
+            pair touches, or if the scene sets ``contact.friction`` without friction lines.
         """
         study, scene, answer = self.study, self.study.scene, self.answer
         contact_law, structure = study.contact, study.structure
@@ -269,7 +278,8 @@ class JudgedAnswer:
         """Estimate the error due to sliding across a solid's friction lines (collective).
 
         The error of a quantity f is 2 r |f_0 - f|, with f_0 from the motion without friction. r is
-        the ratio of sliding across the lines to sliding along them, without friction.
+        the ratio of sliding across the lines to sliding along them, without friction. Return the
+        errors by quantity name (:data:`ErrorPart`).
         """
         study, answer = self.study, self.answer
         structure, n_periods = study.structure, answer.subharmonic
@@ -301,7 +311,8 @@ def _relative_change(
 ) -> float:
     """Return the relative change of a quantity from one motion to another.
 
-    The change is f_2 / f_1 - 1, and 0 if f_1 is 0; a missing value counts as 0.
+    The change is f_2 / f_1 - 1, with f_1 in ``values_by_name`` and f_2 in
+    ``other_values_by_name``; 0 if f_1 is 0. A missing value counts as 0.
     """
     value = values_by_name.get(quantity_name, 0.0)
     return other_values_by_name.get(quantity_name, 0.0) / value - 1.0 if value else 0.0
@@ -310,10 +321,11 @@ def _relative_change(
 def add_error_parts(
     verification: Verification, part_function_by_cause: Mapping[str, Callable[[], PartOrReason]]
 ) -> Verification:
-    """Add each cause's part to a verification, or the reason for failure (collective).
+    """Return a verification with each cause's error part added (collective).
 
-    Each function returns the part of a cause, or a reason. If a function's run is refused or does
-    not converge, the cause is unknown; a failed "mesh" makes every error unknown.
+    Each function returns the part of a cause, or a text with the reason for no part. If a
+    function's run is refused or does not converge, the cause becomes unknown; a failed "mesh" makes
+    every error unknown.
     """
     for cause, find_part_or_reason in part_function_by_cause.items():
         try:
@@ -360,11 +372,13 @@ def solve_by_orbit_or_harmonics(
 ) -> PeriodicSolution:
     """Solve a reduced study by an exact orbit, or by harmonic balance (collective).
 
-    If the answer has an orbit, ``answer_orbit``, return the Fourier coefficients of the exact
-    orbit, if the search finds an orbit; it looks for a stable orbit if the answer's is stable.
-    Otherwise solve with half the harmonics, and start all harmonics from this solution: so a
-    motion from rest is found in less time. If all harmonics do not converge, return the solution
-    with half the harmonics.
+    With ``answer_orbit``, the answer's exact orbit, search an exact orbit of the study first;
+    prefer a stable orbit if ``answer_orbit`` is stable. If the search succeeds, return the solution
+    with the orbit's Fourier coefficients.
+
+    Otherwise solve with half of ``n_harmonics``, then with all, starting from the first solution:
+    so a motion from rest is found in less time. If the second step does not converge, return the
+    first solution.
     """
     if answer_orbit is not None:
         problem = _make_solver(study, omega, n_harmonics).problem

@@ -69,7 +69,7 @@ class GridConvergence(Described):
         "irregular": the values oscillate, diverge, or converge too fast to show an order;
         "two sizes": two sizes show no order; "unchanged": the values agree to rounding;
         "two coefficients": the sizes are friction coefficients, the first is 0;
-        "carried": the first value is computed at a shifted resonance;
+        "carried": the first value is from a run at a shifted load frequency, on the same mesh;
         "exact orbit": the first value is the limit.
     order : float
         Observed order p; nan if none is observed.
@@ -267,14 +267,15 @@ def _find_observed_order(h: np.ndarray, f: np.ndarray) -> float:
 
 
 ErrorPart = tuple[tuple[int, ...], dict[str, GridConvergence]]
-"""Pair for a single cause: counts in all runs, and convergence by quantity name.
+"""Part of a cause in the errors: counts in all runs, and convergence by quantity name.
 
-Counts are elements, modes, harmonics or samples, the answer's count first; for friction, modes.
+Counts are the runs' numbers of elements, modes, harmonics or samples, the answer's first; for
+friction the numbers of modes.
 """
 PartOrReason = ErrorPart | str
-"""An :data:`ErrorPart`, or the reason for no part; "" if the cause does not apply."""
+"""An :data:`ErrorPart`, or the reason for no part as text; "" if the cause does not apply."""
 CountAndValues = tuple[int, Mapping[str, float]]
-"""Pair for a run: count of elements, modes, harmonics or samples, and values by quantity name."""
+"""A run's number of elements, modes, harmonics or samples, and values by quantity name."""
 
 
 def find_error_part_or_reason(
@@ -302,6 +303,11 @@ def find_error_part_or_reason(
         safety factor is then 1: the error is expected, not a bound.
     formal_order, scheme_order : float
         Order expected by theory, and largest order (:func:`grid_convergence`).
+
+    Returns
+    -------
+    ErrorPart
+        Counts of the computations, and the convergence of each of the answer's quantities.
     """
     counts, values_of_runs = zip(*counts_and_values, strict=True)
     step_sizes = [_find_mean_step_size(cause, count, scene) for count in counts]

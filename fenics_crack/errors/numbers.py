@@ -3,10 +3,10 @@
 The numbers are observables at watched points, crack faces, crack tips and the clamp, and natural
 frequencies.
 
-A number may change little although the motion changes much. An extreme depends on the motion at a
-single instant, a harmonic on the change in phase with the harmonic. In a sum over pairs, gains and
-losses cancel. The same change at a different phase would change the number more. Let a prime mark
-the second motion. Each number has a size of change:
+Two motions may differ much although a number hardly changes. An extreme depends on a single
+instant. A harmonic's amplitude hardly shows changes at a right angle to the harmonic's phase. In a
+sum over pairs, increases and decreases cancel. So each number also has a size of change, with
+changes at any phase and of either sign. Let a prime mark the second motion:
 
     amplitude, opening,     standard deviation over the period of the change in displacement, gap
     crack force             or force; the maximum over pairs, or over cracks
@@ -15,9 +15,9 @@ the second motion. Each number has a size of change:
                             U_2, the difference between opening and closing
     shares, friction loss   sum over pairs, |change of the pair|
 
-A shift in time has a size, too, although no extreme changes. If more modes shift a resonance, the
-dissipation by friction and impacts changes as well. Then the peak's height changes as much as the
-phase.
+A mere shift in time has a size, too, although no extreme changes. The reason: if more modes shift a
+resonance, the dissipation by friction and impacts changes as well. Then the peak's height changes
+as much as the phase.
 """
 
 from __future__ import annotations
@@ -91,10 +91,10 @@ def compute_numbers(
 ) -> Numbers:
     """Compute the requested quantities and natural frequencies of a motion (collective).
 
-    Without ``output.quantities`` in the scene, all quantities with a stated error are computed. The
-    frequencies are open modes 1 to 3, and open, bonded and bilinear frequencies at ``mode_number``,
-    by default the mode with the resonance nearest to the load. Quantities with an absolute value up
-    to rounding are left out.
+    The quantities are the scene's ``output.quantities``, by default all with a stated error.
+    Quantities equal to zero, except for rounding, are left out. The frequencies are the open modes
+    1 to 3, and the open, bonded and bilinear frequency of the mode ``mode_number``. The default is
+    the mode with the resonance nearest to the load.
     """
     quantity_names = study.scene.quantities or observable_names(required_flags=STATED_WITH_ERROR)
     values_by_name: dict[str, float] = {}
@@ -175,7 +175,7 @@ def _add_natural_frequencies(
 
 
 def find_accepted_orbit_or_none(solution: PeriodicSolution) -> PeriodicOrbit | None:
-    """Return the exact orbit accepted as a solution's exact form (collective).
+    """Return the exact orbit approximated by a solution (collective).
 
     The orbit's gaps may differ from the solution's by at most 10 % of the motion, or by 50 % if
     crack faces have no mass. None if no such orbit is found, or if the search would take too long.
@@ -225,9 +225,9 @@ def add_changes(
 
 
 def choose_n_orbit_harmonics(solution: PeriodicSolution) -> int:
-    """Return the number of harmonics to evaluate an exact orbit at points.
+    """Choose the number of an exact orbit's harmonics for values at watched points.
 
-    This is the larger of 100 and four times the solution's number.
+    Return the larger of 100 and four times the solution's number.
     """
     return max(4 * solution.harmonics, MAX_HARMONIC_ORDER)
 
@@ -280,10 +280,10 @@ def compute_orbit_values_by_name(
 def measure_changes_by_name(
     study: Study, *motions: PeriodicOrbit | PeriodicSolution
 ) -> dict[str, float]:
-    """Measure how much each quantity's motion changes between two motions (collective).
+    """Measure the size of change between two motions, for each quantity (collective).
 
-    The size counts changes in phase, too, even if the quantity itself stays equal. Amplitudes,
-    opening and crack force have the standard deviation of the change over the period.
+    The module's text defines the size. Changes in phase count, even if the quantity itself stays
+    equal. Amplitudes, opening and crack force have the change's standard deviation over the period.
 
     Parameters
     ----------
@@ -339,10 +339,11 @@ def _complex_harmonic_ratios(record: Record) -> np.ndarray:
 
 
 def _measure_face_changes_by_name(record: Record, other_record: Record) -> dict[str, float]:
-    """Measure changes of quantities at crack faces from one motion's record to another.
+    """Measure the size of change between two motions, for quantities at crack faces.
 
-    Opening and crack force have the standard deviation over the period, sums over pairs the sum of
-    absolute changes. Without contact pairs, the dict is empty.
+    Return sizes by quantity name. Opening and crack force have the change's standard deviation over
+    the period, the largest among all pairs or cracks. Sums over pairs have the sum of absolute
+    changes. Without contact pairs, the dict is empty.
     """
     if not record.n_pairs:
         return {}

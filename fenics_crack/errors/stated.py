@@ -4,11 +4,11 @@ The errors are expected values, not bounds. docs/notebook/stated_errors.md compa
 runs on a mesh four times finer. Let f be a number of the answer, e the error and w the load
 frequency. The causes are:
 
-- *modes*. The reduced structure's reference has more modes. Its number f_ref gives
-  e = |f - f_ref| / s, with the reference's share s of the truncated modes' effect. If exact orbits
-  are accepted, f_ref - f is the change between orbits: with few harmonics, all modes above the
-  harmonics seem static. A change may be small by chance, if the remaining modes have a different
-  phase. So e is at least the size of the motion's change (:mod:`numbers`) over s.
+- *modes*. A second reduced structure, the reference, has more modes and gives the number f_ref.
+  By assumption the added modes remove the fraction s of the truncation error: e = |f - f_ref| / s.
+  If exact orbits are accepted, f_ref - f is the change between orbits: with few harmonics, all
+  modes above the harmonics seem static. A change may be small by chance, if the remaining modes
+  have a different phase. So e is at least the motion's size of change (:mod:`numbers`) over s.
 - *harmonics*. An accepted exact orbit gives e = |f - f_orbit|. Without an orbit, solve with twice
   the harmonics. If the report's truncation error is large, the difference may vanish by chance:
   solve with four times the harmonics, too, and take the larger error.
@@ -19,10 +19,11 @@ A coarser mesh mainly shifts the resonances. Near a resonance a small shift rais
 number much, so differences may vanish by chance. Hence no number is extrapolated across a
 resonance, and two signed parts are added:
 
-- The shape error at equal distance from the resonance. The coarse mesh is solved at w w_r / w_b,
-  with the resonance w_r on the coarse mesh and w_b on the answer's mesh.
-- The shift error. The answer's mesh is solved at w w_b / w_e, with the extrapolated resonance w_e,
-  each time from rest, as several motions may exist.
+- The shape error: the change by the mesh at equal distance from the resonance. The coarse mesh is
+  solved at w w_r / w_b, with the resonance w_r on the coarse mesh and w_b on the answer's mesh.
+- The shift error: the change because the resonance moves. The answer's mesh is solved at
+  w w_b / w_e, with the extrapolated resonance w_e. Several values of w_e are tried, each time from
+  rest, as several motions may exist.
 
 The resonance belongs to the mode with the largest effect on the watched points. At half a resonance
 the second harmonic matters, and a different mode may be nearer to the load. Let f(x) be the number
@@ -118,12 +119,13 @@ from fenics_crack.study.resonance import UNSOUGHT_RESONANCE, LoadResonance, find
 STATED_CAUSES = (*REDUCED_STRUCTURE_ERROR_CAUSES, "friction")
 """Causes of error that a command estimates for each solution."""
 HARMONIC_COUNT_FACTORS = 2, 4
-"""Factors on the answer's number of harmonics in the runs for comparison.
+"""Factors on the answer's number of harmonics, for two runs to estimate the truncation error.
 
-The second run is made if the report's truncation error exceeds :data:`LARGE_ERROR`, 5 %.
+The second run is made only if the answer's error report has a truncation error above
+:data:`LARGE_ERROR`, 5 %.
 """
 MIN_EXTRAPOLATED_RESONANCES, MAX_EXTRAPOLATED_RESONANCES = 3, 8
-"""Minimum and maximum number of resonance frequencies tried for a mesh's shift error."""
+"""Minimum and maximum number of extrapolated resonances w_e tried for the shift error."""
 MAX_MODES_FOR_MESH_ERROR = 50
 """Maximum number of modes in the runs for a mesh error.
 
@@ -131,7 +133,7 @@ With 120 modes the breathing plate's orbits take 14 times as long; the mesh erro
 than the modal error.
 """
 CANCELLING_UNCERTAINTY_FRACTION = 0.1
-"""Fraction of the smaller mesh part, shape or shift, added as uncertainty: both may cancel."""
+"""Fraction of the smaller error, shape or shift, added as uncertainty: both may cancel."""
 Motion = PeriodicOrbit | PeriodicSolution
 """Motion with quantities to compare: an exact orbit or a harmonic-balance solution."""
 
@@ -140,8 +142,8 @@ def estimate_result_errors(study: Study, result: object) -> Verification | None:
     """Estimate the stated errors of a result (collective).
 
     The result may be natural modes, a converged solution with an error report, or a curve over
-    frequency or speed; for any further result, return None. A curve has the errors of the largest
-    response. Inside the curve this peak moves with the resonance, at an end not.
+    frequency or speed; for anything else, return None. A curve has the errors of the largest
+    response. Unless at an end of the curve, this response is a peak and moves with the resonance.
     """
     if isinstance(result, Modes):
         return estimate_frequency_mesh_errors(study, {"open": result.omega})
@@ -163,10 +165,11 @@ def _estimate_run_up_errors(
 ) -> Verification:
     """Estimate the errors of a solution in a run-up (collective).
 
-    Solve the scene at the solution's constant speed W [rad/s], with as many modes. ``is_peak``
-    marks a peak, which moves with the resonance. Let s = d ln w / d ln W for a resonance w. A
-    relative error e of the resonance gives the error e / (1 - s) of the quantity "speed", the speed
-    at resonance.
+    In a run-up the load frequency follows the rotor speed W [rad/s]. Solve the scene again with
+    the solution's speed held constant and as many modes, and return the errors of this second
+    solution. The quantity "speed", the speed at resonance, is added. Let s = d ln w / d ln W for
+    the resonance w: a relative error e of w gives the relative error e / (1 - s) of the speed.
+    ``is_peak`` says if the solution is a peak and moves with the resonance.
     """
     speed, detuning_per_speed = structure.speed, 1.0 - structure.stiffening(solution.omega)
     values_by_key = {"rotation.speed": speed, "excitation.omega": solution.omega, "curve": None}
@@ -184,9 +187,11 @@ def _estimate_run_up_errors(
     resonance_value = verification.values[resonance_name]
 
     def speed_at_resonance(frequency: float) -> float:
+        """Return the speed [rad/s] at resonance, for a changed resonance frequency."""
         return speed * (1.0 + (frequency / resonance_value - 1.0) / detuning_per_speed)
 
     def convert_to_speed(convergence: GridConvergence) -> GridConvergence:
+        """Convert a resonance frequency's convergence to the speed's convergence."""
         extrapolated_speed = speed_at_resonance(convergence.extrapolated)
         return replace(
             convergence,
@@ -233,6 +238,7 @@ def estimate_frequency_mesh_errors(
     unit_factor, _, unit = choose_frequency_factor_name_unit(scene.is_frequency_in_hertz)
 
     def name_frequencies(kind_omegas: Mapping[str, np.ndarray]) -> dict[str, float]:
+        """Return frequencies by name, in the scene's unit; 0 and inf are left out."""
         return {
             natural_frequency_name(scene, kind, mode_number): unit_factor * float(omega)
             for kind, omega_of_modes in kind_omegas.items()
@@ -241,6 +247,7 @@ def estimate_frequency_mesh_errors(
         }
 
     def estimate_error_by_mesh() -> PartOrReason:
+        """Estimate errors from the coarser mesh; without a coarser mesh, return the reason."""
         coarse_study_or_reason = prepare_coarser_study_or_reason(study)
         if isinstance(coarse_study_or_reason, str):
             return coarse_study_or_reason
@@ -324,10 +331,10 @@ def estimate_solution_errors(
 
 
 def find_largest_modal_error(study: Study, solution: PeriodicSolution) -> float:
-    """Return the largest expected error due to truncated modes (collective).
+    """Return the largest relative error expected from truncated modes (collective).
 
-    The error is relative: the maximum over the crack opening and the amplitudes at watched points.
-    The result is inf if the error is unknown, and 0 if no quantity has an error.
+    The maximum is over the crack opening and the amplitudes at watched points. The result is inf
+    if the error is unknown, and 0 if no quantity has an error.
     """
     verification = estimate_solution_errors(study, solution, causes=["modes"])
     compared_names = [*(point.column_name("amplitude") for point in study.watched), "opening"]
@@ -340,7 +347,7 @@ def find_largest_modal_error(study: Study, solution: PeriodicSolution) -> float:
 
 
 def describe_unknown_error_part(report: ErrorReport) -> str:
-    """Name in words the largest part of an error report with an unknown error."""
+    """Return a sentence with the error's largest cause, for a report with unknown error."""
     part_name = report.largest_part
     text_by_part = {"truncation": "truncated harmonics", "reduction": "truncated modes"}
     return f"the error due to the {text_by_part.get(part_name, part_name)} could not be estimated"
@@ -361,11 +368,11 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def estimate_error_by_modes(self) -> PartOrReason:
         """Estimate the error due to truncated modes from a motion with more modes (collective).
 
-        Let s be the fraction of the truncation error removed by these modes. The error is the
-        quantity's change over s, and at least the size of the motion's change
+        By assumption the added modes remove the fraction s of the truncation error. The error is
+        the quantity's change over s, and at least the motion's size of change
         (:func:`measure_changes_by_name`) over s. If both motions are truncated to few harmonics,
-        modes above all harmonics seem static: the error is then at least the part of harmonics. If
-        all modes are kept, return the reason.
+        modes above all harmonics seem static: the error is then at least the error due to
+        harmonics. If all modes are kept, return the reason as text.
         """
         structure = self.study.structure
         structure_with_more_modes = more_modes_structure_of(self.balance_solution)
@@ -422,11 +429,12 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def _find_motions_with_kept_and_more_modes(self, larger_study: Study) -> tuple[Motion, Motion]:
         """Find motions with kept modes, and with the modes of ``larger_study`` (collective).
 
-        Prefer exact orbits next to the answer. If the answer has few harmonics and no orbit with
-        more modes is found, the second motion is corrected by a step of Newton's method. Without
-        orbits, return two solutions with as many harmonics. Few means below
-        :data:`MIN_HARMONICS_FOR_MODAL_CHANGE`, 40, per load period. Solutions have at least this
-        number if orbits are affordable and crack faces have no mass.
+        If possible, return two exact orbits next to the answer. An answer with few harmonics may
+        lack an orbit with more modes: the second motion is then the first after a step of Newton's
+        method. Few means less than 40 per load period (:data:`MIN_HARMONICS_FOR_MODAL_CHANGE`).
+        Without orbits, return two harmonic-balance solutions with equal numbers of harmonics. The
+        number is at least 40 per period if crack faces have no mass and a search for orbits does
+        not take long.
         """
         balance_solution, assessment = self.balance_solution, self.answer.assessment
         min_harmonics = MIN_HARMONICS_FOR_MODAL_CHANGE * balance_solution.subharmonic
@@ -459,18 +467,16 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def estimate_error_by_harmonics(self) -> PartOrReason:
         """Estimate the error due to truncated harmonics (collective).
 
-        The accepted exact orbit gives the error; without an orbit, a run with twice the harmonics.
-        If the estimated truncation error is above 5 %, a run with four times the harmonics may give
-        a larger error. Without contact, return the reason.
+        The error is the distance to the accepted exact orbit; without an orbit, to a run with twice
+        the harmonics. If the error report states a truncation error above 5 %, a run with four
+        times the harmonics is made, too, and the larger error counts. Without contact, return the
+        reason as text.
         """
         return self.harmonics_error_part_or_reason
 
     @cached_property
     def harmonics_error_part_or_reason(self) -> PartOrReason:
-        """Part of the cause "harmonics" in each quantity's error, computed once (collective).
-
-        Without contact, the reason for no part.
-        """
+        """Result of :meth:`estimate_error_by_harmonics`, computed once (collective)."""
         if self.study.contact is None:
             return SINGLE_HARMONIC_REASON_TEXT
         if self.orbit_values_by_name is not None:
@@ -513,9 +519,9 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def estimate_error_by_mesh(self) -> PartOrReason:
         """Estimate the error due to the mesh from a coarser mesh, with few modes (collective).
 
-        A reduced plate or solid has at most :data:`MAX_MODES_FOR_MESH_ERROR` modes in both runs;
-        the error found is then added to the answer's values. Without a coarser mesh, return the
-        reason.
+        A reduced plate or solid has at most :data:`MAX_MODES_FOR_MESH_ERROR`, 50, modes in both
+        runs; the error is then taken over to the answer's values. Without a coarser mesh, return
+        the reason as text.
         """
         few_modes_answer = self._answer_with_few_modes()
         part_or_reason = few_modes_answer._estimate_error_by_coarser_mesh()
@@ -534,9 +540,10 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         return element_counts, convergence_by_name
 
     def _answer_with_few_modes(self) -> AnswerJudgedByExtraRuns:
-        """Solve the answer's case with at most :data:`MAX_MODES_FOR_MESH_ERROR` modes (collective).
+        """Solve again with at most :data:`MAX_MODES_FOR_MESH_ERROR` modes (collective).
 
-        Return this object itself for disks, for structures without reduction, and for fewer modes.
+        Return a copy of this object with the smaller study and solution. For disks, for structures
+        without reduction, and for fewer modes return this object itself.
         """
         study, scene = self.study, self.study.scene
         structure = study.structure
@@ -560,12 +567,12 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def _estimate_error_by_coarser_mesh(self) -> PartOrReason:
         """Estimate the error due to the mesh from a coarser mesh, modes unchanged (collective).
 
-        Two errors are added with signs: the shape error, at equal distance from the resonance, and
-        the error by the resonance shift, 0 for a peak. The maximum counts over orders p from 1 to
-        the elements' best order. As a root of the sum of squares follow: a tenth of the smaller
-        error, the shifted clearance, closed crack fronts, and the increase under a point force. For
-        stress intensities, the largest change along a front is a lower limit. Without a coarser
-        mesh, return the reason.
+        The shape error, at equal distance from the resonance, and the shift error, 0 for a peak,
+        are added with signs. The largest sum for orders p from 1 to the elements' best order
+        counts. As a root of the sum of squares follow: a tenth of the smaller error, the change
+        with shifted clearance, K_I at closed crack fronts, and the increase under a point force.
+        For stress intensities, the error is at least the largest change along a front. Without a
+        coarser mesh, return the reason as text.
         """
         study, balance_solution = self.study, self.balance_solution
         coarse_study_or_reason = prepare_coarser_study_or_reason(study)
@@ -630,10 +637,10 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def _solve_run(
         self, study: Study, omega: float, start_solution: PeriodicSolution | None = None
     ) -> PeriodicSolution:
-        """Solve a further study as the answer was solved (collective).
+        """Solve a study at ``omega`` [rad/s] by the answer's method and harmonics (collective).
 
-        The run at ``omega`` [rad/s] has the answer's harmonics. The search is for an exact orbit if
-        the answer has an orbit, otherwise by harmonic balance.
+        If the answer has an exact orbit, an exact orbit is sought, otherwise a harmonic-balance
+        solution. The search starts from ``start_solution``, by default from rest.
         """
         return solve_by_orbit_or_harmonics(
             study,
@@ -646,14 +653,16 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def _compute_values_at_resonance_shifts(
         self, relative_shifts: np.ndarray
     ) -> list[dict[str, float]]:
-        """Compute the quantities at relative shifts of the resonance (collective).
+        """Compute the quantities as if the resonance were shifted (collective).
 
-        The load frequency is divided by 1 + shift. Each solution starts from rest, as on a finer
-        mesh, and may reach a different motion. A peak has unchanged quantities.
+        Instead of the resonance, the load frequency is changed: divided by 1 + shift. Each solution
+        starts from rest, as on a finer mesh, and may reach a different motion. A peak moves with
+        the resonance and has unchanged quantities.
 
         Parameters
         ----------
         relative_shifts : (n,)
+            Changes of the resonance frequency, relative to the answer's mesh.
 
         Returns
         -------
@@ -669,9 +678,9 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def _count_extrapolated_resonances(self, relative_shift_range: float, mode_number: int) -> int:
         """Choose how many resonance frequencies to try in a range of relative shifts.
 
-        A peak's half-power width gets four frequencies. The count stays from
-        :data:`MIN_EXTRAPOLATED_RESONANCES` to :data:`MAX_EXTRAPOLATED_RESONANCES`. ``mode_number``
-        is the resonance's mode, from 1.
+        Neighbours are at most a quarter of the peak's half-power width apart, as far as the limits
+        allow: :data:`MIN_EXTRAPOLATED_RESONANCES`, 3, and :data:`MAX_EXTRAPOLATED_RESONANCES`, 8.
+        ``mode_number`` is the resonance's mode, from 1.
         """
         modal_properties = all_modes(self.study.structure)
         damping_rates = (
@@ -691,11 +700,11 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         return min(max(1 + n_steps, MIN_EXTRAPOLATED_RESONANCES), MAX_EXTRAPOLATED_RESONANCES)
 
     def _find_mode_with_strongest_shift(self) -> int:
-        """Find the mode with the resonance shift most important at watched points (collective).
+        """Find the mode with the most influential resonance shift at watched points (collective).
 
-        Modes count from 1. Let w be the load frequency, w_j the bilinear frequency of mode j and
-        U_k the amplitude of harmonic k. The harmonic changes by about 2 U_k / |1 - (k w / w_j)^2|
-        times the relative shift of w_j.
+        Return the mode's number, from 1. Let w be the load frequency, w_j the bilinear frequency of
+        mode j and U_k the amplitude of harmonic k. A relative shift of w_j changes the harmonic by
+        about 2 U_k / |1 - (k w / w_j)^2| times the shift. The largest factor selects the mode.
         """
         balance_solution = self.balance_solution
         coefficient_rows = balance_solution.coefficients_at(
@@ -720,10 +729,10 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
 
     @property
     def _relative_amplitude_added_by_halving(self) -> float:
-        """Increase of the amplitude at the load by half as long elements, over the amplitude.
+        """Relative increase of the amplitude at the load, if elements were half as long.
 
-        Under a point force the displacement has no limit. 0 with ``output.points`` in the scene,
-        and without a point force or motion.
+        Under a point force the displacement grows without limit as elements become smaller. 0 with
+        ``output.points`` in the scene, and without a point force or motion.
         """
         amplitude = self.balance_solution.amplitude(self.study.watched[0].dof)
         if self.study.scene.output_points or amplitude == 0.0:
@@ -733,9 +742,11 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def _compute_values_with_shifted_clearance(self) -> dict[str, float]:
         """Compute the quantities with each crack's clearance shifted (collective).
 
-        The shift [m] of a crack is 0.5 D P. D is the mean step between neighbouring pairs of each
-        pair's extreme gap. P is the range over pairs of the closed time, as a fraction of the
-        period. Without cracks, the dict is empty.
+        The end of the closed zone is known to half a distance between pairs. So the shift [m] of a
+        crack is 0.5 D P. D is the mean difference between neighbouring pairs' extreme gaps: largest
+        gaps, or smallest if every pair closes in the period. P is the difference between the
+        longest and the shortest closed time of all pairs, as a fraction of the period. Return
+        values by quantity name; without cracks, the dict is empty.
         """
         study = self.study
         balance_solution = self.balance_solution
@@ -765,7 +776,10 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
 
 
 def _without_refused_stress_intensities(study: Study) -> Study:
-    """Drop stress intensities from a study with elements too long to compute them."""
+    """Remove requested stress intensities if a study's elements are too long for them.
+
+    Return the changed study, or the study itself.
+    """
     try:
         make_requested_rows_and_readers(study)
     except InputError:

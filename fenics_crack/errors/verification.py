@@ -111,8 +111,8 @@ class Verification(SavedResult):
     def with_part(self, cause: str, part_or_reason: PartOrReason) -> Verification:
         """Return a copy with the part of a cause, or with the reason for no part.
 
-        A reason makes the causes "mesh" and "friction" unknown; any further cause then contributes
-        nothing and is listed in ``absent``. An empty reason adds nothing.
+        A reason for "mesh" or "friction" goes to ``unknown``; for any further cause to ``absent``:
+        the cause contributes nothing. An empty reason adds nothing.
         """
         if not isinstance(part_or_reason, str):
             counts, convergence_by_name = part_or_reason
@@ -173,7 +173,7 @@ class Verification(SavedResult):
         }
 
     def find_reasons_by_missing_cause(self, quantity: str) -> dict[str, str]:
-        """Return the reason by cause, for varied causes without a part for a quantity."""
+        """Return the reason by cause, for varied causes without the quantity's part."""
         return {
             cause: MISSING_PART_REASON_BY_CAUSE.get(
                 cause, "the run for comparison does not have this number"
@@ -335,16 +335,18 @@ class Verification(SavedResult):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns by heading, with a row per quantity and cause, total or sum.
+        """Return columns by heading, with several rows per quantity.
 
-        A row has the counts of all runs, up to three values, order and safety factor from these
-        values, and the uncertainty of the scene's value. Entries without a meaning are nan.
+        The rows are a row per cause, then total and sum. A row has counts and values of up to three
+        runs, order and safety factor from the values, and the uncertainty of the scene's value.
+        Entries without a meaning are nan.
         """
         rows = [row for name in self.values for row in self._yield_cause_rows(name)]
         keys = dict.fromkeys(key for row in rows for key in row)
         return {key: [row.get(key, math.nan) for row in rows] for key in keys}
 
     def _yield_cause_rows(self, quantity_name: str) -> Iterator[dict[str, Any]]:
+        """Yield a quantity's rows for :meth:`to_dict`: by cause, then total and sum."""
         quantity_entry_by_key = {"quantity": quantity_name, "unit": self.units[quantity_name]}
         for cause in self.contributions(quantity_name):
             convergence, counts = self.parts[cause][quantity_name], self.counts[cause]
@@ -488,7 +490,7 @@ class Verification(SavedResult):
 
     @property
     def incomplete_error_notes(self) -> tuple[str, ...]:
-        """Sentences on quantities with no part from a varied cause, with the reason."""
+        """Sentences on quantities with an error without a varied cause, and the reason."""
         return tuple(
             f"{', '.join(names_without_cause)}: error due to the {cause} not included: "
             f"{self.find_reasons_by_missing_cause(names_without_cause[0])[cause]}"
@@ -582,11 +584,11 @@ def read_verification_or_none(result_file: StoredFile) -> Verification | None:
 def displacement_added_by_halved_elements(scene: Scene) -> float:
     """Estimate the displacement [m] added by halved elements under a point force.
 
-    F [N] is the force at a point, E Young's modulus [Pa], t the thickness [m], h the element size
-    [m]. The force acts at a corner with angle a [rad]; a = pi on an edge and about 2 pi inside. In
-    a plate the displacement along an edge is F / (E t) ln 2 (1 / (a + sin a) + 1 / (a - sin a)). In
-    a solid the displacement is about F / (E h). Without a force at a point, or with matrices as
-    structure, return 0.
+    F [N] is the amplitude of the force at a point, E Young's modulus [Pa], t the thickness [m], h
+    the element size [m]. The force acts at a corner with angle a [rad]: pi on an edge, 2 pi inside.
+    In a plate the added displacement is F / (E t) ln 2 (1 / (a + sin a) + 1 / (a - sin a)). In a
+    solid it is about F / (E h). Without a force at a point, without h in a solid, or with matrices
+    as structure, return 0.
     Source: Timoshenko, Goodier, Theory of Elasticity, sections 36 to 38.
     """
     point_loads = [load for load in scene.loads if load.point is not None]

@@ -1,7 +1,8 @@
-"""Verify a scene's numbers by two finer runs for each cause.
+"""Verify a scene's numbers by two finer runs for each cause of error.
 
-Each number is extrapolated with the observed order (:mod:`convergence`). The uncertainty belongs to
-the scene's value, the coarsest of three: coarser meshes mostly are outside the asymptotic range.
+Each number is extrapolated with the observed order (:mod:`convergence`). The scene's value is the
+coarsest of the three, and the uncertainty belongs to this value. Meshes coarser than the scene's
+mesh would mostly be outside the asymptotic range.
 
 Theory gives an order for each cause:
 
@@ -142,7 +143,7 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
 
 
 def _scene_with_chosen_counts(run: SolvedStudy) -> Scene:
-    """Write the harmonics and modes chosen by the solver into the solved scene.
+    """Return the solved scene with the harmonics and modes chosen by the solver.
 
     A tolerance becomes a fixed number of harmonics. The reduction gets the number of modes in the
     solution; if all modes are kept, the reduction is "off", so a finer mesh keeps all modes, too. A
@@ -208,7 +209,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
     verdict_by_run: dict[str, str] = field(default_factory=dict)
 
     def note_verdict(self, run_name: str, run: SolvedStudy) -> None:
-        """Record a run's verdict on stability, except "stable" or none."""
+        """Record a run's verdict on stability in ``verdict_by_run``, unless "stable" or missing."""
         stability = run.result.stability
         if stability is not None and stability.verdict != "stable":
             self.verdict_by_run[run_name] = stability.verdict
@@ -243,7 +244,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         Returns
         -------
         PartOrReason
-            A text if two runs have equally many elements.
+            Error by quantity name; a text if two runs have equally many elements.
 
         Raises
         ------
@@ -279,10 +280,10 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
     def _solve_finer_scene(self, scene: Scene, shared_study: Study | None) -> SolvedStudy:
         """Solve a finer scene (collective).
 
-        With ``shared_study``, solve on this study's structure; a structure not reduced yet is
-        reduced as the finer scene says. If this is the answer's own study, the search starts from
-        the answer. Without ``shared_study``, make a new mesh; the load frequency keeps the ratio to
-        the mode's bilinear frequency. Raise ConvergenceError if the run does not converge.
+        With ``shared_study``, use this study's structure; a structure not reduced yet is reduced as
+        the finer scene says. If ``shared_study`` is the answer's study, the search starts from the
+        answer. Without ``shared_study``, make a new mesh and scale the load frequency with the
+        resonance's bilinear frequency. Raise ConvergenceError if the run does not converge.
         """
         study, mode_number = self.study, self.balance_numbers.mode_number
         start_solution = self.answer if shared_study is study else None
@@ -302,9 +303,9 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
     def _compute_run_values_by_name(self, run: SolvedStudy, cause: str) -> dict[str, float]:
         """Return a finer run's values by quantity name (collective).
 
-        For the cause "modes", prefer exact orbits: if both runs have an accepted orbit, return the
-        answer's values plus the change from orbit to orbit. With few harmonics, modes above all
-        harmonics would seem static.
+        For the cause "modes", exact orbits are preferred, since with few harmonics all modes above
+        the harmonics seem static. If the answer and the run both have an accepted orbit, return the
+        answer's values plus the change from orbit to orbit.
         """
         if cause == "modes" and self.orbit_values_by_name is not None:
             orbit = find_accepted_orbit_or_none(run.result)
@@ -343,6 +344,11 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
             Count in the answer, and limit for finer runs.
         formal_order : float
             Order expected by theory.
+
+        Returns
+        -------
+        PartOrReason
+            As :meth:`_estimate_error_by_finer_runs`.
         """
         counts = sorted({min(factor * count, max_count) for factor in REFINED_COUNT_FACTORS})
         count_name = count_key.rpartition(".")[2]
@@ -358,7 +364,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         """Estimate the error due to the mesh from two finer meshes (collective).
 
         Elements become 1.5 and 2 times shorter if :func:`has_similar_finer_mesh`, otherwise 2 and 3
-        times. Matrices and meshes from a file are not refined: return the reason.
+        times. Matrices and meshes from a file are not refined: return the reason as text.
         """
         scene = self.unreduced_study.scene
         if scene.structure is not None:
@@ -387,10 +393,11 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
     def estimate_error_by_shift(self, verification: Verification) -> PartOrReason:
         """Estimate the error due to the resonance shift by the mesh (collective).
 
-        Solve again with the load frequency changed against the shift. The part is each quantity's
-        largest change at up to three shifts: half the resonance's uncertainty, all the uncertainty,
-        and the shift to an extrapolated resonance. Peaks may lie between. Without the part "mesh"
-        in the verification, return "".
+        A finer mesh shifts the resonance. On the answer's mesh, the load frequency is moved in the
+        opposite direction instead. The part is each quantity's largest change at up to three
+        shifts: half and all of the resonance's uncertainty, and the shift to the extrapolated
+        resonance. Intermediate shifts matter, as a peak may lie between. Without the part "mesh" in
+        the verification, return "".
         """
         if "mesh" not in verification.parts:
             return ""
@@ -436,7 +443,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
     def estimate_error_by_modes(self) -> PartOrReason:
         """Estimate the error due to truncated modes from 2 and 4 times the modes (collective).
 
-        Without truncated modes, return the reason.
+        Without truncated modes, return the reason as text.
         """
         unreduced_study = self.unreduced_study
         mode_counts_or_reason = _count_kept_and_possible_modes(self.unreduced_study)
@@ -456,7 +463,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
 
         The error is the distance to the answer's accepted exact orbit. Without an orbit, or with
         ``harmonic_balance.samples`` in the scene, runs with 2 and 4 times the harmonics give the
-        error. Without contact, return the reason.
+        error. Without contact, return the reason as text.
         """
         scene = self.unreduced_study.scene
         balance_table = scene.harmonic_balance
@@ -483,7 +490,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         """Estimate the error due to sampled contact forces from more samples (collective).
 
         Use 2 and 4 times the samples per period. If forces are integrated exactly, or without
-        contact, return the reason.
+        contact, return the reason as text.
         """
         scene, contact_law = self.unreduced_study.scene, self.study.contact
         balance_table, samples_key = scene.harmonic_balance, "harmonic_balance.samples"

@@ -72,6 +72,7 @@ def to_json_text(value: Any, dataset_name: str, array_by_name: Datasets) -> str:
     """
 
     def to_json_value(value: Any, dataset_name: str) -> Any:
+        """Return a value made from dicts, lists, numbers and words; store arrays separately."""
         if is_dataclass(value):
             value = {field.name: getattr(value, field.name) for field in fields(value)}
         if isinstance(value, Mapping):

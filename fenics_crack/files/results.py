@@ -329,7 +329,8 @@ def rebuild_solution(
     Raises
     ------
     InputError
-        The structure has another number of pairs, or its displacement does not fit the gaps.
+        The structure has another number of pairs, or the displacement of a converged solution does
+        not fit the gaps.
     ValueError
         The frequency is negative, or the subharmonic below 1.
     """
@@ -453,16 +454,16 @@ def _pack_curve(curve: ResponseCurve) -> Datasets:
 
 
 def _pack_orbit_displacements_and_velocities(curve: ResponseCurve) -> Datasets:
-    """Return exact orbits' states by dof instead of by mode.
+    """Return exact orbits' states as datasets, by dof instead of by mode.
 
-    A mode computed anew may have another sign; a dof's sign can be checked.
+    A mode computed anew may have the opposite sign, without a way to find out; for dofs
+    :func:`_find_dof_signs` finds the sign.
 
     Returns
     -------
-    states : (n, 2, n_dofs)
-        Displacements [m] and velocities [m/s] at the n points.
-    places : (n, n_pairs)
-        Only with friction: the tangential gaps [m] at which pairs stick.
+    dict of str to array
+        "states" (n, 2, n_dofs): displacements [m] and velocities [m/s] at the n points. With
+        friction also "places" (n, n_pairs): tangential gaps [m] at which pairs stick.
     """
     dof_states, sticking_gaps = [], []
     for parameter_value, orbit_state in zip(curve.values.tolist(), curve.points, strict=True):
@@ -592,8 +593,8 @@ def _unpack_balance_points(
 ) -> tuple[ResponseCurve, Sequence[np.ndarray]]:
     """Rebuild a curve of harmonic balance without special points (collective).
 
-    Parameters and errors are as in :func:`_unpack_exact_points`. The gaps of the first solution are
-    compared to 1e-4.
+    Parameters are as in :func:`_unpack_exact_points`. InputError if the first solution's gaps in
+    the file differ by more than 1e-4 from those of the displacement computed anew.
 
     Returns
     -------
@@ -803,7 +804,4 @@ _PACK_UNPACK_FUNCTIONS_BY_CLASS: dict[type[Result], tuple[PackFunction, UnpackFu
     ResponseCurve: (_pack_curve, _unpack_curve),
     TimeHistory: (_pack_history, _unpack_history),
 }
-"""Functions to convert a result to datasets and back, by class.
-
-Their files do not hold the structure.
-"""
+"""Functions to convert a result to datasets and back, by class; files lack the structure."""

@@ -398,6 +398,7 @@ def _read_and_check_result_file(path: Path) -> StoredFile:
     """
 
     def refusal(reason: str) -> InputError:
+        """Return the error for an unreadable file, with the reason in brackets."""
         kinds_text = "an .h5 file that solve, curve or another command wrote"
         return InputError("path", str(path), f"a readable result file, {kinds_text} ({reason})")
 
@@ -664,8 +665,8 @@ UNIT_AND_MEANING_BY_NAME: dict[str, tuple[str, str]] = {
 def dataset_attribute_texts(name: str, datasets: Mapping[str, Any]) -> dict[str, str]:
     """Return a dataset's attributes ``unit`` and ``about`` (the meaning).
 
-    An attribute is left out if empty, as for counts and words. ``datasets`` tells the parameter of
-    a curve.
+    An attribute is left out if empty, as for counts and words. ``datasets`` are all datasets in the
+    file: "parameter" gives the unit for a curve's "values".
     """
     if name in ("values", "bifurcation_values") and "parameter" in datasets:
         parameter_name = str(datasets["parameter"])  # most are factors

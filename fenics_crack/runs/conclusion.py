@@ -79,7 +79,7 @@ class StudyWithResult(Study):
 
 
 MIN_REPORTED_FRICTION_CHANGE = 0.01
-"""Minimum relative change of the watched amplitude by friction that a closing sentence mentions, if
+"""Smallest relative change of the watched amplitude by friction that a closing sentence states, if
 the scene leaves friction out. A larger tolerance of harmonic balance replaces this limit."""
 LINEAR_VIBRATION_TEXT = "no contact pair opens and closes: the vibration is linear"
 

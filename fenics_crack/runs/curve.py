@@ -175,11 +175,11 @@ def _follow_curve(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
 
 
 def iterate_curve_studies(scene_or_study: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
-    """Yield a scene reduced for its curve, each time with more modes (collective).
+    """Yield a curve's study, each time reduced to more modes (collective).
 
-    For a curve over the rotor speed (run-up) a single study is yielded. One reduction basis then
-    serves all speeds, with as many modes as the first resonance on the curve needs. They are
-    counted at the scene's own speed.
+    For a curve over the rotor speed (run-up) a single study is yielded, with one reduction basis
+    for all speeds. A tolerance in the scene chooses the number of modes: as many as the solution at
+    the first resonance on the curve needs, with the structure at the scene's own speed.
     """
     scene = scene_or_study.scene if isinstance(scene_or_study, Study) else scene_or_study
     parameter_name, start, stop = scene.given("curve").parameter_and_range
@@ -213,11 +213,12 @@ def iterate_curve_studies(scene_or_study: Scene | Study, comm: MPI.Comm) -> Iter
 def _find_study_with_enough_modes(
     study: Study, studies: Iterator[Study], start_omega: float, stop_omega: float
 ) -> Study:
-    """Return the first study with enough modes for a tolerance (collective).
+    """Return the first study with enough modes for the scene's tolerance (collective).
 
-    Its modal error on the curve meets the tolerance. The error is computed at the first resonance
-    in the range, else at ``start_omega``. If the error is unknown, or no study meets the tolerance,
-    the study tried last is returned.
+    Each study is solved at the lowest bilinear frequency in the range, else at ``start_omega``. The
+    first study whose error due to truncated modes meets the tolerance is returned; also a study
+    with an unknown error, or that cannot be solved. If no study meets the tolerance, the last study
+    is returned.
 
     Parameters
     ----------

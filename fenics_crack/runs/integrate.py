@@ -121,9 +121,10 @@ def integrate(
 def _march_function_and_steps(
     study: Study, method_name: str, steps_per_period: int | None
 ) -> tuple[Callable[..., TimeHistory], int]:
-    """Return a method's integrating function, and its time steps per load period.
+    """Return an integration method's function, and its time steps per load period.
 
-    If ``steps_per_period`` is None, "events" takes 256 and "exponential" 512 steps. Central
+    ``method_name`` is "events", "exponential" or "central_difference". ``steps_per_period`` is the
+    number of steps, unless None. Then "events" takes 256 and "exponential" 512 steps; central
     differences take twice the steps needed for numerical stability, at least 512.
     """
     from fenics_crack.time.central_differences import (

@@ -95,9 +95,11 @@ def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Periodic
 def _with_outcome_of_start_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
     """Integrate the motion from rest and add its outcome to a solution (collective).
 
-    This is done if the verdict on stability is undecided, or if no pair opens and closes. In the
-    latter case the multipliers ignore contact in larger motions. The run stays unchanged if a
-    decided solution and the motion from rest agree within 0.1 % of the amplitude.
+    The motion is integrated if the verdict on stability is undecided, or if no pair opens and
+    closes in the solution. The multipliers of such a solution say nothing on larger motions, in
+    which pairs may open and close. The outcome goes to ``stability.from_rest`` and
+    ``stability.rest_amplitude`` [m]. The run stays unchanged without a verdict, if nothing
+    vibrates, or if the verdict is decided and both amplitudes agree within 0.1 %.
     """
     solution, watched_dof = run.result, run.watched_dof
     stability = solution.stability

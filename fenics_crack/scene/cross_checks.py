@@ -42,9 +42,12 @@ EXCLUDED_TABLES_BY_CONDITION: Mapping[str, tuple[str, ...]] = {
         "disk",
     ),
 }
-"""Excluded tables by condition (:func:`condition_holds`)."""
+"""Tables that a scene must not have, by the condition that excludes them.
+
+:func:`condition_holds` explains conditions such as "[disk]": the scene has this table.
+"""
 _FILE_CRACK_KEYS = (*kinds.BOX_CRACK_KEYS, "length", "depth", "front", *kinds.PLANE_CRACK_KEYS)
-"""Keys for a crack's position and shape; a mesh file has the cracks."""
+"""Keys for a crack's position and shape; with a mesh file the mesh determines both."""
 RULES_BY_TABLE: Mapping[str, tuple[Rule, ...]] = {
     "geometry": (Rule("mesh.layout = 'file'", ("width", "height")),),
     "mesh": (
@@ -84,7 +87,7 @@ RULES_BY_TABLE: Mapping[str, tuple[Rule, ...]] = {
 }
 """Rules for keys by table, with conditions on other tables.
 
-In a rule for cracks, "crack" is the same crack.
+Rules of the table "crack" are checked for each crack; "crack" in a condition is then this crack.
 """
 MAX_ALLOWED_SIDE_RATIO = 1e4
 """Maximum ratio of width or thickness to the height, or of the height to either side."""
@@ -223,10 +226,10 @@ def _check_tables_beside_matrices(scene: SceneTables, structure: kinds.Structure
 
 
 def _set_vector_dimension(scene: SceneTables) -> None:
-    """Give zero vectors in all tables the scene's dimension.
+    """Give zero vectors in all tables as many components as dimensions.
 
-    Changes the scene in place. Raises InputError if a nonzero vector or an output point has another
-    number of components.
+    Vectors get 2 components in a plane, 3 in space. Changes the scene in place. Raises InputError
+    if a nonzero vector or an output point has another number of components.
     """
     dimension = scene.dimension
     for table_name in TABLE_CLASS_BY_NAME:
@@ -249,7 +252,8 @@ def _set_vector_dimension(scene: SceneTables) -> None:
 def _check_shape(scene: SceneTables) -> None:
     """Check a plate or solid with load and cracks.
 
-    Raises InputError for missing sides, and for points or cracks outside.
+    Raises InputError for missing sides, load points or keys of a crack, and for points or cracks
+    outside the body. Sides and cracks in a mesh file are not checked.
     """
     geometry, mesh, contact = scene.geometry, scene.mesh, scene.contact
     is_box = geometry.file is None and mesh.layout != "file"

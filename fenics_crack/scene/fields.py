@@ -125,7 +125,7 @@ def _require_instance(allowed_type: Any, value: object) -> Any:
 def _read_float(value: object) -> float:
     """Return a finite number as float, 0 or of magnitude 1e-30 to 1e30.
 
-    Raises TypeError for other types, OverflowError for other magnitudes.
+    Raises TypeError for other types, nan and infinity; OverflowError for other magnitudes.
     """
     if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
         raise TypeError
@@ -136,7 +136,10 @@ def _read_float(value: object) -> float:
 
 
 def _read_int(value: object) -> int:
-    """Return a whole number as int; raise InputError from a magnitude of 2^31 on."""
+    """Return a whole number as int.
+
+    Raises TypeError for other types, InputError for a magnitude of 2^31 or more.
+    """
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError
     number = int(value)
@@ -620,7 +623,9 @@ class Table:
     """Advice for errors, by an unknown key, "name", or by a wrong value, "edge = top"."""
 
     def with_dimension(self, dimension: int) -> Any:
-        """Return the table for 2 or 3 dimensions, where zero vectors get that many components.
+        """Return a copy of the table for a scene with 2 or 3 dimensions.
+
+        Zero vectors, such as defaults, get as many components as dimensions.
 
         Raises
         ------

@@ -103,7 +103,7 @@ class SceneTables:
 
     @property
     def has_friction(self) -> bool:
-        """True if ``contact.friction`` is above 0, also in a swept case only."""
+        """True if ``contact.friction`` is above 0, possibly in a case of the sweep only."""
         contact_has_friction = self.contact is not None and bool(self.contact.friction)
         return contact_has_friction or any(self.swept_values_by_key.get("contact.friction", ()))
 
@@ -275,7 +275,8 @@ def with_changed_keys(
 ) -> dict[str, Any]:
     """Return tables by name, with values changed by full key.
 
-    Changed tables are mappings, or tuples of them, without check of the values.
+    Changed tables become mappings from key to value, and changed lists tuples of such mappings. The
+    values are not checked yet.
     """
     changed_tables = dict(table_by_name)
     changes_by_table: dict[tuple[str, int], dict[str, object]] = {}

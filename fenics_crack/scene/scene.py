@@ -327,7 +327,11 @@ class Scene(SceneTables):
 
 
 def _find_excluding_condition(scene: Scene, reason_by_condition: Mapping[str, str]) -> str:
-    """Return the first condition that holds, with the reason; empty without such a condition."""
+    """Return a text with the first condition that a scene fulfils, and the reason.
+
+    ``reason_by_condition`` has conditions as in :class:`Rule`. An example is "with [disk]: stress
+    intensities are not computed for bladed disks". The text is empty if no condition holds.
+    """
     for condition, reason in reason_by_condition.items():
         if condition_holds(condition, vars(scene)):
             return f"{add_preposition(condition)}: {reason}"
@@ -369,7 +373,7 @@ def refuse_for_reason(reason: str, key: str, value: object = None) -> None:
 
 
 def _reason_without_observable(scene: Scene, observable: Observable) -> str:
-    """Return why a scene cannot give an observable; an empty text if the scene can."""
+    """Return why an observable cannot be computed for a scene; "" if it can."""
     if ObservableFlag.REQUIRES_FRICTION in observable.flags and not scene.has_friction:
         return "without contact.friction"
     if ObservableFlag.REQUIRES_GROWTH_LAW in observable.flags and scene.growth is None:
@@ -413,7 +417,7 @@ _REASON_FUNCTION_BY_PLACE: dict[Place, Callable[[Scene], str]] = {
     Place.ELLIPSE: reason_without_elliptical_growth,
     Place.CLAMP: reason_without_clamp_forces,
 }
-"""Functions by place of an observable: why a scene cannot give it, or an empty text."""
+"""Functions of a scene, by place: return why numbers at this place cannot be computed, or ""."""
 
 
 def file_keys_and_paths(scene: Scene) -> list[tuple[str, str]]:
@@ -450,6 +454,7 @@ def with_file_paths(scene: Scene, change_path: Callable[[str], str]) -> Scene:
     """
 
     def change_paths(value: Any) -> Any:
+        """Return a value of the scene with all paths in it changed."""
         if isinstance(value, tuple):
             return tuple(map(change_paths, value))
         if isinstance(value, MeshFile):

@@ -132,9 +132,10 @@ def _flatten_tables(nested_tables: Mapping[str, Any], key_prefix: str = "") -> d
 
 
 def _default_value(scene: Scene, key: str) -> Any:
-    """Return a scene's value for a full key that the scene's file lacks.
+    """Return the value of a full key that the scene's file does not set.
 
-    The value is a default or inferred; None if the scene has no such table. Tuples become lists.
+    The value is the default, or inferred from other keys; None if the scene has no such table.
+    Tuples become lists.
     """
     value: Any = scene
     for key_part in key.split("."):

@@ -4,9 +4,10 @@ The file holds the modes and static responses at pairs, loads and watched points
 mesh and a coarser one, and the pairs' positions and areas. Another frequency, load amplitude,
 damping, clearance, law or tolerance then needs no mesh and no matrices.
 
-The command ``reduce`` writes a file for its user. :func:`load_prepared` makes a study from the
-file; no other scene shares the structure, and quantities that need matrices are refused. The file
-that a command keeps (:mod:`fenics_crack.study.shelf`) has the matrices, too.
+There are two files of this kind. The command ``reduce`` writes a prepared file, without matrices,
+on request. :func:`load_prepared` makes a study from the prepared file; quantities that need
+matrices are refused. A structure file, which commands keep for each other
+(:mod:`fenics_crack.study.shelf`), has the matrices, too.
 """
 
 from __future__ import annotations
@@ -121,7 +122,8 @@ class PreparedStructure:
     force, clearance, watched, nodes, pairs, clamp
         As in :class:`Structure`, with the rows of all ranks.
     receptances : tuple of Receptance
-        Receptances under this load; if a solid's tangents are included, that receptance is last.
+        Receptances under this load, first with normal gaps alone; then, for a solid, with
+        tangential gaps, too. Receptances that were not computed are missing.
     mass, stiffness : GatheredCsrMatrix or None
         Matrices (n_dofs, n_dofs); None if the file does not keep them.
     key : str
@@ -194,7 +196,7 @@ class PreparedStructure:
     def make_structure(
         self, scene: Scene, load_weight_matrix: np.ndarray, comm: MPI.Comm
     ) -> Structure:
-        """Make the whole structure with a scene's damping and clearance (collective).
+        """Make the whole structure with a scene's load, damping and clearance (collective).
 
         Rank 0 has all rows, other ranks none. Data that make no structure raise an error of
         :data:`fenics_crack.files.codec.DATASET_ERROR_CLASSES`, such as ValueError.
@@ -202,12 +204,13 @@ class PreparedStructure:
         Parameters
         ----------
         load_weight_matrix : (n, 2K+1)
-            Matrix from the load rows in the file to the load rows in the scene.
+            W from :func:`weight_matrix_of_load_rows`: the scene's load is W times the file's load.
         """
         n_dofs, n_pairs = self._check_arrays_and_count_dofs(), len(self.clearance)
         local_slice = slice(None if comm.rank == 0 else 0)
 
         def local_matrix(sparse_rows: GatheredCsrMatrix | None, n_columns: int) -> Any:
+            """Return the matrix with all rows on rank 0; None for None."""
             matrix: Any = sparse_rows and sparse_rows.to_matrix(n_dofs, n_columns)
             return matrix if comm.rank == 0 or matrix is None else matrix[:0]
 
@@ -333,7 +336,8 @@ class PreparedFileContent:
     ) -> SharedStructure:
         """Make the structure for a scene, with its coarser structure, if any (collective).
 
-        ``load_weight_matrix`` (n, 2K+1) leads from the file's load rows to the scene's load rows.
+        ``load_weight_matrix`` W (n, 2K+1) gives the scene's load as W times the file's load
+        (:func:`weight_matrix_of_load_rows`).
         """
         structure = self.structure.make_structure(scene, load_weight_matrix, comm)
         coarser_scene_or_reason = make_coarser_scene_or_reason(scene)
@@ -486,6 +490,7 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
     file_dependencies = dependencies_of_structure(file_scene, MPI.COMM_SELF)
 
     def needs_mesh(changed_scene: Scene) -> bool:
+        """Return True if a changed scene needs another mesh than the file's."""
         changed_dependencies = dependencies_of_structure(changed_scene, MPI.COMM_SELF)
         return dependencies_without_amplitudes(
             changed_dependencies
@@ -517,10 +522,11 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
 
 
 def dependencies_without_amplitudes(dependencies: tuple[Any, Any, Any]) -> tuple[Any, ...]:
-    """Return the mesh and the loads of a structure, without the amplitudes of the excitation.
+    """Return the values that must equal those in a structure's file.
 
-    ``dependencies`` come from :func:`dependencies_of_structure`. Removed are clearances, damping,
-    and the keys force_mean, force_cos, force_sin and harmonics.
+    ``dependencies``, from :func:`dependencies_of_structure`, are all values that determine a
+    structure. Removed are clearances, damping, and the excitation's keys force_mean, force_cos,
+    force_sin and harmonics.
     """
     mesh_dependencies, (excitation_value_by_key, *other_loads), _ = dependencies
     amplitude_keys = ("force_mean", "force_cos", "force_sin", "harmonics")
@@ -531,7 +537,7 @@ def dependencies_without_amplitudes(dependencies: tuple[Any, Any, Any]) -> tuple
 
 
 def _weight_matrix_between_scene_loads(file_scene: Scene, scene: Scene) -> np.ndarray:
-    """Return the matrix from a file's load rows to a scene's load rows.
+    """Return the matrix W from a prepared file's load to a scene's load.
 
     ``file_scene`` is the scene in the file. Shape and errors are those of
     :func:`weight_matrix_of_load_rows`.
@@ -545,9 +551,10 @@ def _weight_matrix_between_scene_loads(file_scene: Scene, scene: Scene) -> np.nd
 
 
 def weight_matrix_of_load_rows(file_load_rows: np.ndarray, scene: Scene) -> np.ndarray:
-    """Return the matrix W from a file's load rows to a scene's load rows.
+    """Return the matrix W from a file's load to a scene's load.
 
-    The rows F (mean, cosine and sine parts of the excitation's force) satisfy F_scene = W F_file.
+    The load is F, with a row for the mean and for each cosine and sine part of the excitation's
+    force: F_scene = W F_file. Static responses to the file's rows then give those to the scene's.
 
     Parameters
     ----------

@@ -91,9 +91,9 @@ MAX_REPORTED_ORDER = 8
 """Highest engine order that a diagram shows, and that is reported for a load without engine
 order."""
 FrequenciesAndMarginsFunction = Callable[[float], tuple[np.ndarray, np.ndarray]]
-"""Function of a rotor speed [rad/s], for a crack open, shut and partly open. Returns natural
-frequencies [rad/s] and margins, (3, n_modes) each. A positive margin says that rotation or mean
-load holds the crack in the state, even at resonance."""
+"""Function of a rotor speed [rad/s]. Returns natural frequencies [rad/s] and margins, (3, n_modes)
+each: the rows are for a crack held open, shut and partly open. A positive margin says that rotation
+or mean load holds the crack in this state, even if the mode is at resonance."""
 PeakAmplitudeFunction = Callable[[Modes], np.ndarray]
 """Function of n modes. Returns each mode's modal amplitude at its resonance under a load: (n,)."""
 
@@ -126,8 +126,9 @@ class Campbell(SavedResult):
         Relative changes of the open frequencies at the fastest speed by the Coriolis force of a
         solid, which all frequencies here leave out.
     at : function of a speed [rad/s], optional
-        Returns the frequencies held open, shut and partly open, and the margins by which they are
-        held: (3, m) each. None in a diagram from a file; the blade is then meshed again on demand.
+        Returns frequencies [rad/s] and margins, (3, m) each, for the crack held open, shut and
+        partly open (:data:`FrequenciesAndMarginsFunction`). None in a diagram from a file; the
+        blade is then meshed again on demand.
     met : tuple of (mode, LoadResonance)
         Mode (from 1) and resonance under the load, where the load's own engine order crosses a
         frequency.
@@ -243,6 +244,7 @@ class Campbell(SavedResult):
             return self._crossings_in_actual_state(order)
 
         def omega_minus_order_line(speed: float, mode: int) -> float:
+            """Return a mode's w - n W [rad/s], zero at a crossing."""
             return self._omega_of_kind(mode, speed, kind) - order * speed
 
         is_above = getattr(self, f"omega_{kind}") > order * self.speed[:, None]
@@ -278,7 +280,7 @@ class Campbell(SavedResult):
         return np.array(sorted(crossings)).reshape(-1, 2)
 
     def _kinds_before_and_after(self, mode: int, speed: float) -> tuple[str, str]:
-        """Return a mode's kinds of frequency just below and from a speed.
+        """Return a mode's kinds of frequency just below and just above a rotor speed.
 
         ``mode`` counts from 1; ``speed`` is in rad/s. Kinds are "open", "tied", "partly",
         "bilinear".
@@ -677,8 +679,9 @@ def _yield_state_changes(
 ) -> Iterator[tuple[float, str]]:
     """Yield each change of a crack's state between two rotor speeds.
 
-    Between held and breathing, the state changes where the margin of the held state is zero.
-    Between two held states the crack breathes in a range of speeds, however narrow.
+    From held to breathing or back, the state changes at the zero of the held state's margin. If the
+    states at both ends are held and different, the range is halved until a breathing crack is found
+    between them; or until the range is shorter than :data:`RELATIVE_SPEED_TOLERANCE`.
 
     Parameters
     ----------
@@ -806,7 +809,7 @@ def _find_held_frequencies_and_margins(
     is_bonded: np.ndarray,
     n_bonded_modes: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find natural frequencies with some pairs bonded, and whether this state holds.
+    """Find natural frequencies with some pairs bonded, and the margins that keep them bonded.
 
     Parameters
     ----------

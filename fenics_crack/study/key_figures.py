@@ -1,15 +1,16 @@
-"""Key figures of a scene: frequencies, static responses and amplitudes that need no solution.
+"""Key figures of a scene: frequencies, static responses and amplitudes without a full solution.
 
-The figures follow from one factor of K and few modes, without a nonlinear solution. With the crack
-open, K^-1 and the lowest modes give the displacement at a frequency w,
+The figures follow from one factorization of the stiffness matrix K and few modes. With the crack
+open, the displacement under the load f at the frequency w is
 
-    u(w) = K^-1 f + sum_j phi_j (phi_j^T f) [d_j(w) - 1 / w_j^2],
+    u(w) = H(w) f = K^-1 f + sum_j phi_j (phi_j^T f) [d_j(w) - 1 / w_j^2],
     d_j(w) = 1 / (w_j^2 - w^2 + 2 i xi_j w_j w),
 
-and the gaps B^T u. With B instead of f it is the compliance of the crack faces R(w) = B^T H(w) B.
-A static contact problem says which pairs the mean load and the preload close. As long as these
-pairs stay closed and the others open, the motion is linear. The closed pairs then carry
-R(w)^-1 B^T u(w) beside their static force.
+with the shape phi_j, frequency w_j and damping ratio xi_j of mode j. The gaps are B^T u, with the
+gap matrix B. The compliance of the crack faces is R(w) = B^T H(w) B. A static contact problem says
+which pairs the mean load and the preload close. As long as these pairs stay closed and all others
+open, the motion is linear. The closed pairs then carry the force R(w)^-1 B^T u(w) in addition to
+the static force.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ N_KEY_FIGURE_MODES = 4
 
 @dataclass(frozen=True)
 class KeyFigures:
-    """Key figures of a scene's unreduced structure, by which ``check`` finds unusual values.
+    """Key figures of a scene's structure, by which ``check`` finds unusual values.
 
     Attributes
     ----------
@@ -119,8 +120,9 @@ class KeyFigures:
 def find_key_figures(study: Study) -> KeyFigures:
     """Compute natural frequencies, static responses and amplitudes for remarks (collective).
 
-    No nonlinear equations are solved. A reduced study is evaluated in its own coordinates, in which
-    static responses are exact.
+    Only linear equations are solved, and a static contact problem for the pairs that the mean load
+    closes. A reduced study is evaluated in its own coordinates, in which static responses are
+    exact.
     """
     scene, law = study.scene, study.contact
     structure = study.structure.structure_in_few_coordinates()
@@ -308,8 +310,8 @@ def _amplitude_bounds(
 def _count_modes_below(structure: Structure, modes: Modes, omega: float) -> int:
     """Return the number of natural frequencies below ``omega`` [rad/s] (collective).
 
-    ``modes`` are the lowest modes. If all of them lie below, a further factor counts all
-    frequencies.
+    ``modes`` are the lowest modes. If none lies above ``omega``, a factorization of K - omega^2 M
+    counts all frequencies below.
     """
     if omega < modes.omega[-1]:
         return int(np.sum(modes.omega < omega))
@@ -319,8 +321,8 @@ def _count_modes_below(structure: Structure, modes: Modes, omega: float) -> int:
 def _static_displacements(stiffness_factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
     """Return static displacements under forces: (m, n_local) [m] (collective).
 
-    For a structure with rigid-body motions it is the deformation alone, while the structure
-    accelerates.
+    A structure with rigid-body motions accelerates under the forces; returned is the deformation
+    alone, without the rigid-body motion.
 
     Parameters
     ----------
@@ -365,10 +367,10 @@ def _slopes_of_squared_omegas(modes: Modes) -> np.ndarray:
 
 
 def _count_elements_along_face(scene: Scene, structure: Structure) -> int | None:
-    """Return the number of elements along the crack with the fewest.
+    """Return the number of elements along the crack with fewest contact pairs.
 
-    It is the number of contact pairs over the order of the elements, rounded up because tips are no
-    pairs. Patches count as elements. None without pairs.
+    It is the number of pairs over the order of the elements, rounded up because the node at a tip
+    is no pair. Patches count as elements. None without pairs.
     """
     if not structure.n_pairs:
         return None
@@ -529,8 +531,8 @@ def highest_harmonic_omega(scene: Scene, command: str = "") -> float:
 def propose_curve_or_none(scene: Scene, key_figures: KeyFigures) -> Curve | None:
     """Propose a table ``[curve]`` through the resonance, or return None.
 
-    None is returned if the scene's curve meets the resonance or is not over frequency or rotor
-    speed, or if the mode is not damped.
+    None is returned if the scene's curve meets the resonance, or is not over frequency or rotor
+    speed; also if the mode has no damping or no bonded frequency.
 
     The curve extends three half-power widths beyond the resonance under the load and under a small
     load. If the resonance is not known, it extends so far beyond the open and bonded frequencies of
@@ -591,9 +593,9 @@ def _round_to_three_digits(value: float, round_function: Callable[[float], int])
 def is_response_proportional_to_load(scene: Scene) -> bool:
     """Return True if the response is proportional to the load.
 
-    This requires contact that begins at g = 0 without smoothing or a layer, no clearance and no
-    rotation. A positive factor of all forces and gaps then is a factor of the whole equations. The
-    centrifugal load does not scale.
+    This requires contact that begins at the gap g = 0 without smoothing or a layer, no
+    clearance and no rotation. If all forces and displacements are then multiplied by the same positive number, the
+    equations still hold. With rotation, the centrifugal load stays unchanged.
     """
     contact_table = scene.contact
     if contact_table is not None and (

@@ -1,9 +1,8 @@
 """Coarser and finer meshes of a scene.
 
 Elements of the coarser mesh are about twice as long; if the mesh is a file, the coarser mesh is the
-file ``mesh.coarser``. The ratio of element lengths follows from the numbers of elements. For a
-solid or a disk's sector that is meshed here, the given sizes at crack fronts, tips and corners are
-compared.
+file ``mesh.coarser``. The ratio of element lengths follows from the numbers of elements; for a
+solid with cracks or a disk's sector that is meshed here, from both values of ``mesh.size``.
 """
 
 from __future__ import annotations
@@ -107,10 +106,10 @@ def _coarser_over_fine_element_length(
 ) -> float:
     """Return the element length of a coarser mesh over a scene's.
 
-    The ratio follows from ``element_counts`` (scene, coarser scene). For a solid with cracks or a
-    disk's sector the given ``mesh.size`` is compared, because it holds where the error is largest.
-    A size above a solid's shortest side does not count, because elements cannot be longer than the
-    solid is thick.
+    It is the ratio of both values of ``mesh.size`` for a solid with cracks or a disk's sector that
+    is meshed here: this ratio holds at crack fronts, tips and corners, where the error is largest.
+    A size above a solid's shortest side is not used, since elements of this length do not fit.
+    Otherwise the ratio follows from ``element_counts`` (scene, coarser scene).
     """
     element_size, is_plane = scene.mesh.size, scene.dimension == 2
     if (
@@ -163,8 +162,8 @@ def _describe_crack_mismatch(structure: Structure, coarser_structure: Structure)
 def _pair_areas_and_points_of_cracks(structure: Structure) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return areas and positions of each crack's contact pairs.
 
-    Each entry has areas (n,) [m^2] and positions (n, d) [m]. The list is empty if areas or
-    positions are unknown.
+    The list has an entry for each crack: areas (n,) [m^2] and positions (n, d) [m] of its n pairs.
+    It is empty if areas or positions are unknown.
     """
     pairs = structure.whole.pairs
     if pairs.cracks is None or pairs.areas is None or pairs.points is None:
@@ -176,15 +175,15 @@ def _pair_areas_and_points_of_cracks(structure: Structure) -> list[tuple[np.ndar
 def refine_scene_or_none(scene: Scene, refinement_factor: float) -> Scene | None:
     """Return a scene with a finer or coarser mesh, or None.
 
-    Elements are ``refinement_factor`` times as short; a factor below 1 makes them longer. Mesh
-    files, and grids with odd counts to be made coarser, give None.
+    Element lengths are divided by ``refinement_factor``; below 1 the mesh becomes coarser. None for
+    mesh files, and for grids to be made coarser whose number of columns or rows is odd.
 
-    The number of elements along crack faces is rounded up; sizes and patches follow, so that the
-    mesh stays similar. In a solid or a disk's sector, three or more elements along a face change
-    with their grading (:func:`_refine_graded_elements`). For a finer mesh, a size above the
-    shortest side counts as that side; for a coarser mesh it stays, because elements of a thin solid
-    may be longer. A grid becomes finer by the next whole factor, so that cracks stay on its lines,
-    or coarser by 2.
+    The number of elements along crack faces is rounded up. ``mesh.size`` and ``mesh.patches``
+    change by the resulting factor, so that the mesh stays similar. In a solid or a disk's sector
+    with three or more elements along a face, the grading changes, too
+    (:func:`_refine_graded_elements`). For a finer mesh of a solid or sector, a size above the
+    shortest side is first replaced by this side. A grid becomes finer by the next whole factor, so
+    that cracks stay on grid lines, or coarser by 2.
     """
     mesh_table = scene.mesh
     if mesh_table is None or mesh_table.layout == "file":
@@ -223,10 +222,10 @@ def refine_scene_or_none(scene: Scene, refinement_factor: float) -> Scene | None
 
 
 def _patch_key_changes(scene: Scene, refinement_factor: float) -> dict[str, int]:
-    """Return a changed number of contact patches, for ``Scene.replace``.
+    """Return the changed number of contact patches, for ``Scene.replace``.
 
-    The result is ``{"mesh.patches": n}``, or {} without patches. Patches become
-    ``refinement_factor`` times as short, so that their error is part of the mesh's error.
+    The result is ``{"mesh.patches": n}``, or {} without patches. Lengths of patches are divided by
+    ``refinement_factor``, as those of elements: so the mesh error includes the error by patches.
     """
     n_patches = scene.mesh.patches
     return (
@@ -257,9 +256,11 @@ def _refine_graded_elements(
     Returns
     -------
     n_new_elements : int
+        Number of elements after refinement.
     grading : float
+        Length of the longest over the shortest element after refinement.
     refinement_factor : float
-        Actual ratio, which differs since n is whole.
+        Actual ratio of old to new element lengths, which differs since n is whole.
     """
     # log r^n; equal elements count as hardly graded, since r must exceed 1
     log_growth = math.log(grading) * n_elements / (n_elements - 1) or 1e-9

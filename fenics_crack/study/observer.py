@@ -1,8 +1,8 @@
 """Observation of a study's motions: the numbers that are printed, written and drawn.
 
 Watched points and crack faces are always observed; crack tips and the clamp only if the scene
-requests their quantities. One pass along a curve observes everything. Stress intensities and clamp
-reactions follow from rows R that multiply the displacement u, as the time history R u.
+requests their quantities. Each solution of a curve is evaluated once for all numbers. Stress
+intensities and clamp reactions follow from time histories R u: rows R times the displacement u.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ if TYPE_CHECKING:
 
 
 MIN_FRONT_STATIONS = 3
-"""Minimum number of stations along a crack front for K to vary. With two, both have the mean over
-the front."""
+"""Minimum number of stations along a crack front that show how K varies. With two stations, both
+have the mean of K over the front."""
 MAX_EXPANDED_VALUES = 20_000_000
 """Maximum number of displacement values expanded at once from reduced to full coordinates (160 MB).
 Each expansion factors the structure again."""
@@ -52,8 +52,9 @@ Each expansion factors the structure again."""
 def make_requested_rows_and_readers(study: Study) -> list[ExtraRows]:
     """Make rows and readers for requested numbers of crack tips and clamp (collective).
 
-    Each :class:`ExtraRows` has factors of the displacement, and a function that reads the numbers.
-    The list is empty if the scene requests none. Rows are made once for the study's structure.
+    Each :class:`ExtraRows` has rows R, and a function that reads numbers, such as K_max, from the
+    time histories R u of a displacement u. The list is empty if the scene requests no such numbers.
+    Rows are made once for the study's structure.
     """
     requested_places = {
         OBSERVABLES_BY_NAME[name].place for name in list_requested_extra_quantities(study.scene)
@@ -169,8 +170,8 @@ def _clamp_and_rayleigh_mass_factor(whole_structure: Structure) -> tuple[Clamp, 
 def clamp_inertia_rows(structure: Structure) -> np.ndarray:
     """Return the rows r^T M for the rigid-body motions r: (n_rigid, n_local) (collective).
 
-    M is the mass matrix; the columns are the structure's coordinates. Truncated modes respond
-    quasi-statically, so coordinates without mass have no inertia.
+    M is the mass matrix; the columns are the structure's coordinates. In a reduced structure only
+    the kept modes have inertia, since truncated modes respond quasi-statically.
     """
     whole_structure = structure.whole
     inertia_rows = _clamp_and_rayleigh_mass_factor(structure.whole)[0].inertia
@@ -203,8 +204,8 @@ class CrackTipHistory(NamedTuple):
     growth_law : Growth or None
         Table ``[growth]`` of the scene: law of fatigue crack growth.
     closed_front_error : float [Pa m^1/2]
-        Largest correction of K_I by contact in a solid. K_I is set to zero while the front is
-        closed, and is never negative. 0 in a plate.
+        Largest correction of K_I by contact in a solid without clearance: K_I is set to zero while
+        the front is closed, and while negative. 0 in a plate.
     """
 
     K_I: np.ndarray
@@ -304,7 +305,7 @@ def compute_crack_tip_histories(
 class EllipseTipHistories(NamedTuple):
     """Stress intensity factors at an elliptic front's deepest station and ends.
 
-    Each history has values over time. The ends are those at the surface of the body.
+    Each history has values over time. The ends are the two stations at the surface of the body.
     """
 
     deepest_history: CrackTipHistory
@@ -322,7 +323,7 @@ def estimate_closed_front_and_mesh_errors(
     -------
     closed_error_by_name : dict of str to float [Pa m^1/2]
         For each requested number, the largest correction of K_I by contact
-        (``closed_front_error``). Empty if the coarser mesh is of no use, as below.
+        (``closed_front_error``). Empty if ``difference_by_name`` is infinite.
     difference_by_name : dict of str to float [Pa m^1/2]
         Largest difference between the meshes along the fronts; at a single station the difference
         may vanish by chance. Infinite if the coarser mesh lacks the numbers or has fewer than 3
@@ -533,6 +534,7 @@ def _make_tip_rows_and_reader(study: Study) -> ExtraRows:
     tips, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
 
     def read_leading_tip_numbers(record: Record) -> dict[str, float]:
+        """Return numbers by name of the tip with the largest range of positive K_I."""
         tip_histories = compute_crack_tip_histories(record, tips, force_rows, study.scene.growth)
         value_by_name = tip_histories[leading_crack_tip_index(tip_histories)].value_by_name()
         if study.scene.dimension == 3:  # under a mean load it may be largest at another station
@@ -563,6 +565,7 @@ def _make_ellipse_rows_and_reader(study: Study) -> ExtraRows:
     ]
 
     def read_ellipse_numbers(record: Record) -> dict[str, float]:
+        """Return numbers by name of the deepest station and of the front's ends."""
         tip_histories = compute_crack_tip_histories(
             record, stations, force_rows, study.scene.growth
         )

@@ -168,8 +168,9 @@ def _iterate_remarks(
 def _list_first_given_key_and_value(scene: Scene, keys: str) -> list[tuple[str, object]]:
     """Return the first key with a nonzero value, and the value.
 
-    If all values are zero, it is the first given key. A key of the table "crack" yields an entry
-    for each crack that has it. The list is empty if no key is given.
+    ``keys`` are separated by blanks. If all values are zero, the first given key is returned. A key
+    of the table "crack" yields an entry for each crack with this key. The list is empty if no key
+    is given.
     """
     keys_and_values_by_key: list[list[tuple[str, object]]] = []
     for dotted_key in keys.split():
@@ -227,7 +228,7 @@ def _shorter_side(scene: Scene) -> float:
 def _thickness_over_shorter_side(thickness: float, scene: Scene) -> float | None:
     """Return a thickness over the shorter side in the plane.
 
-    None for a plate of 1 m, the usual thickness of plane problems, and for disks.
+    None for a plate of 1 m, the usual thickness of plane problems, and for a disk of plates.
     """
     is_thickness_irrelevant = scene.geometry.kind == "plate" and (
         thickness == 1.0 or scene.disk is not None
@@ -244,8 +245,8 @@ def _relative_distance_and_node_text(
     -------
     (float, str) or None
         Distance over the mesh's longest extent, and the node's position as text. None if the load
-        acts inside a cell, and for scenes without a part file (``geometry.file``) or given
-        matrices.
+        acts inside a cell, without nodes, and for scenes with neither a part file
+        (``geometry.file``) nor given matrices.
     """
     if structure.nodes is None or (scene.structure is None and scene.geometry.file is None):
         return None
@@ -398,9 +399,10 @@ def _compare_frequency_in_other_unit(
 ) -> tuple[float, ...] | None:
     """Return three frequencies if the load frequency seems to be in another unit, else None.
 
-    The unit is doubtful if the load frequency is not within 10 % of a natural frequency, but
-    ``other_unit_factor`` times the load frequency is near the first one. The three are the load
-    frequency over the first natural frequency, and the latter in Hz and rad/s.
+    The unit is doubtful under two conditions. The load frequency is not within 10 % of a natural
+    frequency. But ``other_unit_factor`` times the load frequency is within 10 % of the first open
+    or bonded frequency. Returned are the load frequency over the first natural frequency with open
+    crack, and the latter in Hz and rad/s.
     """
     first_omega, omega = float(key_figures.omega_open[0]), scene.excitation.omega
     natural_omegas = np.concatenate([key_figures.omega_open, key_figures.omega_tied])
@@ -416,7 +418,7 @@ def _compare_frequency_in_other_unit(
 
 
 def _is_near_natural_frequency(omega: float, natural_omegas: np.ndarray) -> bool:
-    """Return True if any natural frequency is within 10 %."""
+    """Return True if ``omega`` is within 10 % of any natural frequency (both [rad/s])."""
     return bool(np.any(np.abs(natural_omegas - omega) < 0.1 * natural_omegas))
 
 
@@ -486,7 +488,7 @@ def _peak_rotation_and_displacement(
 
 
 def _n_face_elements_or_none(_: object, scene: Scene, key_figures: KeyFigures) -> int | None:
-    """Return the number of elements along each crack face, or None.
+    """Return the smallest number of elements along a crack face, or None.
 
     None for a grid without patches, whose columns and rows set the number. None, too, for contact
     at the mouth alone.

@@ -1,7 +1,7 @@
 """Preparation of a scene: structure, reduction and contact law.
 
-The memory for the solution is estimated before it is allocated. Modes are counted by a second
-factor while the first factor is held.
+The memory for the solution is estimated before it is allocated. The estimates include that a second
+matrix is factorized to count modes, while the first factor is still held.
 """
 
 from __future__ import annotations
@@ -66,9 +66,9 @@ class WatchedDisplacement:
     distance: float = 0.0
 
     def column_name(self, quantity: str) -> str:
-        """Return the column name of a quantity here: "tip.ux.ratio_2_1", or "ratio_2_1".
+        """Return the column name of this displacement's quantity: "tip.ux.ratio_2_1".
 
-        The short name is that of a scene without ``[output.points]``.
+        Without ``[output.points]`` in the scene it is the quantity alone: "ratio_2_1".
         """
         return f"{self.name}.{quantity}" if self.name else quantity
 
@@ -427,9 +427,9 @@ def estimate_unreduced_memory(structure: Structure, n_harmonics: int) -> float:
 def estimate_run_up_memory(structure: Structure, n_modes: int) -> float:
     """Estimate the peak memory of :func:`run_up_structure` [byte] (collective).
 
-    ``n_modes`` is the number of modes at each of 3 speeds. Either the stiffness and modes of a
-    further speed are held beside the basis, or three bases: the old basis, the addition, and their
-    union. The memory held already is included.
+    ``n_modes`` is the number of modes at each of the 3 speeds from which the basis is made. The
+    peak is the larger of two: the basis with the factor and modes of a further speed; or three
+    bases, while a basis is extended (old, addition, union). The memory held already is included.
     """
     basis_bytes = 8.0 * structure.n_dofs * N_BASIS_SPEEDS * (n_modes + structure.n_pairs + 1)
     bytes_of_modes = (
@@ -443,9 +443,11 @@ def estimate_run_up_memory(structure: Structure, n_modes: int) -> float:
 
 
 def _estimate_mode_memory(structure: Structure, n_modes: int) -> float:
-    """Estimate the memory to find ``n_modes`` modes, beside a factor [byte] (collective).
+    """Estimate the memory to find ``n_modes`` modes [byte] (collective).
 
-    The larger need counts: Krylov vectors, or a second factor with a matrix and its copy.
+    The factor of the stiffness, which exists already, is not included. The larger of two counts:
+    the Krylov vectors of the eigensolver; or the second factor that counts modes, with a matrix and
+    its copy.
     """
     krylov_bytes = 8.0 * structure.n_dofs * n_krylov_vectors(n_modes)
     return max(
@@ -472,7 +474,8 @@ def _estimate_factor_memory(structure: Structure) -> float:
 def release_freed_memory() -> None:
     """Return memory freed by the program to the system.
 
-    Otherwise it counts as held. Without ``malloc_trim`` in the C library nothing happens.
+    Otherwise it counts as memory of this program. Without ``malloc_trim`` in the C library nothing
+    happens.
     """
     with suppress(AttributeError):  # a C library without it
         ctypes.CDLL(None).malloc_trim(0)

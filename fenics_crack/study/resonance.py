@@ -226,7 +226,8 @@ def _make_search_structure(study: Study, crossing_speed: float | None) -> Struct
     """Reduce a study's structure to few modes, in which a resonance is sought (collective).
 
     ``crossing_speed`` [rad/s] is the rotor speed at which an engine order meets the mode; the
-    reduced structure then follows the speed. None without an engine order.
+    reduced structure then follows the speed. None without an engine order: then a disk, and a small
+    structure that the scene does not reduce, keep the modes that the scene requests.
     """
     whole_structure = study.structure
     reduction = modal_reduction_or_none(study.scene, whole_structure)

@@ -139,10 +139,11 @@ def _can_reuse(
 ) -> bool:
     """Return True if a kept structure can serve a scene.
 
-    The scene is given by its ``dependencies``. Mesh and ranks must be the same; without a DOLFINx
-    mesh also the loads. With ``needs_equal_dependencies`` (rotation, disk or given matrices),
-    clearances and damping must be the same, too. A structure with matrices from a file serves only
-    while a command has a structure file.
+    ``dependencies`` are the scene's values from :func:`dependencies_of_structure`. Mesh and ranks
+    must be the same. Without a mesh of DOLFINx (structure from a file) the loads must be the same,
+    too. With ``needs_equal_dependencies`` (rotation, disk or given matrices), so must clearances
+    and damping. A structure with matrices but without a mesh, from a structure file, is used only
+    by a command with such a file (:data:`STRUCTURE_FILES`).
     """
     has_mesh = getattr(shared_structure.structure.nodes, "mesh_dofs", None) is not None
     has_same_ranks = MPI.Comm.Compare(shared_structure.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)
@@ -191,7 +192,7 @@ def dependencies_of_structure(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, A
 
 
 def dependencies_of_load(scene: Scene) -> tuple[Any, ...]:
-    """Return the values in a scene that determine the load's rows.
+    """Return the values in a scene that determine the load vectors.
 
     They are the table ``[excitation]`` by key, without its frequency, then other loads and the base
     motion.

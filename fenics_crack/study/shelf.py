@@ -100,9 +100,9 @@ class StructureFile:
         return shared_structure
 
     def note_shared_structure(self, shared_structure: SharedStructure, scene: Scene) -> None:
-        """Note a structure to be written at the end.
+        """Note a structure for :meth:`write_noted_structure`, in place of the one noted before.
 
-        It needs the same mesh as the first structure noted; otherwise nothing happens.
+        Nothing happens if the mesh differs from that of the structure noted before.
         """
         if (
             not self._noted_structures_and_scenes
@@ -114,8 +114,8 @@ class StructureFile:
     def write_noted_structure(self, comm: MPI.Comm) -> None:
         """Write the noted structure with its coarser structure (collective).
 
-        Nothing is written if the file read has at least as many bytes of arrays. Failure, such as
-        more than 500 MB, prints a line.
+        Nothing is written if the arrays in the file that was read are at least as large. If writing
+        fails, or the arrays exceed 500 MB, a line is printed.
         """
         for shared_structure, scene in self._noted_structures_and_scenes:
             if shared_structure.comm.size < comm.size and comm.rank:

@@ -1,4 +1,4 @@
-"""Solve the cases that share a geometry of a sweep."""
+"""Solve sweep cases that share a structure (a "geometry"): same mesh, matrices and modes."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class SweepGeometry:
         Natural frequencies with the crack open and bonded.
     watched_row_by_name : dict of str to (n_dofs,)
         Rows R that give displacements [m] as R u: named points by "tip.ux", the load's point by "".
-        Without "", the load vector of a case gives the displacement at the load.
+        If "" is missing, each case has its own row, in the direction of its load.
     unreduced_study : Study
         Study before reduction.
     mode_counts : tuple of int
@@ -171,9 +171,15 @@ def build_sweep_geometry(
     comm : MPI.Comm
         Ranks that share the structure.
     case_options : SharedCaseOptions
-        Options; ``with_reduction_error`` adds what an estimate of the reduction error needs.
+        Options. For ``with_reduction_error`` the structure is reduced with a reference structure of
+        more modes; with a tolerance, to the first of several numbers of modes.
     last_geometry : SweepGeometry, optional
         Structure at another rotor speed, whose mesh and matrices are used again.
+
+    Returns
+    -------
+    SweepGeometry
+        Shared structure, with natural frequencies and rows of watched displacements.
 
     Raises
     ------
@@ -235,10 +241,10 @@ def build_sweep_geometry(
 def iterate_geometries_with_more_modes(
     scene: Scene, case_options: SharedCaseOptions
 ) -> Iterator[SweepGeometry]:
-    """Build structures with all numbers of modes that a sweep may use.
+    """Yield a case's structure with each number of modes that a sweep may use.
 
-    One of them has solved the case. The last structure is reduced as the scene says, for a sweep
-    without reduction errors.
+    This serves to find the structure with which a stored case was solved. The last structure is
+    reduced as the scene says, as in a sweep without reduction errors.
     """
     first_geometry = build_sweep_geometry(scene, MPI.COMM_SELF, case_options)
     geometry: SweepGeometry | None = first_geometry

@@ -1,11 +1,11 @@
 """Share the jobs of a sweep among ranks; rank 0 writes the results.
 
 Each rank has a present and a next job, so that no rank waits for rank 0. Rank 0 solves chunks, too,
-and receives results between two chunks.
+and receives results between two cases.
 
-Messages to a rank are short jobs, which arrive while the rank computes, and a message with the tag
-``END``. After ``END`` a rank stops behind its present chunk. Messages from a rank are the outcomes
-of chunks, and None behind each job.
+Messages to a rank are jobs, which are short and so arrive while the rank computes, and a message
+with the tag ``END``. After ``END`` a rank stops at the end of the present case. Messages from a
+rank are the outcomes of chunks, and None after each job.
 """
 
 from __future__ import annotations
@@ -113,9 +113,10 @@ class Worker:
                 return
 
     def _build_geometry(self, geometry_number: int, chunks: list[Chunk]) -> None:
-        """Build the shared structure for a job's cases, or keep the error.
+        """Build the shared structure for a job's cases.
 
-        Nothing is built for the same structure as in the last job, or if all cases are refused.
+        ``_geometry_or_error`` gets the structure, or the error if it cannot be built. Nothing is
+        built if the last job had the same structure, or if no case of the chunks is a valid scene.
         """
         scene = next(
             (
@@ -144,7 +145,11 @@ class Worker:
     def _solve_chunk(
         self, chunk: Chunk, may_continue: Callable[[], bool]
     ) -> tuple[np.ndarray, ChunkOutcome]:
-        """Solve a chunk; return the numbers (n,) of cases tried, and outcome."""
+        """Solve a chunk; return the numbers (n,) of the cases tried, and the outcome.
+
+        If the structure could not be built, each case has the error as its status, or the sweep
+        ends with the error (:data:`ChunkOutcome`).
+        """
         geometry_or_error = self._geometry_or_error
         if isinstance(geometry_or_error, SweepGeometry):
             chunk_case_values = solve_chunk(
@@ -174,6 +179,7 @@ def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
     send_requests: list[MPI.Request] = []
 
     def may_continue() -> bool:
+        """Forget messages sent completely; return False once END has arrived."""
         send_requests[:] = [
             send_request for send_request in send_requests if not send_request.Test()
         ]
@@ -292,6 +298,7 @@ class Manager:
         other_ranks = range(1, comm.size)
 
         def may_continue() -> bool:
+            """Receive messages that have arrived; return False after an error or Ctrl-C."""
             while self._n_jobs_at_other_ranks and comm.iprobe():
                 if stop_request.is_requested(MPI.COMM_SELF):
                     self._remaining_case_numbers_by_geometry.clear()  # no further job

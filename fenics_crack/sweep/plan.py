@@ -116,9 +116,10 @@ class Plan:
     ) -> list[list[np.ndarray]]:
         """Split case numbers by geometry, then into chunks of at most 16.
 
-        A geometry is a structure shared by several cases. Chunks follow the frequency axis if a
-        frequency is swept. Otherwise they follow the last axis without effect on the geometry; if
-        each axis changes the geometry, a chunk is a single case.
+        A geometry is a structure shared by several cases. Return for each geometry a list of
+        chunks, arrays of case numbers. Chunks follow the frequency axis if a frequency is swept.
+        Otherwise they follow the last axis without effect on the geometry; if each axis changes the
+        geometry, a chunk is a single case.
         """
         swept_keys = list(self._swept_values_by_key)
         independent_axis_indices = [
@@ -259,10 +260,11 @@ def _find_pair_upper_bound(scene: Scene) -> int:
 
 
 def _find_keys_sharing_geometry(scene: Scene, swept_keys: Collection[str]) -> set[str]:
-    """Return the scene keys that cases with a shared structure may change.
+    """Return the scene keys in which cases with a shared structure may differ.
 
-    Crack clearances are included. Forces are not if the structure has other loads, harmonics of the
-    force, or rotation, because the load then is no multiple of unit forces.
+    They are :data:`GEOMETRY_INDEPENDENT_KEYS` and swept crack clearances. Forces are left out if
+    the load is no sum of scaled unit forces: with other loads, harmonics of the force, rotation, or
+    swept keys of the base, loads or rotation.
     """
     geometry_independent_keys = GEOMETRY_INDEPENDENT_KEYS | {
         swept_key for swept_key in swept_keys if re.fullmatch(r"crack.*\.clearance", swept_key)

@@ -156,6 +156,7 @@ def run_sweep(
     managers: list[Manager] = []
 
     def make_manager_and_case_options() -> SharedCaseOptions:
+        """Open the file and append the sweep's manager to managers; return the case options."""
         plan = Plan(scene)
         option_by_name = {"verdicts": verdicts, "judged": judged}
         omitted_options = [name for name, is_wanted in option_by_name.items() if not is_wanted]
@@ -301,10 +302,10 @@ class SweepResult(Tabular):
 
     @property
     def error_parts(self) -> np.ndarray:
-        """Estimated relative errors, by part and case.
+        """Estimated relative errors by cause and case: (4, n_1, n_2, ...).
 
-        The shape is (4, ...), then that of the axes. The four are truncation, reduction, sampling
-        and residual, as in :class:`ErrorReport`. A case without a solution or an estimate has 0.
+        n_i is the number of values on axis i. The four are truncation, reduction, sampling and
+        residual, as in :class:`ErrorReport`. A case without a solution or an estimate has 0.
         """
         return np.nan_to_num(
             [self[f"{error_part_name}_error"] for error_part_name in PART_NAMES_OF_TOTAL_ERROR]
