@@ -113,7 +113,7 @@ from fenics_crack.monitoring.identification.identify import identify as identify
 from fenics_crack.monitoring.identification.measurements import Measurement as Measurement
 from fenics_crack.monitoring.identification.measurements import Measurements as Measurements
 from fenics_crack.monitoring.identification.result import Identification as Identification
-from fenics_crack.monitoring.identification.result import Worth as Worth
+from fenics_crack.monitoring.identification.worth import Worth as Worth
 from fenics_crack.monitoring.scene_timing import arrivals_of_blades as arrivals_of_blades
 from fenics_crack.monitoring.simulate import tip_timing as tip_timing
 from fenics_crack.monitoring.timing import Timing as Timing
