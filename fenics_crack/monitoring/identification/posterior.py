@@ -177,8 +177,8 @@ class Likelihood:
     def explains_measurements(self, x: np.ndarray) -> np.ndarray:
         """Return True for values x (m, d) that explain the measurements: (m,).
 
-        The p-value of chi^2 must be at least 1 - ``identify.confidence``; no unknown counts as
-        fitted.
+        The p-value of chi^2 must be at least 1 - ``identify.confidence``. The degrees of freedom
+        are not reduced by the unknowns, since x need not be the optimum.
         """
         return np.asarray(
             self._compute_chi_squares_and_p_values(x, 0)[1]
@@ -764,8 +764,8 @@ class Posterior:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return probability and density over two unknowns: (n_first, n_second) each.
 
-        Both results are for one choice of text values, ``words_text``. The density is the
-        probability over the prior's.
+        Both are for one choice of text values, ``words_text``, as "left" for crack.edge. The
+        density is the posterior probability over the prior probability.
         """
         pair_mass, pair_prior = (
             np.moveaxis(point_array, (first_unknown_index, second_unknown_index), (0, 1)).sum(

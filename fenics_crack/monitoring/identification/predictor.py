@@ -250,7 +250,8 @@ class CrackFaceState(NamedTuple):
     common_deviation, independent_deviation : float
         Standard deviations of resonances from the frequency of this state, relative to the
         difference between bonded and open frequency. The first is common to all resonances, the
-        second independent. For breathing faces, those in ``[identify]`` for each mode are added.
+        second independent. For breathing faces, the deviation for each mode in ``[identify]`` is
+        added.
     prior_weight : float
         Prior probability, up to a common factor.
     """
@@ -716,9 +717,10 @@ class MeasurementPredictor:
 def _find_harmonic_masks_and_motionless_nodes(
     solved_cases: SolvedCases, features: Sequence[Feature], load_index_of_features: Sequence[int]
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Find solved cracks whose faces stay open or closed.
+    """Find the loads under which some solved cracks do not breathe.
 
-    Higher harmonics are then zero. Only loads with such cracks and with breathing cracks count.
+    The faces of such a crack stay open or closed, and its higher harmonics are zero. A load is left
+    out if all solved cracks breathe, or none does.
 
     Parameters
     ----------
@@ -732,10 +734,10 @@ def _find_harmonic_masks_and_motionless_nodes(
     Returns
     -------
     harmonic_masks : list of (f,) bool
-        Features that are higher harmonics of such a load, for each of n loads.
+        For each of the n loads found, True for the features that are its higher harmonics.
     motionless_grids : (..., n)
-        1 on the grid of the unknowns for cracks without higher harmonics, otherwise 0; an empty
-        array without such loads.
+        For each of these loads, 1 at grid nodes of the unknowns without higher harmonics, otherwise
+        0; an empty array without loads.
     """
     harmonic_masks, motionless_grids = [], []
     is_higher_harmonic = np.array([feature.harmonic_order > 1 for feature in features], dtype=bool)
