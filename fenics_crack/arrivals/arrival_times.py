@@ -1,9 +1,9 @@
 """Hold, read and write a blade tip's arrival times at stationary probes.
 
-Measured records from data systems have a row for each revolution. It has the rotor's speed, or the
-time of the mark at its beginning, and for each blade and probe the angle or time of arrival. A
-missed passage is an empty cell. Probe angles are often unknown: the median arrival is then their
-zero.
+Measured records from data systems have a row for each revolution. A row has the rotor's speed, or
+the time at which the mark on the shaft begins the revolution. Then follows the angle or time of
+arrival for each blade and probe; an empty cell is a missed passage. Probe angles are often unknown.
+Then the median arrival angle at a probe replaces the angle, and displacements count from there.
 """
 
 from __future__ import annotations
@@ -594,7 +594,10 @@ Groups: number of the blade, or None for the only blade; number of the probe.
 RAD_PER_S_BY_SPEED_UNIT = {"rpm": RAD_PER_S_PER_RPM, "rad/s": 1.0, "Hz": RAD_PER_TURN}
 RAD_BY_ANGLE_UNIT = {"rad": 1.0, "deg": SI_UNIT_AND_FACTOR_BY_UNIT["deg"][1]}
 SECONDS_BY_TIME_UNIT = {"s": 1.0}
-"""Factors of units to rad/s, rad and s; a heading without a unit has the first unit."""
+"""Factors to rad/s, rad and s by unit, in the three tables for speeds, angles and times.
+
+A heading without a unit has the first unit of the table.
+"""
 
 
 def read_record(
@@ -605,17 +608,16 @@ def read_record(
 ) -> dict[int, ArrivalTimes]:
     """Read the arrivals of one or more blades.
 
-    The file has a row for each revolution.
-    Headings identify the columns, in any order, with units in brackets. Other columns are ignored,
-    and so are lines that begin with #. The radius may be in mm, too. Commas, semicolons or tabs
-    separate the cells.
+    The file has a row for each revolution. Headings identify the columns, in any order, with units
+    in brackets. Other columns are ignored, and so are lines that begin with #. The radius may be in
+    mm, too. Commas, semicolons or tabs separate the cells.
 
     ``revolution``
         Number of the revolution; rows may be missing. Without this column rows are counted.
     ``speed [rpm]`` (or rad/s, Hz; "shaft speed" too)
         Mean speed of the revolution; or ``mark [s]``, the time of the shaft's mark at its
         beginning.
-    ``blade 2 probe 1 [rad]`` (or deg; "AoA" does no harm)
+    ``blade 2 probe 1 [rad]`` (or deg; further words such as "AoA" are allowed)
         Rotor angle from the mark to the arrival; or ``[s]``, the time of arrival (with ``mark
         [s]``). Empty or nan for a missed passage; without "blade 2" the file has one blade.
     ``tip_radius [m]``
@@ -631,8 +633,8 @@ def read_record(
         Distance between the blade tips and the axis.
     probes : (n_probes,) [rad], or a mapping
         Angles from the blade tip at a mark to the probes; a mapping has the angles for each blade
-        number. Default: medians of the arrivals, so that displacements are relative to a middle
-        position.
+        number. Default: the median arrival angle at each probe; displacements are then relative to
+        the median position of the tip.
 
     Returns
     -------

@@ -135,10 +135,10 @@ def find_lines_and_residuals(
     max_order: float,
     max_lines: int = 3,
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
-    """Find significant vibrations with constant frequency, beside constants.
+    """Find significant vibrations with constant frequency, independent of the speed.
 
-    A constant for each probe, or for each probe and revolution in a period of some revolutions,
-    absorbs vibrations at engine orders.
+    Constants are fitted together with each vibration. They absorb vibrations at engine orders,
+    if each probe has a constant for each revolution in the common period of these orders.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ class _FrequencySearch:
     n_harmonics : int
         Number K.
     constants_deviation : float [rad]
-        Standard deviation of the constants, as angles; inf for free constants.
+        Standard deviation of the constants over the tip radius; inf for free constants.
     omega_bounds : (float, float) [rad/s]
         Range of the frequency.
 
@@ -402,8 +402,8 @@ class _FrequencySearch:
     def _constants_absorb_vibration(self, columns: np.ndarray) -> bool:
         """Return True if constants absorb half of a vibration or more.
 
-        Half of the sum of squares is meant, for the phase with the largest part. ``columns`` (n,
-        2K+1) come from :meth:`_fit_harmonics`.
+        At the least favourable phase, the fitted constants reduce the vibration's sum of squares to
+        less than half. ``columns`` (n, 2K+1) come from :meth:`_fit_harmonics`.
         """
         reduced_waves = columns[:, :-1]
         return bool(np.linalg.eigvalsh(reduced_waves.T @ reduced_waves)[0] < 0.25 * len(columns))

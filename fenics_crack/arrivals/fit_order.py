@@ -71,9 +71,10 @@ def fit_order(
     First, each probe's mean over the revolutions is fitted, together with vibrations at no engine
     order (``asynchronous`` in the result). Errors follow Student's t, so that single wrong arrivals
     have hardly any weight. Each candidate is then fitted to the means. Candidates fit equally well
-    if their sum of squares is less than 9 variances above the minimum. The result is the least sum
-    among vibrations at most 20 % larger than the smallest; further candidates are ``ambiguous``.
-    Candidates that these probes cannot measure are ``hidden``.
+    if their sum of squares is less than 9 variances above the minimum. Vibrations more than 20 %
+    larger than the smallest one are then excluded, and the least sum of squares wins. Further
+    equally good candidates are ``ambiguous``. Candidates that these probes cannot measure are
+    ``hidden``.
 
     The variance of a mean combines the residuals and the probe's angle. If the means differ from
     the fit by more (F test), the variance follows from these differences. Significant omitted
@@ -264,8 +265,9 @@ class OrderFit:
     sum_of_squares : float
         Sum of squared residuals, in variances.
     residual_per_error : (g,)
-        Residual over error of a value, 1 + u' / R, with tip radius R and u' = du / d alpha: a late
-        blade tip moves meanwhile.
+        Residual of a displacement over the error: 1 + u' / R, with tip radius R and
+        u' = du / d alpha. A late arrival also belongs to a larger rotor angle, with another fitted
+        displacement.
     """
 
     order: float
@@ -286,9 +288,10 @@ class Sample:
     displacements : (g,) [m]
         Displacements.
     covariance : (g, g) [m^2]
-        Covariance of the values; with an unknown scale if ``freedom_within_groups`` is 0.
+        Covariance of the errors of the displacements, estimated before the fit.
     freedom_within_groups : int
-        Degrees of freedom of this covariance, from arrivals within groups.
+        Degrees of freedom of this estimate, for instance arrivals less means. 0 without an
+        estimate: the covariance then has an unknown factor.
     tip_radius : float [m]
         Blade tip radius.
 
@@ -328,7 +331,8 @@ class Sample:
         if np.isinf(condition_number(nominal_columns)) or np.isinf(condition_number(wave_columns)):
             return None
         residual_per_error = np.ones(len(wave_columns))
-        # An arrival that is late by e leaves R W e (1 + u' / R): it is elsewhere, too.
+        # An arrival late by e [s] has a residual of the size R W e (1 + u' / R): the fit is
+        # evaluated at a rotor angle larger by W e.
         for _ in range(2):
             fitted_residual_per_error = residual_per_error
             (whitened_columns, whitened_displacements) = self._whiten_columns_and_values(
@@ -466,7 +470,7 @@ class Sample:
         ----------
         fit : OrderFit
             Fit without them.
-        omitted_size_rows : (n, N_FOLDED_HARMONICS) [m]
+        omitted_size_rows : (n, N_OMITTED_HARMONICS_TO_FOLD) [m]
             Standard deviations of the omitted harmonics, whose expected value is 0, in n trials.
 
         Returns
@@ -573,8 +577,7 @@ class ProbeMeans(Sample):
     Attributes
     ----------
     scatter : float [m]
-        Standard deviation of a displacement from the mean; 1 if no probe has two arrivals at a
-        mean.
+        Standard deviation of a displacement from its mean; 1 if every mean has a single arrival.
     displacements, angles : (g,) [m, rad]
         Means, and rotor angles at the displaced blade tip.
     covariance : (g, g) [m^2]

@@ -57,7 +57,8 @@ def fit_passage(
     stiffening : float or function
         s = d ln w_n / d ln W from -0.9 to 0.9: the slope in a Campbell diagram over w_n / W. Or a
         function s(W, w_n) of speed and natural frequency [rad/s], as :meth:`Campbell.stiffening`.
-        With a constant frequency, s = 0, dampings are 1 / (1 - s) times the true ones.
+        If 0 is given for a blade with the stiffening s, the fitted damping is 1 / (1 - s) times
+        the true damping.
 
     Returns
     -------

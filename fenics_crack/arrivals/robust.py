@@ -72,6 +72,7 @@ class ConfidenceLevels:
 
 
 CONFIDENCE_LEVELS = ConfidenceLevels()
+"""Levels of significance in all fits to arrivals."""
 
 RevolutionsAndProbes = tuple[np.ndarray, np.ndarray]
 """Indices of revolutions and probes for n arrivals: two arrays (n,)."""

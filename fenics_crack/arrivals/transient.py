@@ -153,10 +153,11 @@ class Run:
     def _yield_growths(
         self, order: float, poles: np.ndarray
     ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-        """Yield exp(i p alpha - lambda t) at arrivals without vibration, in parts.
+        """Yield the growth exp(i p alpha - lambda t) at the expected arrivals, in parts.
 
-        In a part the growth stays below about e^300. With stiffening, alpha and t are multiplied by
-        1 - s at the speed where ``order`` p excites the mean frequency of ``poles``.
+        A blade without vibration arrives at the expected times. In a part the growth stays below
+        about e^300. With stiffening, alpha and t are multiplied by 1 - s, with s at the
+        speed at which ``order`` p excites the mean frequency of ``poles``.
 
         Parameters
         ----------

@@ -334,7 +334,7 @@ def _yield_unresolved_resonance_remarks(
 
     A remark is a sentence for a load, a point, and a crack between solved cracks, near a resonance.
     The vibration exceeds :attr:`Options.allowed_vibration_ratio` (2) times the largest in solved
-    cases. Its breathing may then differ from all solved cracks. If the motion is proportional to the
+    cases, and the crack may breathe as no solved crack does. If the motion is proportional to the
     load, no remark follows.
     """
     if has_load_independent_motion_shape(forward_models.scene):
