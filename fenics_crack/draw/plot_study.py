@@ -39,7 +39,7 @@ if TYPE_CHECKING:  # which load SciPy's interpolation, and DOLFINx
 CONTOUR_PROBABILITIES = (0.5, 0.95, 0.999)
 """Probabilities of the regions that a posterior's contours enclose."""
 MARKER_LETTERS = "osD^v<>ph*"
-"""Matplotlib's markers for quantities in the picture of a verification, in all colours."""
+"""Matplotlib's markers for quantities in the picture of a verification, one letter each."""
 LABELS_BY_CAUSE = {"shift": "mesh, shift of the resonance"}
 """Legend entries of error causes whose names need more words; others are shown by name."""
 StylesByQuantity = dict[str, dict[str, Any]]
