@@ -170,7 +170,8 @@ def _compute_arrivals(
     result: Any = run.result
     if (curve := get_response_curve_or_none(run)) is not None:
         passed_indices, unstable_index = find_run_up_point_indices(curve)
-        # The part before the curve becomes unstable; all of a curve that is so at once.
+        # Take the part before the curve becomes unstable. If this part has fewer than two points,
+        # take the whole curve; tip_timing then raises the error.
         result = (
             curve
             if unstable_index is None or len(passed_indices) < 2
@@ -499,7 +500,7 @@ def find_tip_factor_by_dof(
         node_index = int(np.argwhere(dofs == tip_dof)[0, 0])
         if (
             is_disk or tip_rotation is None
-        ):  # Q - Q^T: 2 sin(2 pi / N) times the product with the axis
+        ):  # (Q - Q^T) x is the cross product of axis and x, times 2 sin(2 pi / N)
             sector_turn_matrix, rotation_center = structure.sector.rotation, structure.sector.center
             tip_direction = (sector_turn_matrix - sector_turn_matrix.T) @ (
                 node_points[node_index] - rotation_center

@@ -317,7 +317,7 @@ def _conclude_from_track(track: TipTrack) -> tuple[Conclusion, Table, list[str],
     ]
     conclusion = Conclusion("run-up tracked", "no vibration is larger than its errors")
     peak_rows, note_texts = [], []
-    # Without any vibration, the largest of so many amplitudes is several errors large.
+    # Without any vibration, the largest amplitude at n speeds is several errors large.
     allowed_noise_ratio = float(
         np.sqrt(2.0 * np.log(len(track.speed) / CONFIDENCE_LEVELS.misfit_significance_level))
     )

@@ -157,7 +157,7 @@ class Interpolation:
             unknown_grid, node_values
         )
         self._node_values = node_values
-        # Along each axis those that are 1 at one of its values and 0 at the others.
+        # Cardinal splines of each axis: 1 at one value, 0 at all other values.
         self._basis_splines = [
             _fit_spline(axis_values, np.eye(len(axis_values))) for axis_values in unknown_grid.axes
         ]
@@ -342,7 +342,7 @@ class SweptLoads:
         engine_order, sorted_frequencies = scene.excitation.order, sorted(set(frequencies))
         scene_frequency = float(
             f"{scene.excitation.omega / RAD_PER_TURN:.9g}"
-        )  # as that of arrivals
+        )  # rounded as the load frequency of arrivals
         if engine_order is None:
             self.frequencies = tuple(sorted_frequencies) or (scene_frequency,)
             self.sweep_axis = Axis("excitation.frequency", self.frequencies)

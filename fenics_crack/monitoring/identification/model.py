@@ -83,7 +83,7 @@ class ForwardModel:
             )
         return np.full(
             (len(x), 1), 0.01 if scene_damping_ratios is None else np.mean(scene_damping_ratios)
-        )  # of a matrix
+        )  # 0.01 if the damping is given as a matrix
 
     def compute_crack_sizes_relative_to_largest(self, x: np.ndarray) -> np.ndarray:
         """Return crack sizes at values x (m, d), relative to the largest: (m,).

@@ -295,7 +295,7 @@ class UncrackedPlate:
             pole_slopes * log_frequency_shifts_by_crack,
         )
         slopes_by_mode = np.where(is_natural_frequency, slopes_by_mode, pole_slopes)
-        harmonic_size_changes = np.zeros(mode_sensitivities.shape[2])  # of harmonics
+        harmonic_size_changes = np.zeros(mode_sensitivities.shape[2])
         harmonic_size_changes[:3] = np.multiply(
             self._young_density_thickness_deviations, (-1.0, 0.0, -1.0)
         )
@@ -643,7 +643,7 @@ def compute_deviations_from_equivalent_crack(
     identify_table = scene.given("identify")
     equivalence_deviations = np.zeros_like(x)
     crack_extents = np.zeros(len(x))
-    for size_key in CRACK_SIZE_KEYS:  # that of a part-through crack is its depth
+    for size_key in CRACK_SIZE_KEYS:  # the last size given is the extent: depth, else length
         crack_sizes = np.full(
             len(x), getattr(scene.crack, size_key.removeprefix("crack."), None) or 0.0
         )
@@ -652,7 +652,7 @@ def compute_deviations_from_equivalent_crack(
             common_relative_deviation = identify_table.crack_deviation * np.sqrt(
                 identify_table.crack_correlation
             )
-            # Frequencies change with its square.
+            # Frequencies change with the square of the size: half the relative deviation.
             equivalence_deviations[:, unknown_keys.index(size_key)] = (
                 common_relative_deviation / 2.0 * crack_sizes
             )

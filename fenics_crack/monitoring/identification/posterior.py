@@ -327,7 +327,7 @@ class PosteriorBranch:
         axis_weights = [trapezoid(np.eye(len(axis)), axis) / np.ptp(axis) for axis in self.axes]
         self.prior_masses = reduce(np.multiply.outer, axis_weights)
         grid_points = UnknownGrid(self.axes).nodes
-        # Interpolate on the first grid where all of it around a point is far below the maximum.
+        # Far below the maximum, log L is interpolated on the first grid, not computed again.
         neighbourhood_maxima = maximum_filter(first_grid_log_likelihood, size=3, mode="nearest")
         log_likelihood_limit = self.optima[0].log_likelihood - OPTIONS.allowed_grid_log_drop
         is_evaluated = (
@@ -443,7 +443,7 @@ def _convolve_with_crack_deviations(
             continue
         kernel_widths = np.maximum(kernel_widths, 0.1 * np.gradient(axis_values))[
             ..., None
-        ]  # no effect below
+        ]  # narrower kernels fall to 0 before the next grid point
         kernel_matrix = weights_along_axis * np.exp(
             -0.5 * ((axis_values - axis_values[:, None]) / kernel_widths) ** 2
         )

@@ -151,8 +151,8 @@ class ProbeDisplacements:
         )
         harmonic_terms = displacement_slopes * model_harmonics[:, None, :]
         displacements = harmonic_terms.sum(axis=2).real
-        # Priors that are wide: all of the size, a phase anywhere in the period, a constant of ten
-        # times the largest displacement.
+        # Wide priors: standard deviations of 100 % for the size, of a uniform phase over the
+        # period, and of ten times the largest displacement for the constant.
         phase_induced_changes = (
             np.pi / np.sqrt(3.0) * (harmonic_orders * harmonic_terms).sum(axis=2).imag
         )
@@ -778,7 +778,7 @@ def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
         (CrackFaceState("open"), CrackFaceState("tied")),
         (smallest_closed_time_share < 1.0, largest_closed_time_share > 0.0),
     )
-    # Breathing for another part of the period at each resonance, or for the same at all.
+    # Open for an unknown part of the period: another part at each resonance, or a common part.
     partly_open_states = (
         CrackFaceState("bilinear", independent_deviation=resonance_deviation, prior_weight=0.5),
         CrackFaceState("bilinear", common_deviation=resonance_deviation, prior_weight=0.5),

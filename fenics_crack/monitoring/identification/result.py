@@ -654,7 +654,7 @@ def _describe_warming_condition_or_empty(identification: Identification) -> str:
 def _describe_modulus_change(identification: Identification, posterior: Posterior) -> str:
     """Describe the posterior mean of the change in Young's modulus.
 
-    An example: "a Young's modulus 1 % lower than before, as about 25 K more cause".
+    An example is "a Young's modulus 1.00% lower than before, as about 25 K more cause".
     """
     kelvin_change = (
         identification.priors["temperature_deviation"]
