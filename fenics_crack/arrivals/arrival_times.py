@@ -828,7 +828,7 @@ def _read_mark_times(
                 f"{path}: {heading}", np.diff(marks), int(revolution_numbers[0])
             )
             marks = smooth_series(marks)
-            # The end of the last revolution, as the speed changes.
+            # End of the last revolution: the duration changes as between the previous two.
             last_two_durations = np.diff(marks)[-2:]
             return np.append(
                 marks, marks[-1] + 2.0 * last_two_durations[-1] - last_two_durations[0]
@@ -905,7 +905,7 @@ def _build_arrivals(
     first_revolution : int
         First revolution's number.
     """
-    for column in angles.T:  # a blade at the mark is seen before it and after it
+    for column in angles.T:  # near the mark, angles jump between 0 and 2 pi
         column -= RAD_PER_TURN * np.round((column - column[np.isfinite(column)][0]) / RAD_PER_TURN)
     median_angles = np.nanmedian(angles, axis=0)
     probe_angles = (
@@ -920,7 +920,7 @@ def _build_arrivals(
     for probe_index, revolution_lag in enumerate(
         np.round((median_angles - probe_angles) / RAD_PER_TURN).astype(int)
     ):
-        # From before its mark, or from after the next one: of another revolution than its row's.
+        # An arrival before the row's mark, or after the next mark, moves to its own revolution.
         kept_row_indices = row_indices[
             (row_indices >= revolution_lag) & (row_indices - revolution_lag < len(row_indices))
         ]

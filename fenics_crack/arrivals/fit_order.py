@@ -115,7 +115,7 @@ def fit_order(
     max_order = float(candidate_orders.max())
     means = ProbeMeans(arrivals, period_in_revolutions, max_order, angle_deviation)
     fit = _fit_best_order(arrivals, means, candidate_orders, multiples)
-    if means.lines and not fit.does_not_fit:  # again at the angles to which lines move the tip
+    if means.lines and not fit.does_not_fit:  # repeat: lines displace the tip to other angles
         line_displacement_changes = means.compute_displacement_changes_by_lines(arrivals, fit)
         means = ProbeMeans(
             arrivals, period_in_revolutions, max_order, angle_deviation, line_displacement_changes
@@ -159,7 +159,7 @@ def _fit_best_order(
         CONFIDENCE_LEVELS.allowed_cost_difference * variance_ratio,
     )
     best_fit = fit_by_index[best_index]
-    # Arrivals that are not at the probes' angles distinguish aliases, but not reliably.
+    # Displaced arrivals distinguish aliases, but not reliably: compare at the probes' angles.
     best_wave = (
         fourier_basis(orders[best_index] * means.nominal_angles, multiples) @ best_fit.coefficients
     )
@@ -171,7 +171,7 @@ def _fit_best_order(
     )
     covariance_factor = finite_ratio = variance_ratio if np.isfinite(variance_ratio) else np.nan
     if means.freedom_within_groups > 0 and len(means.displacements) > n_unknowns + 1:
-        # Nor do harmonics that are left out make another order less likely.
+        # An order is not excluded if omitted harmonics explain the difference.
         for order_index, fit in fit_by_index.items():
             costs[order_index], fit_by_index[order_index] = means.find_cost_and_fit_with_omitted(
                 fit
@@ -315,7 +315,7 @@ class Sample:
         self._radius = tip_radius
         self.angles = nominal_angles - displacements / tip_radius
         self.covariance = covariance
-        # At two places of a wave the error of a probe's angle is the same.
+        # The error of a probe's angle is common to all means of the probe: nearly singular.
         self._cholesky_factor = np.linalg.cholesky(
             covariance + DEPENDENT_EIGENVALUE_RATIO * np.diag(np.diag(covariance))
         )

@@ -330,8 +330,8 @@ class Resonance:
         self._runs = runs
         weights_of_runs = [run.has_arrival.astype(float) for run in runs]
         fit_by_mode: dict[Mode, Fit] = {}
-        # First without weights, where single wrong arrivals may hide the order; then with those of
-        # the best fit, until it is the one that they make the best.
+        # The first round has no weights, and single wrong arrivals may hide the order. Further
+        # rounds have the weights of the best fit, until the same order is best again.
         for is_last_round in (False, False, True):
             gain_mode_pairs = _list_best_gains_and_modes(
                 zip(runs, weights_of_runs, strict=True), orders, speed, INITIAL_DAMPING_RATIO
@@ -554,7 +554,7 @@ class Resonance:
             if len(runs) > 1
             else [best_fit]
         )
-        # Orders that resonate within the width of each other are claims on the same vibration.
+        # Resonances within the width of each other may be the same vibration with other orders.
         rival_resonances = [
             other_resonance
             for other_resonance in resonances

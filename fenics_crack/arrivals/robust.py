@@ -114,7 +114,8 @@ class StudentNoise:
     ) -> None:
         self.residuals, self.n_unknowns = residuals, n_unknowns
         squared_residuals, n_spare = residuals**2, max(len(residuals) - n_unknowns, 1)
-        # As many arrivals as unknowns may be met exactly: few to spare have no tails.
+        # A fit may pass exactly through as many arrivals as unknowns. With few more arrivals, the
+        # tails cannot be estimated: assume normal errors.
         trial_freedoms = (
             TRIAL_STUDENT_FREEDOMS if n_spare > n_unknowns else TRIAL_STUDENT_FREEDOMS[-1:]
         )
@@ -151,7 +152,7 @@ class StudentNoise:
         trial_costs = len(residuals) * trial_log_norms + (trial_freedoms + 1.0) * np.log1p(
             squared_ratios / freedom_column
         ).sum(axis=1)
-        # Tails are one unknown more, by which the likelihood has to gain (Akaike's criterion).
+        # Tails are one further unknown: -2 log L must fall by more than 2 (Akaike's criterion).
         best_freedom_index = int(
             np.argmin(trial_costs + 2.0 * (trial_freedoms < TRIAL_STUDENT_FREEDOMS[-1]))
         )
