@@ -320,9 +320,7 @@ def tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
         column_name: sweep_result[sweep_name_by_column.get(column_name, column_name)].copy()
         for column_name in (*SWEEP_COLUMN_NAMES, *observable_names(Place.ELLIPSE))
     }
-    column_by_name["response"] = np.nan_to_num(
-        column_by_name["response"]
-    )  # nan where nothing moves
+    column_by_name["response"] = np.nan_to_num(column_by_name["response"])  # nan if nothing moves
     log_size_grid = np.stack(np.meshgrid(np.log(depths), np.log(lengths), indexing="ij"), axis=-1)
     for column in column_by_name.values() if sweep_result.failed_indices_and_reasons else ():
         failed_case_values = RBFInterpolator(log_size_grid[is_solved], column[is_solved])(

@@ -363,7 +363,7 @@ def grow(
         return _grow_ellipse(scene_without_sweep, folder_path, comm, progress=progress)
     _make_scene_with_crack_size(
         scene_without_sweep, scene_without_sweep.excitation.omega, law.until
-    )  # is refused before anything is solved
+    )  # raises errors for the largest crack before anything is solved
     length_path, interpolation_error, jump_lengths = solve_lengths_to_tolerance(
         scene_without_sweep, folder_path, comm, progress=progress
     )
@@ -763,7 +763,7 @@ def _collect_growth_remarks(
             length_path.sweep_results
         )
     ]
-    # A crack that is arrested on its way has been at its threshold, however well that is known.
+    # A crack arrested after some growth is at the threshold anyhow: no remark.
     is_near_threshold = (
         np.abs(values_by_column["delta_K_effective"] - law.threshold)
         < vibration_error * law.threshold

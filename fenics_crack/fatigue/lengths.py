@@ -113,7 +113,7 @@ class LengthPath:
         level_values_by_column = {name: get_level_values(name) for name in SWEEP_COLUMN_NAMES}
         level_values_by_column["response"] = np.nan_to_num(
             level_values_by_column["response"]
-        )  # nan where nothing moves
+        )  # nan if nothing moves
         level_cycles = np.ones(1) if law.frequencies is None else np.array(law.cycles)
         column_by_name, leading_omega = _reduce_load_levels_to_columns(
             level_values_by_column, law, level_cycles
