@@ -156,7 +156,7 @@ def yield_large_error_warning(
     error_limit : float
         Maximum relative error, by default 5 %.
     """
-    if not report.total > error_limit:  # or not requested
+    if not report.total > error_limit:  # also for nan: errors were not requested
         return
     balance_table = scene.harmonic_balance
     if balance_table.tolerance is None:
@@ -210,7 +210,7 @@ def yield_instability_warning(
         hints_text = f"; {hint_texts[0]} may find a periodic orbit" if hint_texts else ""
         yield f"{stability.reason}{motion_text}{hints_text}"
     elif stability.verdict == "undecided":
-        damping_table = scene.damping  # None: a matrix, which damps all modes or not
+        damping_table = scene.damping  # None: a damping matrix; the damped modes are unknown
         if damping_table and not (
             damping_table.damps_all_modes
             or damped_count_and_max_omega_or_none(run.structure) is None
