@@ -144,7 +144,7 @@ def draw_posterior(
 
 
 def _draw_density(panel: Axes, identification: Identification, key: str) -> None:
-    """Draw the probability density of the unknown ``key``, with estimate and 95 % interval.
+    """Draw the probability density of the unknown ``key``, with estimate and credible interval.
 
     Each combination of words, such as the crack's edge, has its own line.
     """
