@@ -715,7 +715,7 @@ def reduce_wheel(
     families = wheel.families if families is None else families
     check_count("families", families, 1)
     check_count("more", more, 0)
-    # With more families, static responses are made of modes but for rounding.
+    # With more families, static responses are combinations of the modes, but for rounding.
     max_allowed_families = len(wheel.sector.dof_numbering.own_members) // 2
     if families > max_allowed_families:
         raise InputError(
