@@ -256,7 +256,7 @@ class StudentNoise:
             score_covariance += (1.0 - lag / len(covariance_pairs)) * (
                 lag_term if lag == 0 else lag_term + lag_term.T
             )
-        # Correlation leaves a tenth or more of the variance by white errors.
+        # Estimated correlations must not reduce a variance below a tenth of that by white errors.
         eigenvalues, eigenvectors = np.linalg.eigh(gram_matrix)
         coefficient_basis = (
             eigenvectors

@@ -383,13 +383,14 @@ class MeasurementPredictor:
         """Yield predictions for each possible motion of the crack faces.
 
         Under a steady load, a preload or a clearance a crack may always stay open or closed. The
-        motion then has no higher harmonics. Between a solved crack with such a motion and one
-        without, both are possible.
+        motion then has no higher harmonics. If one of two neighbouring solved cracks breathes and
+        the other does not, a crack between them may do either.
 
-        At a resonance four cases have the same probability: the crack stays open, stays closed,
-        breathes for half of the period, or breathes for another part of the period. In the last
-        case the part is the same at all resonances, or different at each, with half of the
-        probability each.
+        At a resonance, the motions of :func:`_list_face_states` are possible. The crack breathes
+        for half of the period, breathes for another part of the period, stays open, or stays
+        closed, with the same probability each. The other part of the period is either common to
+        all resonances or different at each, with half of the probability each. If the motion is
+        proportional to the load, the crack breathes for half of the period.
 
         Parameters
         ----------
@@ -567,8 +568,8 @@ class MeasurementPredictor:
         Harmonics of the contact force fall like 1 / k. They act on modes with static compliances 1
         / w_j^2: |U_k|^2 = c^2 sum_j |w_j^2 - (k W)^2 + 2 i z w_j k W|^-2 / k^2. Here c^2 is the
         mean over the upper half of the known harmonics. A test had 150 cracks under loads of 120 to
-        1500 Hz, with 30 harmonics. Harmonics omitted above twelve and six are 1.0 and 1.3 times
-        this estimate, in root mean square.
+        1500 Hz, with 30 harmonics. With twelve known harmonics, the root mean square of the others
+        was 1.0 times this estimate; with six known harmonics, 1.3 times.
 
         Parameters
         ----------
