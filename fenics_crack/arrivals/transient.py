@@ -634,8 +634,8 @@ class Fit:
             ..., 0
         ]
         size_ratios[has_motion] = np.hypot(*probe_amplitudes.T) / np.median(probe_amplitudes[:, 0])
-        # Measured: of 200 records with a second mode within the width, and 4 to 8 good probes, one
-        # record had a probe that this test calls blind.
+        # Measured: of 200 records with 4 to 8 probes, and a second mode within the width, one had
+        # a probe that fulfils these conditions.
         has_small_ratio, ratio_offsets = size_ratios < 0.5, np.abs(size_ratios - 1.0)
         if (
             not 0

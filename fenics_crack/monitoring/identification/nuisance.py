@@ -242,9 +242,10 @@ class UncrackedPlate:
         frequency_split_root_and_frequencies: np.ndarray,
         mode_sensitivities: np.ndarray,
     ) -> np.ndarray:
-        """Return relative changes of features by the priors: (m, f, s).
+        """Return relative changes of features by the priors: (m, f, s + n + 1).
 
-        Each of the s columns is for one standard deviation. A natural frequency of the cracked
+        Each column is for one standard deviation: the s priors in ``mode_sensitivities``, the
+        crack's effect on each of n modes by itself, and damping. A natural frequency of the cracked
         plate stands here for the change of ln(frequency) by the crack.
 
         Parameters

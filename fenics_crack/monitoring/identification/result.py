@@ -227,8 +227,8 @@ class Identification(Tabular):
     def misfit(self) -> tuple[float, float]:
         """Return chi^2 and its p-value at the largest likelihood.
 
-        Degrees of freedom are the measurements less the unknowns, and less three for each load with
-        displacements; at least 1.
+        Degrees of freedom are the measurements less the unknowns, and less three for each load
+        frequency and point with displacements; at least 1.
         """
         return self.posterior.misfit
 

@@ -330,7 +330,8 @@ def _compute_information_and_deviations(
     float
         log det F of the Fisher information F, prior included.
     dict of str to float
-        Standard deviation of each unknown by key.
+        Standard deviation of each unknown by key, for the real crack: the deviation from the
+        equivalent straight crack is included.
     """
     selected_covariance = covariance_and_slopes[0][np.ix_(row_indices, row_indices)]
     selected_slopes = covariance_and_slopes[1][row_indices]
