@@ -63,9 +63,10 @@ def draw_curve(
     Stable parts are solid, unstable parts dashed, irregular parts dash-dotted and undecided parts
     dotted. Without Floquet multipliers the curve is solid, and the legend says that stability was
     not examined. Parts with an estimated displacement error above 5 % are faint. A ring marks the
-    largest response unless this is an end of the curve; the legend states frequency and amplitude.
-    Marks show bifurcations, counted in the legend; among many at one place only some are marked. A
-    number at each superharmonic peak is the order of the largest harmonic.
+    largest response unless this is an end of the curve; the legend states parameter and amplitude.
+    Over the load frequency, the legend also states the damping by the half-power width. Marks show
+    bifurcations, counted in the legend; among many at one place only some are marked. A number at
+    each superharmonic peak is the order of the largest harmonic.
 
     Parameters
     ----------

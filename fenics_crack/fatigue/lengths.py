@@ -239,9 +239,9 @@ class LengthPath:
 
 
 def find_nearest_mode_number(sweep_result: SweepResult, omega: float) -> int:
-    """Return the number, from 1, of the mode nearest to a load at a sweep's first case.
+    """Return the number, from 1, of the mode nearest to a load frequency.
 
-    The mode's bilinear frequency counts; ``omega`` [rad/s] is the load frequency.
+    Bilinear frequencies in the first case of the sweep are compared with ``omega`` [rad/s].
     """
     bilinear_omega_of_modes = np.array(
         [sweep_result[f"omega_bilinear_{mode_number}"].flat[0] for mode_number in KEPT_MODE_NUMBERS]
@@ -458,8 +458,8 @@ def _estimate_interval_log_range_errors(
 
     Two splines are compared: through the lengths before and after the last sweep. In an interval
     halved by the sweep, the error is a quarter of the larger difference at the ends. In other
-    intervals it is the previous error or, if larger, the difference in the middle: a resonance
-    found by the sweep also changes the spline in the intervals around.
+    intervals it is the previous error or, if larger, the difference in the middle. A resonance
+    found by the sweep changes the spline in these intervals, too.
 
     Parameters
     ----------

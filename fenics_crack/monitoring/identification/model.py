@@ -405,8 +405,8 @@ def _correlate_errors(errors: np.ndarray) -> list[np.ndarray]:
     """Split the variance of errors into a correlated half and an independent half.
 
     ``errors`` (m, k, 2f) are k independent errors of 2f smooth forms. The two results have a column
-    for each independent error: (m, 2f, k), in which all forms change together, and (m, 2f, 2f), in
-    which one form changes alone.
+    for each independent error. In the first, (m, 2f, k), all forms change together; in the second,
+    (m, 2f, 2f), each form changes alone.
     """
     return [
         np.sqrt(0.5) * errors.transpose(0, 2, 1),
