@@ -1,9 +1,9 @@
 """Hold, read and write a blade tip's arrival times at stationary probes.
 
-Measured records from data systems have a row for each revolution. It has the rotor's speed, or the
-time of the mark at its beginning, and for each blade and probe the angle or time of arrival. A
-missed passage is an empty cell. Probe angles are often unknown: the median arrival is then their
-zero.
+Measured records from data systems have a row for each revolution. A row has the rotor's speed, or
+the time at which the mark on the shaft begins the revolution. Then follows the angle or time of
+arrival for each blade and probe; an empty cell is a missed passage. Probe angles are often unknown.
+Then the median arrival angle at a probe replaces the angle, and displacements count from there.
 """
 
 from __future__ import annotations
@@ -594,7 +594,10 @@ Groups: number of the blade, or None for the only blade; number of the probe.
 RAD_PER_S_BY_SPEED_UNIT = {"rpm": RAD_PER_S_PER_RPM, "rad/s": 1.0, "Hz": RAD_PER_TURN}
 RAD_BY_ANGLE_UNIT = {"rad": 1.0, "deg": SI_UNIT_AND_FACTOR_BY_UNIT["deg"][1]}
 SECONDS_BY_TIME_UNIT = {"s": 1.0}
-"""Factors of units to rad/s, rad and s; a heading without a unit has the first unit."""
+"""Factors to rad/s, rad and s by unit, in the three tables for speeds, angles and times.
+
+A heading without a unit has the first unit of the table.
+"""
 
 
 def read_record(
@@ -605,17 +608,16 @@ def read_record(
 ) -> dict[int, ArrivalTimes]:
     """Read the arrivals of one or more blades.
 
-    The file has a row for each revolution.
-    Headings identify the columns, in any order, with units in brackets. Other columns are ignored,
-    and so are lines that begin with #. The radius may be in mm, too. Commas, semicolons or tabs
-    separate the cells.
+    The file has a row for each revolution. Headings identify the columns, in any order, with units
+    in brackets. Other columns are ignored, and so are lines that begin with #. The radius may be in
+    mm, too. Commas, semicolons or tabs separate the cells.
 
     ``revolution``
         Number of the revolution; rows may be missing. Without this column rows are counted.
     ``speed [rpm]`` (or rad/s, Hz; "shaft speed" too)
         Mean speed of the revolution; or ``mark [s]``, the time of the shaft's mark at its
         beginning.
-    ``blade 2 probe 1 [rad]`` (or deg; "AoA" does no harm)
+    ``blade 2 probe 1 [rad]`` (or deg; further words such as "AoA" are allowed)
         Rotor angle from the mark to the arrival; or ``[s]``, the time of arrival (with ``mark
         [s]``). Empty or nan for a missed passage; without "blade 2" the file has one blade.
     ``tip_radius [m]``
@@ -631,8 +633,8 @@ def read_record(
         Distance between the blade tips and the axis.
     probes : (n_probes,) [rad], or a mapping
         Angles from the blade tip at a mark to the probes; a mapping has the angles for each blade
-        number. Default: medians of the arrivals, so that displacements are relative to a middle
-        position.
+        number. Default: the median arrival angle at each probe; displacements are then relative to
+        the median position of the tip.
 
     Returns
     -------
@@ -826,7 +828,7 @@ def _read_mark_times(
                 f"{path}: {heading}", np.diff(marks), int(revolution_numbers[0])
             )
             marks = smooth_series(marks)
-            # The end of the last revolution, as the speed changes.
+            # End of the last revolution: the duration changes as between the previous two.
             last_two_durations = np.diff(marks)[-2:]
             return np.append(
                 marks, marks[-1] + 2.0 * last_two_durations[-1] - last_two_durations[0]
@@ -903,7 +905,7 @@ def _build_arrivals(
     first_revolution : int
         First revolution's number.
     """
-    for column in angles.T:  # a blade at the mark is seen before it and after it
+    for column in angles.T:  # near the mark, angles jump between 0 and 2 pi
         column -= RAD_PER_TURN * np.round((column - column[np.isfinite(column)][0]) / RAD_PER_TURN)
     median_angles = np.nanmedian(angles, axis=0)
     probe_angles = (
@@ -918,7 +920,7 @@ def _build_arrivals(
     for probe_index, revolution_lag in enumerate(
         np.round((median_angles - probe_angles) / RAD_PER_TURN).astype(int)
     ):
-        # From before its mark, or from after the next one: of another revolution than its row's.
+        # An arrival before the row's mark, or after the next mark, moves to its own revolution.
         kept_row_indices = row_indices[
             (row_indices >= revolution_lag) & (row_indices - revolution_lag < len(row_indices))
         ]

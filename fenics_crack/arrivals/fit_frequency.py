@@ -135,10 +135,10 @@ def find_lines_and_residuals(
     max_order: float,
     max_lines: int = 3,
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
-    """Find significant vibrations with constant frequency, beside constants.
+    """Find significant vibrations with constant frequency, independent of the speed.
 
-    A constant for each probe, or for each probe and revolution in a period of some revolutions,
-    absorbs vibrations at engine orders.
+    Constants are fitted together with each vibration. They absorb vibrations at engine orders,
+    if each probe has a constant for each revolution in the common period of these orders.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ class _FrequencySearch:
     n_harmonics : int
         Number K.
     constants_deviation : float [rad]
-        Standard deviation of the constants, as angles; inf for free constants.
+        Standard deviation of the constants over the tip radius; inf for free constants.
     omega_bounds : (float, float) [rad/s]
         Range of the frequency.
 
@@ -342,7 +342,7 @@ class _FrequencySearch:
         )
         find_least_squares_residuals(
             evaluate, min_unit_steps, max_unit_steps, WEIGHTING_TOLERANCE**2
-        )  # peaks are compared by their sums
+        )  # a small tolerance, since peaks are compared by their sums of squares
         return best_omega, fit
 
     def find_best_fit_and_noise_probability(self) -> tuple[TipFit, float]:
@@ -367,7 +367,7 @@ class _FrequencySearch:
             for omega, (_, residuals, columns) in refined_omegas_and_fits
         ]
         separate_omegas: list[float] = []
-        for _, _, omega in sorted(refined_peaks):  # nearer to a higher one they are its side lobes
+        for _, _, omega in sorted(refined_peaks):  # best first; leave out side lobes of a peak
             if all(
                 abs(omega - separate_omega) >= 2.0 * RAD_PER_TURN / self._duration
                 for separate_omega in separate_omegas
@@ -379,7 +379,8 @@ class _FrequencySearch:
             np.sort([self.omega, *separate_omegas[1:]])
         )
         self._fit_with_reweighting()
-        # Errors of a mark are common to all arrivals of a revolution, which are worth less.
+        # The error of a mark is common to all arrivals in a revolution: the likelihood alone would
+        # overestimate the significance.
         covariance = self.noise.coefficient_covariance(self.columns, self._places)[:-1, :-1]
         wald_statistic = float(
             self.coefficients @ np.linalg.lstsq(covariance, self.coefficients, rcond=1e-10)[0]
@@ -402,8 +403,8 @@ class _FrequencySearch:
     def _constants_absorb_vibration(self, columns: np.ndarray) -> bool:
         """Return True if constants absorb half of a vibration or more.
 
-        Half of the sum of squares is meant, for the phase with the largest part. ``columns`` (n,
-        2K+1) come from :meth:`_fit_harmonics`.
+        At the least favourable phase, the fitted constants reduce the vibration's sum of squares to
+        less than half. ``columns`` (n, 2K+1) come from :meth:`_fit_harmonics`.
         """
         reduced_waves = columns[:, :-1]
         return bool(np.linalg.eigvalsh(reduced_waves.T @ reduced_waves)[0] < 0.25 * len(columns))
@@ -415,7 +416,7 @@ class _FrequencySearch:
         noise.
         """
         min_omega, max_omega = self._omega_bounds
-        omega_step = RAD_PER_TURN / (4.0 * self._duration)  # of the resolution a quarter
+        omega_step = RAD_PER_TURN / (4.0 * self._duration)  # a quarter of the resolution
         first_step = int(np.ceil(min_omega / omega_step))
         end_step = int(np.floor(max_omega / omega_step)) + 1
         if not 0 < end_step - first_step < MAX_SCANNED_FREQUENCIES:
@@ -426,7 +427,7 @@ class _FrequencySearch:
             raise InputError("high - low", max_omega - min_omega, requirement_text)
         noise_psi = self._null_noise.psi
         power = np.zeros(end_step - first_step)
-        block_size = 10**6  # at once, for the memory
+        block_size = 10**6  # frequencies at once, to limit the memory
         for multiple, block_start in itertools.product(
             self._multiples, range(0, len(power), block_size)
         ):
@@ -490,7 +491,7 @@ class _FrequencySearch:
             allowed_difference,
             ~is_hidden,
         )
-        # Arrivals that are not where they were expected distinguish aliases, but not reliably.
+        # Displaced arrivals distinguish aliases, but not reliably: compare at expected arrivals.
         expected_wave = (
             fourier_basis(omegas[best_index] * self._expected_times, self._multiples)[:, 1:]
             @ coefficient_rows[best_index]
@@ -559,7 +560,7 @@ def _compute_spectrum(
     reach_in_cells = 8  # neighbours on each side, for eleven digits
     n_modes = 2 * (n_frequencies // 2 + 1)
     middle_mode, n_cells = n_modes // 2, 2 * n_modes
-    # Of Greengard and Lee, twice as fine a grid.
+    # Width by Greengard and Lee for a grid twice as fine as the spectrum.
     gaussian_width = np.pi * reach_in_cells / (n_modes**2 * 3.0)
     shifted_terms = values * np.exp(-1j * (first_frequency_number + middle_mode) * phases)
     nearest_cells = np.floor(phases * n_cells / RAD_PER_TURN).astype(int)

@@ -71,9 +71,10 @@ def fit_order(
     First, each probe's mean over the revolutions is fitted, together with vibrations at no engine
     order (``asynchronous`` in the result). Errors follow Student's t, so that single wrong arrivals
     have hardly any weight. Each candidate is then fitted to the means. Candidates fit equally well
-    if their sum of squares is less than 9 variances above the minimum. The result is the least sum
-    among vibrations at most 20 % larger than the smallest; further candidates are ``ambiguous``.
-    Candidates that these probes cannot measure are ``hidden``.
+    if their sum of squares is less than 9 variances above the minimum. Vibrations more than 20 %
+    larger than the smallest one are then excluded, and the least sum of squares wins. Further
+    equally good candidates are ``ambiguous``. Candidates that these probes cannot measure are
+    ``hidden``.
 
     The variance of a mean combines the residuals and the probe's angle. If the means differ from
     the fit by more (F test), the variance follows from these differences. Significant omitted
@@ -114,7 +115,7 @@ def fit_order(
     max_order = float(candidate_orders.max())
     means = ProbeMeans(arrivals, period_in_revolutions, max_order, angle_deviation)
     fit = _fit_best_order(arrivals, means, candidate_orders, multiples)
-    if means.lines and not fit.does_not_fit:  # again at the angles to which lines move the tip
+    if means.lines and not fit.does_not_fit:  # repeat: lines displace the tip to other angles
         line_displacement_changes = means.compute_displacement_changes_by_lines(arrivals, fit)
         means = ProbeMeans(
             arrivals, period_in_revolutions, max_order, angle_deviation, line_displacement_changes
@@ -158,7 +159,7 @@ def _fit_best_order(
         CONFIDENCE_LEVELS.allowed_cost_difference * variance_ratio,
     )
     best_fit = fit_by_index[best_index]
-    # Arrivals that are not at the probes' angles distinguish aliases, but not reliably.
+    # Displaced arrivals distinguish aliases, but not reliably: compare at the probes' angles.
     best_wave = (
         fourier_basis(orders[best_index] * means.nominal_angles, multiples) @ best_fit.coefficients
     )
@@ -170,7 +171,7 @@ def _fit_best_order(
     )
     covariance_factor = finite_ratio = variance_ratio if np.isfinite(variance_ratio) else np.nan
     if means.freedom_within_groups > 0 and len(means.displacements) > n_unknowns + 1:
-        # Nor do harmonics that are left out make another order less likely.
+        # An order is not excluded if omitted harmonics explain the difference.
         for order_index, fit in fit_by_index.items():
             costs[order_index], fit_by_index[order_index] = means.find_cost_and_fit_with_omitted(
                 fit
@@ -264,8 +265,9 @@ class OrderFit:
     sum_of_squares : float
         Sum of squared residuals, in variances.
     residual_per_error : (g,)
-        Residual over error of a value, 1 + u' / R, with tip radius R and u' = du / d alpha: a late
-        blade tip moves meanwhile.
+        Residual of a displacement over the error: 1 + u' / R, with tip radius R and
+        u' = du / d alpha. A late arrival also belongs to a larger rotor angle, with another fitted
+        displacement.
     """
 
     order: float
@@ -286,9 +288,10 @@ class Sample:
     displacements : (g,) [m]
         Displacements.
     covariance : (g, g) [m^2]
-        Covariance of the values; with an unknown scale if ``freedom_within_groups`` is 0.
+        Covariance of the errors of the displacements, estimated before the fit.
     freedom_within_groups : int
-        Degrees of freedom of this covariance, from arrivals within groups.
+        Degrees of freedom of this estimate, for instance arrivals less means. 0 without an
+        estimate: the covariance then has an unknown factor.
     tip_radius : float [m]
         Blade tip radius.
 
@@ -312,7 +315,7 @@ class Sample:
         self._radius = tip_radius
         self.angles = nominal_angles - displacements / tip_radius
         self.covariance = covariance
-        # At two places of a wave the error of a probe's angle is the same.
+        # The error of a probe's angle is common to all means of the probe: nearly singular.
         self._cholesky_factor = np.linalg.cholesky(
             covariance + DEPENDENT_EIGENVALUE_RATIO * np.diag(np.diag(covariance))
         )
@@ -328,7 +331,8 @@ class Sample:
         if np.isinf(condition_number(nominal_columns)) or np.isinf(condition_number(wave_columns)):
             return None
         residual_per_error = np.ones(len(wave_columns))
-        # An arrival that is late by e leaves R W e (1 + u' / R): it is elsewhere, too.
+        # An arrival late by e [s] has a residual of the size R W e (1 + u' / R): the fit is
+        # evaluated at a rotor angle larger by W e.
         for _ in range(2):
             fitted_residual_per_error = residual_per_error
             (whitened_columns, whitened_displacements) = self._whiten_columns_and_values(
@@ -466,7 +470,7 @@ class Sample:
         ----------
         fit : OrderFit
             Fit without them.
-        omitted_size_rows : (n, N_FOLDED_HARMONICS) [m]
+        omitted_size_rows : (n, N_OMITTED_HARMONICS_TO_FOLD) [m]
             Standard deviations of the omitted harmonics, whose expected value is 0, in n trials.
 
         Returns
@@ -573,8 +577,7 @@ class ProbeMeans(Sample):
     Attributes
     ----------
     scatter : float [m]
-        Standard deviation of a displacement from the mean; 1 if no probe has two arrivals at a
-        mean.
+        Standard deviation of a displacement from its mean; 1 if every mean has a single arrival.
     displacements, angles : (g,) [m, rad]
         Means, and rotor angles at the displaced blade tip.
     covariance : (g, g) [m^2]

@@ -321,10 +321,11 @@ def compute_amplitudes_and_errors(
     """Return the amplitudes of harmonics, and their standard errors.
 
     ``coefficients`` (..., 2K+1) are a0, a1, b1, ..., with ``covariance`` (..., 2K+1, 2K+1); both
-    results are (..., K). A tangential error e of a pair (a_k, b_k), normal to the pair, lengthens
-    the amplitude A by e^2 / (2 A). The mean square is 3/4 (E e^2 / A)^2, with the expected value E.
-    If A is below the standard deviation of e, the deviation replaces A: probes may measure only one
-    part of a harmonic. If A is 0, the cosine direction is the radial one.
+    results are (..., K). The amplitude A is the length of the vector (a_k, b_k). An error along the
+    vector changes A directly. An error e normal to the vector lengthens A by e^2 / (2 A), with the
+    mean square 3/4 (E e^2 / A)^2 and the expected value E. Both mean squares are added. If A is
+    below the standard deviation of e, the deviation replaces A: probes may measure only the cosine
+    or the sine. If A is 0, the vector counts as a cosine.
     """
     cosine_sine_pairs = np.stack([coefficients[..., 1::2], coefficients[..., 2::2]])
     amplitudes = np.hypot(*cosine_sine_pairs)

@@ -57,7 +57,8 @@ def fit_passage(
     stiffening : float or function
         s = d ln w_n / d ln W from -0.9 to 0.9: the slope in a Campbell diagram over w_n / W. Or a
         function s(W, w_n) of speed and natural frequency [rad/s], as :meth:`Campbell.stiffening`.
-        With a constant frequency, s = 0, dampings are 1 / (1 - s) times the true ones.
+        If 0 is given for a blade with the stiffening s, the fitted damping is 1 / (1 - s) times
+        the true damping.
 
     Returns
     -------
@@ -151,8 +152,8 @@ def find_passages(
     displacements = arrivals.displacement
     search = _ResonanceSearch(record, displacements, candidate_orders)
     line_fits: tuple[TipFit, ...] = ()
-    # A line looks like a resonance everywhere, and a resonance like a line: beside the clearest of
-    # them lines are found, then the others, and lines beside all of them.
+    # A vibration of constant frequency (line) and a resonance may look alike. Therefore find in
+    # turn: the clearest resonance, lines, the other resonances, and the lines again.
     search.add_resonances_up_to(1 if asynchronous else most)
     if search.resonances and len(
         blind_probe_indices := search.resonances[0].best_fit.blind_probe_indices
@@ -240,7 +241,7 @@ class _ResonanceSearch:
         self._centre_speeds = lowest_speed * np.exp(
             RELATIVE_SPEED_SPACING * (0.5 + np.arange(n_centres))
         )
-        # Of :func:`_compute_gain_and_squares_reduction`; nan: not known yet.
+        # Results of :func:`_compute_gain_and_squares_reduction`; nan: not computed yet.
         self._gains_and_reductions = np.full((n_centres, 2), np.nan)
 
     def subtract_resonances(self, kept_resonances: Sequence[Resonance] = ()) -> np.ndarray:
@@ -303,7 +304,7 @@ class _ResonanceSearch:
                 (np.abs(centre_speeds / clearest_speed - 1.0) < 2.0 * RELATIVE_SPEED_HALF_WIDTH)
                 & (gains_and_reductions[:, 1] > 0.0)
             ] = np.nan
-        for resonance in [*self.resonances]:  # of all orders, beside the others
+        for resonance in [*self.resonances]:  # compare all orders, with all resonances known
             if (
                 resonance not in self.resonances
                 or resonance.compared_neighbours == resonance.list_neighbours(self.resonances)

@@ -77,9 +77,10 @@ class PassageFit(Tabular):
     orders : (n,)
         Candidates.
     margins : (n,)
-        Difference in -2 log likelihood from the best order. With a neighbouring resonance in the
-        fitted speeds, each order is combined with the neighbour's best order. The order of a
-        resonance within this one's width, or the reverse, has 0, too: only one may be real.
+        Difference in -2 log likelihood from the best order, for each candidate. With a neighbouring
+        resonance in the fitted speeds, each order is combined with the neighbour's best order. If
+        another resonance lies within the width of this resonance, or the reverse, both may be the
+        same vibration. The order of the other resonance then has the margin 0, too.
     probes : int
         Number of probes with arrivals.
     scatter : float [m]
@@ -137,8 +138,8 @@ class PassageFit(Tabular):
     def untested(self) -> bool:
         """True with several candidate orders and fewer than three probes.
 
-        Some order of a mode always comes near to two probes. The stated frequency then holds only
-        if the order is right.
+        Two probes give a single phase difference, and one of several orders nearly always fits.
+        The stated frequency then holds only if the order is right.
         """
         return self.probes < 3 and len(self.orders) > 1
 
@@ -329,8 +330,8 @@ class Resonance:
         self._runs = runs
         weights_of_runs = [run.has_arrival.astype(float) for run in runs]
         fit_by_mode: dict[Mode, Fit] = {}
-        # First without weights, where single wrong arrivals may hide the order; then with those of
-        # the best fit, until it is the one that they make the best.
+        # The first round has no weights, and single wrong arrivals may hide the order. Further
+        # rounds have the weights of the best fit, until the same order is best again.
         for is_last_round in (False, False, True):
             gain_mode_pairs = _list_best_gains_and_modes(
                 zip(runs, weights_of_runs, strict=True), orders, speed, INITIAL_DAMPING_RATIO
@@ -352,10 +353,11 @@ class Resonance:
 
     @property
     def is_clear(self) -> bool:
-        """True if the resonance is passed, significant, and neither a line nor drift.
+        """True if the resonance is passed and significant, and has a plausible damping.
 
-        A run has speeds on both sides. The likelihood gain is above 60. The damping ratio is above
-        three standard errors (a line has none), and below 0.00875 (drift has more).
+        Passed: a run has speeds on both sides. Significant: -2 log likelihood falls by more than
+        60. The damping ratio is above three standard errors, else a vibration of constant frequency
+        (a line) may explain the peak. The ratio is below 0.00875, else slow drift may explain it.
         """
         fit = self.best_fit
         is_passed = any(
@@ -382,8 +384,8 @@ class Resonance:
     ) -> bool:
         """Return True if another resonance is near in speed.
 
-        ``width`` is the maximum difference in speed relative to this resonance, by default 7 %,
-        twice the half width of fitted speeds.
+        ``allowed_relative_distance`` is the maximum difference in speed, relative to the speed of
+        this resonance. The default is 7 %, twice the half width of fitted speeds.
         """
         return (
             other_resonance is not self
@@ -552,7 +554,7 @@ class Resonance:
             if len(runs) > 1
             else [best_fit]
         )
-        # Orders that resonate within the width of each other are claims on the same vibration.
+        # Resonances within the width of each other may be the same vibration with other orders.
         rival_resonances = [
             other_resonance
             for other_resonance in resonances

@@ -72,6 +72,7 @@ class ConfidenceLevels:
 
 
 CONFIDENCE_LEVELS = ConfidenceLevels()
+"""Levels of significance in all fits to arrivals."""
 
 RevolutionsAndProbes = tuple[np.ndarray, np.ndarray]
 """Indices of revolutions and probes for n arrivals: two arrays (n,)."""
@@ -113,7 +114,8 @@ class StudentNoise:
     ) -> None:
         self.residuals, self.n_unknowns = residuals, n_unknowns
         squared_residuals, n_spare = residuals**2, max(len(residuals) - n_unknowns, 1)
-        # As many arrivals as unknowns may be met exactly: few to spare have no tails.
+        # A fit may pass exactly through as many arrivals as unknowns. With few more arrivals, the
+        # tails cannot be estimated: assume normal errors.
         trial_freedoms = (
             TRIAL_STUDENT_FREEDOMS if n_spare > n_unknowns else TRIAL_STUDENT_FREEDOMS[-1:]
         )
@@ -150,7 +152,7 @@ class StudentNoise:
         trial_costs = len(residuals) * trial_log_norms + (trial_freedoms + 1.0) * np.log1p(
             squared_ratios / freedom_column
         ).sum(axis=1)
-        # Tails are one unknown more, by which the likelihood has to gain (Akaike's criterion).
+        # Tails are one further unknown: -2 log L must fall by more than 2 (Akaike's criterion).
         best_freedom_index = int(
             np.argmin(trial_costs + 2.0 * (trial_freedoms < TRIAL_STUDENT_FREEDOMS[-1]))
         )
@@ -254,7 +256,7 @@ class StudentNoise:
             score_covariance += (1.0 - lag / len(covariance_pairs)) * (
                 lag_term if lag == 0 else lag_term + lag_term.T
             )
-        # Correlation leaves a tenth or more of the variance by white errors.
+        # Estimated correlations must not reduce a variance below a tenth of that by white errors.
         eigenvalues, eigenvectors = np.linalg.eigh(gram_matrix)
         coefficient_basis = (
             eigenvectors

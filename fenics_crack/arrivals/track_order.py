@@ -253,8 +253,8 @@ def _fit_samples_by_group(
     Returns
     -------
     dict of int to (Sample, OrderFit)
-        Displacements and fit by group index, without groups of which the probes cannot measure the
-        order.
+        Displacements and fit by group index; groups without a fit are left out
+        (:meth:`Sample.fit_order_or_none`).
     """
     probe_indices = np.arange(has_arrival.shape[1]) % len(arrivals.probes)
     shares_probe_matrix = probe_indices[:, None] == probe_indices

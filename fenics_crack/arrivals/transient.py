@@ -153,10 +153,11 @@ class Run:
     def _yield_growths(
         self, order: float, poles: np.ndarray
     ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-        """Yield exp(i p alpha - lambda t) at arrivals without vibration, in parts.
+        """Yield the growth exp(i p alpha - lambda t) at the expected arrivals, in parts.
 
-        In a part the growth stays below about e^300. With stiffening, alpha and t are multiplied by
-        1 - s at the speed where ``order`` p excites the mean frequency of ``poles``.
+        A blade without vibration arrives at the expected times. In a part the growth stays below
+        about e^300. With stiffening, alpha and t are multiplied by 1 - s, with s at the
+        speed at which ``order`` p excites the mean frequency of ``poles``.
 
         Parameters
         ----------
@@ -301,7 +302,7 @@ class Record:
                 and relative_offsets[run_rows].min() < 0.0 < relative_offsets[run_rows].max()
             ):
                 run = Run(self, displacements, int(run_rows[0]), int(run_rows[-1]) + 1)
-                # A probe that has dropped out leaves the others.
+                # Leave out probes that measured too few revolutions of the run.
                 run.has_arrival &= run.has_arrival.sum(axis=0) >= MIN_REQUIRED_REVOLUTIONS
                 runs += [run] * bool(np.any(run.has_arrival))
         return runs
@@ -485,7 +486,7 @@ class Fit:
                 np.concatenate([run.displacements[None], weighted_waves]), run_weights
             )
             weighted_displacements, *weighted_waves = displacements_and_waves[:, run.has_arrival]
-            # Mode, wave and slope, parts.
+            # Axes: mode; wave or slope; real or negative imaginary part; arrival.
             wave_parts = np.stack([np.real(weighted_waves), -np.imag(weighted_waves)], axis=1)
             wave_parts = wave_parts.reshape(-1, 2, 2, len(weighted_displacements))
             wave_columns = wave_parts[:, 0].reshape(-1, len(weighted_displacements))
@@ -596,7 +597,7 @@ class Fit:
 
         :meth:`StudentNoise.compute_whiteness_p_value` computes it; nan without a test.
         """
-        mark_numbers = np.arange(-4.0, 6.0)  # those beyond hardly change the spline of the angle
+        mark_numbers = np.arange(-4.0, 6.0)  # farther marks hardly change the angle's spline
         mark_shares = interpolate_by_splines(
             mark_numbers,
             np.eye(len(mark_numbers)),
@@ -633,7 +634,8 @@ class Fit:
             ..., 0
         ]
         size_ratios[has_motion] = np.hypot(*probe_amplitudes.T) / np.median(probe_amplitudes[:, 0])
-        # Of 200 records with another mode within the width and 4 to 8 probes one had such a probe.
+        # Measured: of 200 records with 4 to 8 probes, and a second mode within the width, one had
+        # a probe that fulfils these conditions.
         has_small_ratio, ratio_offsets = size_ratios < 0.5, np.abs(size_ratios - 1.0)
         if (
             not 0

@@ -156,7 +156,7 @@ def yield_large_error_warning(
     error_limit : float
         Maximum relative error, by default 5 %.
     """
-    if not report.total > error_limit:  # or not requested
+    if not report.total > error_limit:  # also for nan: errors were not requested
         return
     balance_table = scene.harmonic_balance
     if balance_table.tolerance is None:
@@ -210,7 +210,7 @@ def yield_instability_warning(
         hints_text = f"; {hint_texts[0]} may find a periodic orbit" if hint_texts else ""
         yield f"{stability.reason}{motion_text}{hints_text}"
     elif stability.verdict == "undecided":
-        damping_table = scene.damping  # None: a matrix, which damps all modes or not
+        damping_table = scene.damping  # None: a damping matrix; the damped modes are unknown
         if damping_table and not (
             damping_table.damps_all_modes
             or damped_count_and_max_omega_or_none(run.structure) is None
@@ -374,8 +374,8 @@ def make_report(
     """Build a run's report, with notes common to all kinds of runs (collective).
 
     Common notes describe friction along lines, watched nodes away from the output points, and
-    quantities with an incomplete error. In a table of quantities, the closing sentence becomes the
-    last row.
+    quantities with a stated error that lacks a cause. In a table of quantities, the closing
+    sentence becomes the last row.
 
     Parameters
     ----------
@@ -411,7 +411,10 @@ def make_report(
 
 
 def _yield_node_distance_note(run: Run[Any]) -> Iterator[str]:
-    """Yield a note how far watched nodes are from the output points; none if all are nodes."""
+    """Yield a note on the distances between output points and watched nodes.
+
+    Output points are watched at the nearest nodes. No note is given if all points are nodes.
+    """
     distance_by_point = {
         watched_displacement.name.partition(".")[0]: watched_displacement.distance
         for watched_displacement in run.watched
@@ -491,10 +494,11 @@ def yield_natural_frequencies(
 
 
 def select_printed_quantities(table: Table, scene: Scene, place_flag: ObservableFlag) -> Table:
-    """Select the part of a result's table to print: quantities requested by the scene.
+    """Select the quantities of a result's table to print.
 
-    Without ``output.quantities``, select the quantities with ``place_flag``. Frequencies and speeds
-    keep the scene's unit only.
+    Print the quantities in ``output.quantities`` of the scene. Without this key, print the
+    quantities shown by default in tables of the kind ``place_flag``
+    (:class:`ObservableFlag`). Frequencies and speeds keep the scene's unit only.
 
     If the first column is "name", each row is a quantity. Rows on the computation, such as
     harmonics, follow :data:`DESCRIPTION_UNIT_AND_LEVEL_BY_NAME`; rows with nan are left out, and so

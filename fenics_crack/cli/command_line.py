@@ -94,8 +94,8 @@ def main(command_words: Sequence[str] | None = None) -> int:
     ``command_words`` replace the words of the command line, without the program's name. Errors are
     printed, not raised; only --help and words refused by the parser raise SystemExit.
     """
-    gc.set_threshold(10_000)  # more than 100,000 objects stay, to be searched again and again
-    atexit.register(gc.freeze)  # the system takes back what is left, garbage or not
+    gc.set_threshold(10_000)  # each search visits over 100,000 lasting objects: search less often
+    atexit.register(gc.freeze)  # no search at exit: the system frees all memory
     if any(os.environ.get(variable_name, "0") != "0" for variable_name in machine.RANK_VARIABLES):
         _discard_output_of_this_rank()
     if sys.stdout is None:

@@ -389,7 +389,7 @@ def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Cons
             identification.save(folder)
             measurement_plan.to_csv(folder / "where_to_measure.csv")
             identification.fit_table().save(folder / "fit.csv")
-            for picture_format in {"png", console.picture_format}:  # a report takes the first
+            for picture_format in {"png", console.picture_format}:  # the report page shows the png
                 draw_posterior(identification, path=folder / f"posterior.{picture_format}")
 
     fit_table_text = identification.fit_table().format_as("csv")

@@ -146,7 +146,7 @@ def _yield_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
     curve, scene = run.result, run.scene
     if (
         curve.status == INTERRUPTED_CURVE_STATUS
-    ):  # nothing more is assessed; exact orbits have their verdicts
+    ):  # errors were not computed; exact orbits have multipliers all the same
         end_text = "" if curve.complete else "ended early: the computation "
         skipped_text = "errors and stability" if curve.multipliers is None else "errors"
         yield (

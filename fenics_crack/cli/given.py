@@ -4,8 +4,9 @@ Inputs are a scene with changes, measurements and arrivals, all read from text. 
 folder and a console. This module loads NumPy alone, in a tenth of the time of the libraries that
 compute.
 
-In the template of a plate, some lines end in a mark, ``(--blade)``. With the option, such a line is
-commented out, or commented in: a blade on a rotor, probes in its casing, or an unknown crack.
+In the template of a plate, lines for the options of ``new`` end in a mark, as ``(--blade)``. With
+the option ``--blade``, a marked comment becomes a line of the scene, and a marked line becomes a
+comment. The options make a blade on a rotor, add probes in the casing, or make the crack unknown.
 """
 
 from __future__ import annotations

@@ -56,9 +56,9 @@ class _PartSurface:
     def find_end_face_index(self, axis: int, *, at_top: bool) -> int:
         """Find the largest face at an end of the part along an axis.
 
-        ``at_top`` selects faces with the highest point along coordinate ``axis``, 0 to 2, otherwise
-        the lowest, within 0.1 % of the part's length. Returns the face's index in
-        ``face_numbers_largest_first``.
+        ``at_top`` selects the faces with the highest middles (``face_points``) along coordinate
+        ``axis``, 0 to 2, otherwise the lowest, within 0.1 % of the part's length. Returns the index
+        in ``face_numbers_largest_first`` for the largest selected face.
         """
         point_heights = self.face_points[:, axis]
         height_tolerance = 1e-3 * float(np.ptp(self.triangles[..., axis]))

@@ -319,7 +319,7 @@ def _compute_linear_responses(run: Run[ResponseCurve]) -> dict[str, tuple[np.nda
         case_label: _compute_linear_response(curve.omega, *response_arguments)
         for case_label, response_arguments in arguments_by_label.items()
     }
-    min_amplitude = NEGLIGIBLE * np.max(curve.amplitude(run.watched_dof))  # less is no vibration
+    min_amplitude = NEGLIGIBLE * np.max(curve.amplitude(run.watched_dof))  # rounding below
     return {
         case_label: (omega_values, amplitudes)
         for case_label, (omega_values, amplitudes) in responses_by_label.items()

@@ -277,7 +277,7 @@ def _write_page(
     )
     scene_results = [
         result for _, result in files_and_results if result.scene is not None
-    ]  # or a record
+    ]  # tip timing of a measured record has no scene
     scene_difference_texts = iter(
         describe_differences(
             [result.scene.replace({"reduction": None}) for result in scene_results]
@@ -332,7 +332,7 @@ def _build_result_fields(
         draw_result(result, picture_files)
     except WriteError:
         raise
-    except InputError as error:  # a sweep over words
+    except InputError as error:  # for instance, a sweep over text values
         picture_files.notes.append(f"no picture: {error}")
     file_time = datetime.fromtimestamp(stored_file.path.stat().st_mtime, UTC).astimezone()
     box_class = (

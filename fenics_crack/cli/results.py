@@ -234,7 +234,8 @@ def _tabulate_quantities(
 
     Rows are the load frequency ``omega`` [rad/s], indicators of watched dofs and crack faces, and
     quantities of the computation. A vibration with contact pairs also has natural frequencies near
-    the load's. Without contact pairs, errors and shares are left out.
+    the load's. Without contact pairs no errors are known: quantities with names "..._error" or
+    "..._share" are left out.
 
     Parameters
     ----------

@@ -60,7 +60,7 @@ def compute_and_print_key_figures(_: Namespace, inputs: CommandInputs, console: 
     scene = inputs.scene
     with console.report_stage("mesh and matrices"):
         study = prepare(scene, console.comm, whole=True)
-        if list_requested_extra_quantities(scene):  # which may be refused
+        if list_requested_extra_quantities(scene):  # raises errors for impossible quantities
             from fenics_crack.study.observer import make_requested_rows_and_readers  # the solver
 
             make_requested_rows_and_readers(study)
@@ -407,7 +407,7 @@ def _describe_undamped_after_reduction(
         scene_reduction is not None
         and scene_reduction.method == "massless"
         and damping_ratio is not None
-        and np.ravel(damping_ratio)[-1] > 0.0  # that of all further modes that are kept
+        and np.ravel(damping_ratio)[-1] > 0.0  # the last ratio damps all further modes
     ):
         return ""
     return describe_undamped_harmonics(structure, highest_omega)

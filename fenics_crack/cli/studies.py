@@ -159,9 +159,9 @@ def list_skipped_peak_remarks(sweep_result: SweepResult) -> list[str]:
     """Remark that the sweep steps over a resonance peak narrower than a step.
 
     At a peak in frequency or speed, the phase falls by a quarter turn between the half-power
-    points. A larger fall from a case to the next is a skipped peak. The phase rises instead if
-    speeds pass a load of constant frequency. Several skipped peaks share a remark; without any, the
-    list is empty.
+    points. A larger fall from a case to the next is a skipped peak. If the load has a constant
+    frequency and the speed is swept, natural frequencies rise past the load, and the phase rises
+    instead. Several skipped peaks share a remark; without any, the list is empty.
     """
     axis_indices = [
         axis_index
@@ -177,7 +177,7 @@ def list_skipped_peak_remarks(sweep_result: SweepResult) -> list[str]:
     if swept_axis.key in ROTOR_SPEED_KEYS and sweep_result.scene.excitation.order is None:
         complex_responses = (
             complex_responses.conj()
-        )  # the resonance rises past the load's frequency
+        )  # the natural frequency rises past the load's constant frequency
     is_skipped = (
         np.angle(complex_responses[..., 1:] * np.conj(complex_responses[..., :-1])) < -0.5 * np.pi
     )

@@ -539,7 +539,7 @@ def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
     n_modes_below_family = round(
         n_sectors * float(wheel.sector.load_shares_of_diameters @ is_below_family.sum(axis=1))
     )
-    # The range has all N modes of the excited family, and as many around them.
+    # The range has all N modes of the excited family, and N neighbouring modes.
     mode_range = slice(
         max(n_modes_below_family - n_sectors, 0),
         max(n_modes_below_family - n_sectors, 0) + 2 * n_sectors,

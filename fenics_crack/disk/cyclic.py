@@ -59,17 +59,20 @@ def excited_diameter(engine_order: int, n_sectors: int) -> int:
 
 
 class SectorNumbering:
-    """Numbering of a sector's dofs or nodes; members with equal motion share a number.
+    """Numbering of a sector's dofs or nodes; members with equal motions share a number.
+
+    The n members of the sector are either all dofs or all nodes. The right side moves as the left
+    side of the next sector, the upper crack face as the lower face (bonded crack).
 
     Attributes
     ----------
     own_members : (n_own,) int
         Members outside the right side and the upper crack face.
     member_positions : (n,) int
-        Position in ``own_members`` for the member with the same motion. For members on the right
-        side, this is a member in the next sector.
+        For each member, the position in ``own_members`` of the member with the same motion. For
+        members on the right side, the member with the same motion is in the next sector.
     belongs_to_next_sector : (n,) bool
-        True for members on the right side, a part of the next sector.
+        True for members on the right side.
     upper_face_members : (n_upper,) int
         Members on the upper crack face.
     """
@@ -113,8 +116,7 @@ class SectorNumbering:
         (N, n) int
             Number in the wheel for each sector's members; equal numbers move together.
         (n_wheel,) int
-            For each number in the wheel, the owner: a position among the N n members of all
-            sectors.
+            For each number in the wheel, the owner: sector times n plus the member in this sector.
         """
         all_members = np.arange(n_sectors * len(self.member_positions)).reshape(n_sectors, -1)
         owner_sectors = (np.arange(n_sectors)[:, None] + self.belongs_to_next_sector) % n_sectors
@@ -150,7 +152,7 @@ class Sector:
     crack_face_nodes : (2, p) int
         Nodes on the lower crack face, and matching nodes on the upper face, without the tip.
     stiffness_at_rest : PETSc.Mat
-        Stiffness multiplied by mistuning [N/m].
+        Stiffness without rotation [N/m]; mistuning delta_j multiplies this matrix by 1 + delta_j.
     bases_by_key : dict
         Bases computed so far, shared by wheels with other mistuning (:meth:`Wheel.basis`).
     """
@@ -526,10 +528,10 @@ class CyclicBasis:
         Lowest modes of each nodal diameter, together with static responses to the load and to
         forces on sides.
     opening_responses : (N, n_dofs, m)
-        Displacements of all sectors by m openings of the crack in sector 0, without
-        ``opening_shapes`` themselves.
+        Static displacements of all sectors if the crack in sector 0 opens by each of m shapes. To
+        sector 0 ``opening_shapes`` must be added.
     opening_shapes : (n_dofs, m)
-        Displacements of the upper crack face relative to the lower face.
+        Displacements of the upper crack face relative to the lower face; 0 outside the upper face.
     cracked_places : tuple of int
         Sectors with a crack, from 0.
     """
@@ -678,11 +680,13 @@ def make_cyclic_basis(
     """Make a basis for a wheel with cracks under an engine order's load (collective).
 
     The ranks share the nodal diameters. For each nodal diameter the basis has modes v, and static
-    responses to the load and to forces on the right side. If mistuning or cracks disturb a mode,
-    (K - w^2 M) v remains as force; a few patterns approximate the forces for all modes.
+    responses to the load and to forces on the right side. In a mode, a sector transmits the force
+    (K - w^2 M) v to the next sector. Mistuning and cracks change the transmitted forces. A few
+    patterns, from the modes of up to three nodal diameters, approximate all changes.
 
-    For each crack the basis has openings: the wheel's responses to contact forces, and to the
-    forces in the bonds of a closed crack, in modes and under the load.
+    For each crack the basis has openings, static motions of the wheel with separating crack faces.
+    Openings are responses to contact forces, and to the bond forces of a closed crack in the modes
+    and under the load.
 
     Parameters
     ----------
@@ -695,7 +699,7 @@ def make_cyclic_basis(
     """
     families = min(families, len(sector.dof_numbering.own_members))
     loads_of_diameters, n_dofs = _make_diameter_loads(sector, engine_order), sector.structure.n_dofs
-    # The modes of a few nodal diameters have the patterns of all.
+    # The modes of these nodal diameters give the side-force patterns for all nodal diameters.
     pattern_diameters = list(dict.fromkeys((0, sector.n_sectors // 4, sector.n_sectors // 2)))
     remaining_diameters = [n for n in sector.nodal_diameter_range if n not in pattern_diameters]
     own_diameters = [*pattern_diameters, *remaining_diameters][comm.rank :: comm.size]
@@ -838,9 +842,10 @@ def _compute_bond_forces(
 ) -> np.ndarray:
     """Return scaled bond forces on the upper face of a closed crack.
 
-    The columns are (K - w^2 M) v / w for the m modes v, and (K x - f) / sqrt(work) for the p loads
-    f with static response x. With an opening's compliance C, a column b gives the relative change
-    b^T C b of w^2, or of the load's work, if the crack opens.
+    A bonded crack is held together by the forces (K - w^2 M) v in a mode v, and K x - f for a load
+    f with static response x. The columns are the bond forces over w for the m modes, and over
+    sqrt(f^H x) for the p loads (f^H x is the load's work). Let C be the compliance of the crack's
+    opening. If the crack opens, a column b changes w^2 or the work by b^T C b, relative.
 
     Returns
     -------

@@ -214,7 +214,7 @@ def draw_nodal_diameters(
     --------
     >>> figure = fc.draw_nodal_diameters(fc.nodal_diameters(disk), path="diameters.png")
     """
-    from matplotlib.ticker import MaxNLocator  # not before draw/, where it reads no settings
+    from matplotlib.ticker import MaxNLocator  # after draw/, which ignores matplotlibrc
 
     [panel] = picture = Picture(**picture_options)
     frequencies = found.omega[:, :families] / RAD_PER_TURN

@@ -47,8 +47,8 @@ def assemble_wheel(scene: Scene, dofs: Dofs, structure: Structure, comm: MPI.Com
                 scene, dofs, structure, zero_diameter_solver.static_response
             )
         static_stiffness, stiffness = rotation_terms.static_shape_and_motion_stiffness(scene.speed)
-        # u_s and its stress are those of bonded cracks, which the load would open. The force is
-        # K(W) u_s, with the full stiffness of the displaced shape.
+        # The static displacement u_s and its stress are computed with bonded cracks. Then the load
+        # is replaced by K(W) u_s, with the full stiffness of the displaced shape, and opens cracks.
         load_rows, centrifugal_load = structure.force.copy(), scene.speed**2 * rotation_terms.force
         stiffened_sector = replace(
             sector, structure=structure._plain_structure_with_changes(stiffness=static_stiffness)

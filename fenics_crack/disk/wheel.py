@@ -74,7 +74,7 @@ class Wheel(Structure):
     """Structure of a whole bladed disk, with all matrix rows on rank 0.
 
     Displacements are in the frame of each blade: "x" is the first blade's x, turned with the blade.
-    Nodes on a side between two sectors belong to the later sector.
+    Nodes on the side between sectors j and j + 1 belong to sector j + 1.
 
     Attributes
     ----------
@@ -91,8 +91,8 @@ class Wheel(Structure):
     numbers : (N, n_sector) int
         The wheel's dof for each sector's dofs.
     places : (n,) int
-        For each dof, a position among all ``numbers``: the owner's sector, and the dof in this
-        sector.
+        For each dof of the wheel, the owner as a position in the flattened ``numbers``: sector
+        times n_sector plus the dof in this sector.
     """
 
     body: WheelBody
@@ -287,7 +287,8 @@ class Wheel(Structure):
         """Return frequencies (m,) [rad/s] and shapes (n_local, m) of the lowest modes (collective).
 
         The number m is ``families`` times N, or less if the basis is smaller. Cracks are bonded or
-        open. The modes are solved in few coordinates and expanded to the wheel; never None.
+        open. The modes are solved in few coordinates and expanded to the wheel. Structures without
+        known modes return None; a wheel never does.
         """
         wheel_structure = self.structure_in_few_coordinates()
         n_modes = wheel_structure.count_lowest_modes(self.families)
@@ -536,7 +537,8 @@ class WheelInFewCoordinates(Structure):
 
         Cracks are bonded or open. The matrices are dense, as a Krylov method would mix the mode
         pairs of equal sectors. After :meth:`with_ranked_modes_and_share`, the open modes are the
-        ranked modes, in ranked order. The result is never None.
+        ranked modes, in ranked order. Structures without known modes return None; a wheel never
+        does.
         """
         if is_bonded:
             return self.compute_once(_solve_bonded_modes)
@@ -594,7 +596,7 @@ class WheelInFewCoordinates(Structure):
     def count_lowest_modes(self, families: int) -> int:
         """Return the number of the lowest modes to keep: ``families`` for each sector, or fewer.
 
-        With bonded cracks the basis has no more modes.
+        Fewer if the basis has fewer modes with bonded cracks: coordinates less contact pairs.
         """
         return min(families * self.n_sectors, self.n_dofs - self.n_pairs)
 
@@ -659,10 +661,10 @@ def count_basis_families(families: int, n_more: int = 0) -> int:
     11 more if ``n_more``, a number of further kept modes selected by the effect on the crack, is
     not 0.
 
-    Measured: the estimated error of a gap is 0.75 times the true error with 2 more in the basis,
-    1.4 times with 4 more. The highest modes in a small basis are not modes of the wheel, but open
-    the crack much. Selected among 4 more, they left stability undecided at 6 of 347 curve points,
-    among 8 more at none.
+    Measured: the estimated error of a gap is 0.75 times the true error with 2 more modes in the
+    basis, 1.4 times with 4 more. The highest modes in a small basis are inaccurate, and open the
+    crack much. If ``n_more`` modes were selected among only 4 additional modes, stability stayed
+    undecided at 6 of 347 curve points; with 8 additional modes at none.
     """
     return families + (11 if n_more else 4)
 
@@ -713,7 +715,7 @@ def reduce_wheel(
     families = wheel.families if families is None else families
     check_count("families", families, 1)
     check_count("more", more, 0)
-    # With more families, static responses are made of modes but for rounding.
+    # With more families, static responses are combinations of the modes, but for rounding.
     max_allowed_families = len(wheel.sector.dof_numbering.own_members) // 2
     if families > max_allowed_families:
         raise InputError(

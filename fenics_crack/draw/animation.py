@@ -510,7 +510,7 @@ class _AnimationPage:
         axes.yaxis.label.set(size=11, text=fill(axes.yaxis.label.get_text(), 17))
         axes.yaxis.set_label_coords(-0.085, 0.5)
         axes.tick_params(labelsize=11)
-        # Before label_axis, the bands would count as data of the axis.
+        # Draw the bands after label_axis, which would count them as data of the axis.
         axes.fill_between(
             load_periods,
             0.0,

@@ -268,7 +268,7 @@ def label_axis(axis: Axis, quantity: str, unit: str) -> None:
         axis.set_major_formatter(
             FuncFormatter(lambda value, _: _format_power_of_ten(unit_factor * value))
         )
-    else:  # few decades have labels within them; every small tick takes time
+    else:  # over few decades, minor ticks have labels, too; each tick takes time to draw
         if n_decades > 2.0:
             axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
         axis.set_major_formatter(_ScaledLogFormatter(unit_factor))

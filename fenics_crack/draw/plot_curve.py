@@ -63,9 +63,10 @@ def draw_curve(
     Stable parts are solid, unstable parts dashed, irregular parts dash-dotted and undecided parts
     dotted. Without Floquet multipliers the curve is solid, and the legend says that stability was
     not examined. Parts with an estimated displacement error above 5 % are faint. A ring marks the
-    largest response unless this is an end of the curve; the legend states frequency and amplitude.
-    Marks show bifurcations, counted in the legend; among many at one place only some are marked. A
-    number at each superharmonic peak is the order of the largest harmonic.
+    largest response unless this is an end of the curve; the legend states parameter and amplitude.
+    Over the load frequency, the legend also states the damping by the half-power width. Marks show
+    bifurcations, counted in the legend; among many at one place only some are marked. A number at
+    each superharmonic peak is the order of the largest harmonic.
 
     Parameters
     ----------
@@ -322,7 +323,7 @@ def _label_parameter_axis(axes: Axes, curve: ResponseCurve, in_hertz: bool) -> N
         frequency_label = heading_with_unit(
             f"{frequency_name}, engine order {engine_order:g}", frequency_unit
         )
-        for top_axis in axes.child_axes:  # of an earlier curve
+        for top_axis in axes.child_axes:  # top axes of earlier curves
             top_axis.set_visible(
                 top_axis.get_visible() and top_axis.get_xlabel() == frequency_label
             )
@@ -478,7 +479,7 @@ def draw_multipliers(
             color=COLOURS_BY_NAME["pink"],
             label=label,
         )
-    if n_above := int(np.sum(moduli > 2.0)):  # else all others would be a line
+    if n_above := int(np.sum(moduli > 2.0)):  # a larger scale would flatten all other points
         panel.set_ylim(top=2.0)
         panel.plot([], [], " ", label=f"{n_above} of {len(moduli)} points lie above")
     _label_parameter_axis(panel, curve, in_hertz)

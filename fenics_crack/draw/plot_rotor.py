@@ -295,7 +295,7 @@ def draw_tip_fit(
     >>> figure = fc.draw_tip_fit(fc.fit_order(arrivals), arrivals, path="fit.png")
     """
     time_panel, order_panel = picture = Picture(2, size=(7.0, 7.0), **picture_options)
-    n_load_periods = max(1, round(1.0 / fit.multiples[0]))  # in a response period
+    n_load_periods = max(1, round(1.0 / fit.multiples[0]))  # load periods in a response period
     load_periods = np.linspace(0.0, n_load_periods, 500)
     has_arrived = np.isfinite(arrivals.time)
     arrival_periods = (

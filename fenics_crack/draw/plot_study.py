@@ -39,7 +39,7 @@ if TYPE_CHECKING:  # which load SciPy's interpolation, and DOLFINx
 CONTOUR_PROBABILITIES = (0.5, 0.95, 0.999)
 """Probabilities of the regions that a posterior's contours enclose."""
 MARKER_LETTERS = "osD^v<>ph*"
-"""Matplotlib's markers for quantities in the picture of a verification, in all colours."""
+"""Matplotlib's markers for quantities in the picture of a verification, one letter each."""
 LABELS_BY_CAUSE = {"shift": "mesh, shift of the resonance"}
 """Legend entries of error causes whose names need more words; others are shown by name."""
 StylesByQuantity = dict[str, dict[str, Any]]
@@ -144,7 +144,7 @@ def draw_posterior(
 
 
 def _draw_density(panel: Axes, identification: Identification, key: str) -> None:
-    """Draw the probability density of the unknown ``key``, with estimate and 95 % interval.
+    """Draw the probability density of the unknown ``key``, with estimate and credible interval.
 
     Each combination of words, such as the crack's edge, has its own line.
     """

@@ -506,7 +506,8 @@ class PeriodFields:
             self.nodal_force_per_pair_force = _find_nodal_force_per_pair_force(structure)
             self.pressure_weights = self.nodal_force_per_pair_force * self.pair_areas
             nodal_area_sums = self.pressure_weights.sum(axis=1, keepdims=True)
-            is_rounding = nodal_area_sums <= 1e-9 * nodal_area_sums.max(initial=0.0)  # at tips
+            # Sums at crack tips are 0 but for rounding.
+            is_rounding = nodal_area_sums <= 1e-9 * nodal_area_sums.max(initial=0.0)
             nodal_area_sums[is_rounding] = np.inf
             self.pressure_weights /= nodal_area_sums
 

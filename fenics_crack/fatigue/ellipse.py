@@ -44,6 +44,11 @@ a shape that grows along the threshold, as deep cracks in bending do, needs endl
 """
 EQUIVALENT_RANGE_COLUMN_NAMES = ("delta_K_equivalent_deepest", "delta_K_equivalent_surface")
 EFFECTIVE_RANGE_COLUMN_NAMES = ("delta_K_effective_deepest", "delta_K_effective_surface")
+"""Columns with ranges of K_I at the deepest point and at the ends on the face.
+
+An equivalent range begins at K_I = 0, and causes the same growth as all cycles of K_I in a load
+period. An effective range is the range of K_I while the crack tip is open.
+"""
 
 
 @dataclass(frozen=True)
@@ -154,13 +159,13 @@ def compute_growth_per_cycle(
 ) -> np.ndarray:
     """Return the growth of depth and length in a load cycle: (n, 2) [m].
 
-    Let delta K_a be the range of K_I at the deepest point, and delta K_c at the ends on the face
-    [MPa m^0.5]: from 0, with the same growth in a load period. Then
+    Let delta K_a be the equivalent range of K_I [MPa m^0.5] at the deepest point, and delta K_c the
+    same at the ends on the face (:data:`EQUIVALENT_RANGE_COLUMN_NAMES`). Then
 
         da/dN = C delta K_a^m,      dl/dN = n_surface_ends C delta K_c^m.
 
-    Below ``growth.threshold`` for the range while the tip is open, the growth is 0
-    (:data:`THRESHOLD_RAMP_FRACTION`).
+    If the effective range (of K_I while the tip is open) is below ``growth.threshold``, the growth
+    is 0. Just above the threshold it rises linearly (:data:`THRESHOLD_RAMP_FRACTION`).
 
     Parameters
     ----------
@@ -315,9 +320,7 @@ def tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
         column_name: sweep_result[sweep_name_by_column.get(column_name, column_name)].copy()
         for column_name in (*SWEEP_COLUMN_NAMES, *observable_names(Place.ELLIPSE))
     }
-    column_by_name["response"] = np.nan_to_num(
-        column_by_name["response"]
-    )  # nan where nothing moves
+    column_by_name["response"] = np.nan_to_num(column_by_name["response"])  # nan if nothing moves
     log_size_grid = np.stack(np.meshgrid(np.log(depths), np.log(lengths), indexing="ij"), axis=-1)
     for column in column_by_name.values() if sweep_result.failed_indices_and_reasons else ():
         failed_case_values = RBFInterpolator(log_size_grid[is_solved], column[is_solved])(
@@ -342,7 +345,7 @@ def _ellipse_in_words(sweep_result: SweepResult, case_index: tuple[int, ...]) ->
 def list_failed_ellipse_remarks(
     sweep_result: SweepResult, ellipse_table: EllipseTable, ellipse_path: EllipseSizePath
 ) -> list[str]:
-    """Return a remark on failed shapes, if all are far from the growth.
+    """Return a remark on failed shapes, if the growing crack stays away from them.
 
     The list is empty if no shape has failed.
 

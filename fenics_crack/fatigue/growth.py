@@ -117,8 +117,8 @@ class Growth(SavedResult):
     errors : dict of str to float
         Standard deviations of ln(cycles) by cause: "rate" and "exponent" of the growth law,
         "interpolation" between solved lengths, and "vibration". The last is m times the relative
-        error of the range after half of the cycles, by mesh, modes and harmonics. For a spectrum
-        the loads that this error puts below the threshold are added.
+        error of the range after half of the cycles, by mesh, modes and harmonics. For a spectrum,
+        the change of ln(cycles) by loads moved below the threshold by this error is added.
     remarks : tuple of str
         Doubts about the growth, as sentences.
     depth : (n,) [m] or None
@@ -363,7 +363,7 @@ def grow(
         return _grow_ellipse(scene_without_sweep, folder_path, comm, progress=progress)
     _make_scene_with_crack_size(
         scene_without_sweep, scene_without_sweep.excitation.omega, law.until
-    )  # is refused before anything is solved
+    )  # raises errors for the largest crack before anything is solved
     length_path, interpolation_error, jump_lengths = solve_lengths_to_tolerance(
         scene_without_sweep, folder_path, comm, progress=progress
     )
@@ -644,8 +644,8 @@ def _collect_ellipse_remarks(
 def _find_allowed_ellipse_length(scene: Scene) -> float:
     """Find the largest length [m] to solve for a half- or quarter-ellipse.
 
-    The length is 0.9 times the available length between the sides. Around ``crack.point`` the
-    length is at most the first length times (until / first depth)^3.
+    The length is 0.9 times the available length between the sides. For a crack at ``crack.point``,
+    the length is also at most the first length times (``growth.until`` / first depth)^3.
     """
     crack, law = scene.given("crack"), scene.given("growth")
     section_reaches = find_reaches_from_crack_middle(scene)
@@ -692,8 +692,8 @@ def _estimate_range_error_and_remarks(
 ) -> tuple[float, list[str]]:
     """Solve a crack size, and estimate the relative error of a range of K_I.
 
-    The cause "friction" is left out. ``quantity_name`` is an equivalent range, from 0 once in a
-    load period with the same crack growth; other parameters are as in
+    The cause "friction" is left out. ``quantity_name`` is an equivalent range: a cycle from
+    K_I = 0, once in a load period, with the same crack growth. Further parameters are as in
     :func:`_make_scene_with_crack_size`.
 
     Returns
@@ -763,7 +763,7 @@ def _collect_growth_remarks(
             length_path.sweep_results
         )
     ]
-    # A crack that is arrested on its way has been at its threshold, however well that is known.
+    # A crack arrested after some growth is at the threshold anyhow: no remark.
     is_near_threshold = (
         np.abs(values_by_column["delta_K_effective"] - law.threshold)
         < vibration_error * law.threshold

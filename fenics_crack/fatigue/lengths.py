@@ -113,7 +113,7 @@ class LengthPath:
         level_values_by_column = {name: get_level_values(name) for name in SWEEP_COLUMN_NAMES}
         level_values_by_column["response"] = np.nan_to_num(
             level_values_by_column["response"]
-        )  # nan where nothing moves
+        )  # nan if nothing moves
         level_cycles = np.ones(1) if law.frequencies is None else np.array(law.cycles)
         column_by_name, leading_omega = _reduce_load_levels_to_columns(
             level_values_by_column, law, level_cycles
@@ -239,9 +239,9 @@ class LengthPath:
 
 
 def find_nearest_mode_number(sweep_result: SweepResult, omega: float) -> int:
-    """Return the number, from 1, of the mode nearest to a load at a sweep's first case.
+    """Return the number, from 1, of the mode nearest to a load frequency.
 
-    The mode's bilinear frequency counts; ``omega`` [rad/s] is the load frequency.
+    Bilinear frequencies in the first case of the sweep are compared with ``omega`` [rad/s].
     """
     bilinear_omega_of_modes = np.array(
         [sweep_result[f"omega_bilinear_{mode_number}"].flat[0] for mode_number in KEPT_MODE_NUMBERS]
@@ -339,8 +339,8 @@ def solve_lengths_to_tolerance(
     float
         Relative error of the cycles by interpolation.
     list of float
-        Beginnings [m] of the intervals in which ln delta K still has a larger error, the steepest
-        first.
+        Lower ends [m] of the intervals in which ln delta K still has a larger error. The largest
+        error per interval length comes first.
 
     Raises
     ------
@@ -350,7 +350,7 @@ def solve_lengths_to_tolerance(
         Ctrl-C was pressed.
     """
     law = scene.given("growth")
-    # Five are the fewest of which a spline through every other one can be made.
+    # A coarser spline needs three lengths or more: every second one of five.
     next_lengths = np.linspace(scene.given("crack").length, law.until, 5)
     sweep_results: tuple[SweepResult, ...] = ()
     for round_number in range(1, 7):  # 129 lengths are as close as meshes are similar
@@ -454,11 +454,12 @@ def sweep_crack_sizes(
 def _estimate_interval_log_range_errors(
     previous_path: LengthPath, length_path: LengthPath, previous_errors: np.ndarray
 ) -> np.ndarray:
-    """Return errors of the spline of ln delta K between lengths: (k - 1,).
+    """Return errors of the spline for ln delta K between lengths: (k - 1,).
 
-    In new intervals the error is a quarter of the larger difference between both splines at the
-    ends. In other intervals it is the previous error or, if larger, the difference between both
-    splines in the middle. A resonance inside an interval shows around the interval, too.
+    Two splines are compared: through the lengths before and after the last sweep. In an interval
+    halved by the sweep, the error is a quarter of the larger difference at the ends. In other
+    intervals it is the previous error or, if larger, the difference in the middle. A resonance
+    found by the sweep changes the spline in these intervals, too.
 
     Parameters
     ----------
@@ -475,7 +476,7 @@ def _estimate_interval_log_range_errors(
         )
         return np.abs(np.log(driving_range / previous_driving_range))
 
-    # Halved, a spline's error falls by 16, and here by 4 at least.
+    # Half the spacing divides a spline's error by 16 in theory, and by 4 or more here.
     end_errors = compute_log_range_difference(length_path.lengths) / 4.0
     is_new_length = ~np.isin(length_path.lengths, previous_path.lengths)
     middle_lengths = 0.5 * (length_path.lengths[1:] + length_path.lengths[:-1])

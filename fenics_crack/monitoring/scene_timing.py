@@ -42,12 +42,13 @@ from fenics_crack.study.plausibility import MAX_PLAUSIBLE_TIP_SPEED, TIP_SPEED_T
 IGNORED_SCENE_TABLE_NAMES = (*RESULT_TABLE_NAMES, "reduction")
 """Tables of a scene that may differ from the scene of a result.
 
-They only choose results, or are settled during a run.
+``[reduction]`` is one of them, because a run chooses its missing keys. The other tables choose
+results only.
 """
 MIN_PLAUSIBLE_TIP_SPEED = 1.0
 """Minimum plausible speed of a blade tip [m/s].
 
-With times in ms instead of s, 200 m/s becomes 0.2.
+A lower speed indicates a wrong unit: times in ms that are read as s turn 200 m/s into 0.2 m/s.
 """
 SLOW_TIP_TEXT_FORMAT = (
     "the blade tip moves at {:.3g} m/s, but tips of rotors with probes move at 1 to 700 m/s"
@@ -169,7 +170,8 @@ def _compute_arrivals(
     result: Any = run.result
     if (curve := get_response_curve_or_none(run)) is not None:
         passed_indices, unstable_index = find_run_up_point_indices(curve)
-        # The part before the curve becomes unstable; all of a curve that is so at once.
+        # Take the part before the curve becomes unstable. If this part has fewer than two points,
+        # take the whole curve; tip_timing then raises the error.
         result = (
             curve
             if unstable_index is None or len(passed_indices) < 2
@@ -231,8 +233,8 @@ def describe_scene_difference_or_empty(scene: Scene, run: Run[Any]) -> str:
 def list_arrival_remarks(arrivals: ArrivalTimes) -> list[str]:
     """Return remarks on measured arrivals that seem to have wrong units.
 
-    A remark follows for a tip speed outside 1 to 1000 m/s, and for several probes all below 6.28
-    degrees. The list is empty otherwise.
+    One remark is about a tip speed outside 1 to 1000 m/s. The other is about several probes all
+    below 6.28 degrees, as if angles in rad are read as degrees. Otherwise the list is empty.
     """
     remark_texts, tip_speed = [], arrivals.mean_speed * arrivals.tip_radius
     if not MIN_PLAUSIBLE_TIP_SPEED < tip_speed < MAX_PLAUSIBLE_TIP_SPEED:
@@ -498,7 +500,7 @@ def find_tip_factor_by_dof(
         node_index = int(np.argwhere(dofs == tip_dof)[0, 0])
         if (
             is_disk or tip_rotation is None
-        ):  # Q - Q^T: 2 sin(2 pi / N) times the product with the axis
+        ):  # (Q - Q^T) x is the cross product of axis and x, times 2 sin(2 pi / N)
             sector_turn_matrix, rotation_center = structure.sector.rotation, structure.sector.center
             tip_direction = (sector_turn_matrix - sector_turn_matrix.T) @ (
                 node_points[node_index] - rotation_center

@@ -182,7 +182,7 @@ def _compute_arrival_times(
     target_angles = 2.0 * np.pi * np.arange(tip_motion.n_revolutions)[:, None] + probe_angles
     target_angle_batches = np.array_split(
         target_angles.ravel(), -(-target_angles.size // 2**15)
-    )  # for the memory
+    )  # batches limit the memory
     rotor_angles = np.concatenate(
         [
             _solve_passing_angles_or_nan(tip_motion, target_angle_batch, tip_radius)

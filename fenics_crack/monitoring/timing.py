@@ -295,8 +295,8 @@ def _format_amplitude_with_error(amplitude: float, amplitude_error: float) -> st
 def _conclude_from_track(track: TipTrack) -> tuple[Conclusion, Table, list[str], list[str]]:
     """Conclude from an engine order that is tracked along a run-up.
 
-    A harmonic is significant where its amplitude a exceeds sqrt(2 ln(n / 0.001)) standard errors,
-    at n speeds.
+    A harmonic is significant if its amplitude at any of n speeds exceeds sqrt(2 ln(n / 0.001))
+    standard errors.
 
     Returns
     -------
@@ -317,7 +317,7 @@ def _conclude_from_track(track: TipTrack) -> tuple[Conclusion, Table, list[str],
     ]
     conclusion = Conclusion("run-up tracked", "no vibration is larger than its errors")
     peak_rows, note_texts = [], []
-    # Without any vibration, the largest of so many amplitudes is several errors large.
+    # Without any vibration, the largest amplitude at n speeds is several errors large.
     allowed_noise_ratio = float(
         np.sqrt(2.0 * np.log(len(track.speed) / CONFIDENCE_LEVELS.misfit_significance_level))
     )

@@ -57,13 +57,13 @@ def identify(
     causes more than a fifth of a variance, the grid also becomes denser around cracks that explain
     the measurements.
 
-    Cross-validation and a few cases halfway between the grid points estimate the interpolation
-    error, which is added to the measurement error. So is the remaining error of the mesh: if a mesh
-    finer by f changes a quantity by d, the remaining error is d / (2 f - 2). The correction d is
-    increased by the same amount: an error of first order leaves d / (f - 1), an error of high order
-    nothing. Least squares from several starts find the estimate, and a posterior on a grid gives
-    the credible regions. The likelihood's integral over the prior, the evidence, decides between
-    crack and no crack.
+    Cross-validation, and a few cases halfway between the grid points, estimate the interpolation
+    error. It is added to the measurement error, together with the remaining mesh error. Suppose
+    that elements smaller by a factor f change a quantity by d. A mesh error of first order then
+    leaves d / (f - 1), an error of high order nothing. The predictions are therefore corrected by
+    d + d / (2 f - 2), with the standard deviation d / (2 f - 2). Least squares from several starts
+    find the estimate, and a posterior on a grid gives the credible regions. The likelihood's
+    integral over the prior, the evidence, decides between crack and no crack.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def identify(
     InputError
         There are no unknowns, a measurement does not fit the scene, or as :func:`run_sweep`.
     ConvergenceError
-        Too few cases were solved to predict any measurement of the plate as it is.
+        Too few cases were solved to predict any measurement made after the crack began.
     StoppedError
         Ctrl-C was pressed.
 
@@ -180,14 +180,14 @@ def infer_unknowns(
 ) -> Identification:
     """Infer the unknowns from measurements, with solved forward models.
 
-    Measurements without a prediction are left out, with a doubt in the result.
+    Measurements without a prediction are left out; ``doubts`` of the result name each one.
 
     Raises
     ------
     InputError
         A measurement does not fit the scene or the solved loads.
     ConvergenceError
-        Too few cases were solved to predict any measurement of the plate as it is.
+        Too few cases were solved to predict any measurement made after the crack began.
     """
     measurements.check(forward_models.scene)
     measurements, doubt_texts = _select_predictable_measurements(forward_models, measurements)
@@ -233,7 +233,7 @@ def _select_predictable_measurements(
 ) -> tuple[Measurements, tuple[str, ...]]:
     """Select the measurements that every model predicts, with a crack and without.
 
-    A measurement without a prediction by one hypothesis would count against the other alone.
+    Both hypotheses, crack and no crack, must be compared by the same measurements.
 
     Returns
     -------
@@ -245,7 +245,7 @@ def _select_predictable_measurements(
     Raises
     ------
     ConvergenceError
-        No measurement of the plate as it is can be predicted.
+        No measurement made after the crack began can be predicted.
     """
     models = [
         *forward_models.cracked_model_by_words.values(),
@@ -293,10 +293,12 @@ def _select_predictable_measurements(
 
 
 def list_measurement_limit_remarks(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
-    """List remarks on limits of the measured quantities, whatever their values are.
+    """List remarks on what these measurements cannot determine, as sentences.
 
-    Limits are indistinguishable edges, mesh files without an error estimate, and a motion whose
-    shape depends on the load's size.
+    A remark follows in three cases. Natural frequencies alone cannot distinguish a crack from the
+    left edge and the right edge. Mesh files have no estimate of the mesh error. The shape of the
+    motion depends on the load's size, and the measurements do not contain this size. The measured
+    values do not matter.
     """
     identify_table = scene.given("identify")
     crack, measurement_rows = scene.crack, measurements.rows
@@ -330,8 +332,10 @@ def _yield_unresolved_resonance_remarks(
 ) -> Iterator[str]:
     """Yield remarks on cracks that vibrate much more than all solved cracks.
 
-    The limit is :attr:`Options.allowed_vibration_ratio` (2). A steady load lets the crack breathe
-    there as in no solved case.
+    A remark is a sentence for a load, a point, and a crack between solved cracks, near a resonance.
+    The vibration exceeds :attr:`Options.allowed_vibration_ratio` (2) times the largest in solved
+    cases, and the crack may breathe as no solved crack does. If the motion is proportional to the
+    load, no remark follows.
     """
     if has_load_independent_motion_shape(forward_models.scene):
         return
@@ -361,16 +365,16 @@ def _yield_unresolved_resonance_remarks(
 def _find_most_interpolated_measurement_or_none(
     identification: Identification,
 ) -> tuple[str, np.ndarray, np.ndarray] | None:
-    """Find the measurement with the largest part of its variance by interpolation.
+    """Find the measurement whose variance is due to interpolation most of all.
 
-    The part is a mean over the cracks that explain the measurements. The posterior does not serve
-    here: a larger interpolation error lowers it, and excludes cracks.
+    The fraction of the variance is a mean over the cracks that explain the measurements. The
+    posterior is no weight here: it is small at cracks with a large interpolation error.
 
     Returns
     -------
     tuple or None
-        Name of the measurement, parts by interpolation along each unknown (d,), and cracks that
-        explain the measurements (m, d). None if the largest part is at most
+        Name of the measurement; fractions due to interpolation along each unknown (d,); cracks that
+        explain the measurements (m, d). None if the largest fraction is at most
         :attr:`Options.allowed_interpolation_share` (0.2), or no crack explains the measurements.
     """
     branch_points_and_shares = [

@@ -3,34 +3,38 @@
 Quantities on a grid of unknowns are interpolated by tensor products of cubic splines, without knots
 next to the ends (C. de Boor, A Practical Guide to Splines, 1978, chapters 4 and 17).
 
-The error along each axis is estimated by leaving out one node. An inner node differs from the
-spline through all other nodes on the line by the error of twice the spacing. This is 16 times too
-large for a smooth quantity, and 4/3 times if meshes make the quantity uneven; 30 % are taken. The
-errors at the nodes around a point, in all quantities together, give the covariance there.
+The error along each axis is estimated by leaving out an inner node. A spline through the other
+nodes on the line misses its value by the error of twice the spacing. This difference is 16 times
+the true error for a smooth quantity. It is 4/3 times the true error if the meshes of different
+cracks make the values uneven. Therefore 30 % of the difference are taken. The errors at the nodes
+around a point, in all quantities together, give the covariance at this point.
 
-A thin plate through the other cases replaces a failed case. At least half the nodes must be known,
-and one more than a quadratic polynomial needs: with four nodes none may fail. The error there is
-the difference between the nearest known node and a plate without it, in full. That holds between
-known nodes; beyond them a pole of a harmonic is missed.
+A thin-plate spline through the solved cases replaces the values of a failed case. At least half of
+the nodes must be known, and one more than a quadratic polynomial has terms: with one unknown and
+four nodes, none may fail. The error at a failed case is estimated at the nearest known node, as the
+full difference from a spline without this node. The estimate holds between known nodes; beyond the
+last known node, the spline misses poles of harmonics.
 
-Smooth forms are interpolated. First, the logarithms of natural frequencies without the crack.
-Second, their changes by the crack, over the crack size if the size is unknown. Third, harmonics as
-complex numbers, a - i b for a cos + b sin. Amplitudes alone have kinks at zeros. Amplitudes and
-complex harmonics have poles, which move with the crack. A pole lies where k times the load
-frequency W meets the breathing crack's natural frequency w_j with damping ratio z.
+Quantities are interpolated in three smooth forms. Natural frequencies without the crack are
+logarithms. Natural frequencies with the crack are changes of these logarithms by the crack, divided
+by the crack size if the size is an unknown. Harmonics are complex numbers, a - i b for
+a cos + b sin, since amplitudes have kinks at zeros. Harmonics also have poles, which move with the
+crack. A pole lies at the crack for which k times the load frequency W equals a natural frequency
+w_j of the breathing crack; its width depends on the damping ratio z.
 
-The first harmonic moves the crack faces, which make the other harmonics. These have the poles of
-the first harmonic, too, once in size and k times in phase, as if a whole motion is larger and
-later. With the displacement U_k of the k-th harmonic, the smooth form is
+The first harmonic moves the crack faces, and their contact drives the harmonics k > 1. A pole of
+the first harmonic makes the whole motion larger and later. It therefore multiplies the size of the
+k-th harmonic once, and its phase k times. With the displacement U_k of the k-th harmonic, the
+smooth form is
 
     U_k p_k |p_1| exp(i k arg p_1) / s^n,      p_k = prod_j (1 - r^2 + 2 i z r),      r = k W / w_j,
 
 without p_1 for the first harmonic. The bilinear frequencies w_j are those of the same nodes. The
 split s sums over the modes the relative difference between frequencies with the crack bonded and
-open, times its static compliance relative to the first mode, 1 / w_j^2. It measures how much the
-load bends the plate at the crack, and the crack the plate. The split is small for a short crack,
-which is closed for half a period. Therefore even harmonics are of first order, n = 1, odd harmonics
-of second order, n = 2.
+open, times its static compliance relative to the first mode, 1 / w_j^2. The split measures how much
+the load bends the plate at the crack, and how much the crack softens the plate. A short crack,
+which is closed for half of the period, has a small split. Its even harmonics are then proportional
+to s (n = 1), the odd harmonics above the first to s^2 (n = 2).
 
 Shapes: m points x of d unknowns, n nodes of the grid, q quantities, f features.
 """
@@ -94,7 +98,8 @@ class UnknownGrid:
     def find_node_coordinates(self, x: np.ndarray) -> np.ndarray:
         """Convert values of the unknowns to positions on the axes: (m, d) each.
 
-        Position i is the i-th value of an axis, from 0; between two values positions are linear.
+        The i-th value on an axis has the position i, from 0. Positions between two values are
+        interpolated linearly.
         """
         coordinate_columns = [
             np.interp(x_column, axis_values, np.arange(len(axis_values)))
@@ -114,8 +119,8 @@ def _fit_spline(axis_values: np.ndarray, node_values: np.ndarray) -> Any:
 def compute_leave_one_out_errors(axis_values: np.ndarray, node_values: np.ndarray) -> np.ndarray:
     """Return a spline's error at each grid node if this node is left out.
 
-    Values (n, ...) and errors (n, ...) are on an axis (n,) of an unknown. The two ends are never
-    left out, and get the errors of the nodes beside them.
+    ``axis_values`` (n,) are the nodes, ``node_values`` (n, ...) the quantities there; errors have
+    the shape (n, ...). The two ends are never left out, and get their neighbours' errors.
     """
     node_errors = np.zeros_like(node_values)
     for node_index in range(1, len(axis_values) - 1):
@@ -152,7 +157,7 @@ class Interpolation:
             unknown_grid, node_values
         )
         self._node_values = node_values
-        # Along each axis those that are 1 at one of its values and 0 at the others.
+        # Cardinal splines of each axis: 1 at one value, 0 at all other values.
         self._basis_splines = [
             _fit_spline(axis_values, np.eye(len(axis_values))) for axis_values in unknown_grid.axes
         ]
@@ -331,13 +336,13 @@ class SweptLoads:
     def __init__(self, scene: Scene, frequencies: Sequence[float]) -> None:
         """Take load frequencies [Hz], each one once.
 
-        The scene's own load frequency comes first if the load is an engine order. Without an engine
-        order it is taken only if there is no other.
+        If the load is an engine order, the scene's own load frequency is added as the first. If
+        not, it is added only if ``frequencies`` is empty.
         """
         engine_order, sorted_frequencies = scene.excitation.order, sorted(set(frequencies))
         scene_frequency = float(
             f"{scene.excitation.omega / RAD_PER_TURN:.9g}"
-        )  # as that of arrivals
+        )  # rounded as the load frequency of arrivals
         if engine_order is None:
             self.frequencies = tuple(sorted_frequencies) or (scene_frequency,)
             self.sweep_axis = Axis("excitation.frequency", self.frequencies)
@@ -371,9 +376,9 @@ class SweptLoads:
 class SolvedCases:
     """Solved cases of a sweep over unknowns and loads.
 
-    Unknowns with text values, as crack.edge = "left", have one chosen value. The grid nodes are all
-    combinations of the other unknowns. ``uncracked_cases`` are the cases without the crack, or
-    None.
+    An unknown with text values, as crack.edge, is fixed at one value, as "left". The n grid nodes
+    are all combinations of the numerical unknowns' values. ``uncracked_cases`` are the same cases
+    without the crack, or None.
     """
 
     def __init__(
@@ -393,7 +398,9 @@ class SolvedCases:
         swept_loads : SweptLoads
             Loads of the sweep.
         mesh_number_axes : sequence of Axis
-            Numbers that replace an axis of mesh files; empty without mesh files.
+            Numerical unknowns, as crack length, that distinguish the files of
+            ``[identify.meshes]``; they replace the sweep's axis over these files. Empty without
+            mesh files.
         word_by_key : dict
             Chosen text value by key of the unknown.
         uncracked_cases : SolvedCases, optional
@@ -598,7 +605,8 @@ class Feature:
     def error_group_key(self) -> tuple[float, float, float]:
         """Return the key of a group of features with a common mesh error.
 
-        A group has the natural frequencies of a mode, or one harmonic at a load.
+        A group has all natural frequencies of a mode, or a harmonic of all points at a load. The
+        key is (mode, load frequency [Hz], harmonic order); numbers that do not apply are 0.
         """
         return (
             self.mode,

@@ -138,7 +138,7 @@ class Measurement:
             check_number("measurements.frequency", self.frequency, 0.0, excludes_bound=True)
         if is_displacement:
             check_number("measurements.phase", self.phase)
-            if abs(self.phase) > 2.0 * RAD_PER_TURN:  # a period that may begin elsewhere
+            if abs(self.phase) > 2.0 * RAD_PER_TURN:  # allow another zero
                 allowed_text = (
                     f"in rad, 0 to 2 pi; if it is in degrees, give {math.radians(self.phase):.5g}"
                 )
@@ -218,7 +218,8 @@ class Measurement:
         if math.isnan(self.rpm):
             return 0.0
         scene_frequency = scene.excitation.omega / RAD_PER_TURN
-        # At rest the load of a thousandth of the speed, which adds a millionth of its stiffening.
+        # At rest, take a thousandth of the speed: stiffening is then a millionth, and the load
+        # frequency is not 0.
         load_frequency = max(
             scene.excitation.given("order") * self.rpm / 60.0, 1e-3 * scene_frequency
         )
@@ -435,7 +436,7 @@ class Measurements(Tabular):
             deviations = np.sqrt(
                 variance_factor * displacement_variances + probe_place_deviation**2
             )
-        # Rounded, for one sweep to serve all arrivals at a speed.
+        # Rounded, so that arrivals at nearly the same speed share a sweep.
         load_frequency = float(f"{order * rotor_speed / RAD_PER_TURN:.9g}")
         displacements = (
             -probe_statistics.displacements if against else probe_statistics.displacements
@@ -637,8 +638,8 @@ def _read_csv_measurements(path: str | Path) -> list[Measurement]:
         (_, heading_cells), *numbered_table_rows = read_numbered_csv_rows(path) or [(0, [])]
     numbered_table_rows = numbered_table_rows[
         : OPTIONS.max_measurements + 1
-    ]  # enough to be too many
-    # Those of a value depend on the quantity.
+    ]  # one row too many suffices for the error
+    # Units of values and deviations depend on the quantity of the row.
     si_headings_and_factors = [
         (cell, 1.0) if cell.startswith(REQUIRED_COLUMN_NAMES) else convert_heading_to_si(cell)
         for cell in heading_cells

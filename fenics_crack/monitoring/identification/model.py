@@ -1,13 +1,15 @@
 """The forward model: natural frequencies and harmonics from the unknowns, and their covariance.
 
-Prediction errors are not independent, since a single sweep makes all predictions. Their covariance
-is a sum of three. The interpolation's part comes from leave-one-out errors in all quantities at
-once. The mesh's part comes from the changes by a finer mesh, with half the variance common to all
-quantities. The third part comes from the priors
+Prediction errors are correlated, since one sweep makes all predictions. Their covariance is a sum
+of four. The interpolation covariance comes from leave-one-out errors in all quantities together.
+The mesh covariance comes from the changes by a finer mesh, with half of the variance common to all
+quantities. The contact covariance is a relative error of higher harmonics
+(``identify.harmonic_deviation``). The last covariance comes from the priors
 (:mod:`fenics_crack.monitoring.identification.nuisance`).
 
 Shapes: m points x of d unknowns, q measurements, f features. A feature is an interpolated natural
-frequency or harmonic (:class:`fenics_crack.monitoring.identification.interpolation.Feature`).
+frequency or harmonic (:class:`fenics_crack.monitoring.identification.interpolation.Feature`). Its
+smooth form, a function of the unknowns without kinks and poles, is the feature times a factor.
 """
 
 from __future__ import annotations
@@ -81,7 +83,7 @@ class ForwardModel:
             )
         return np.full(
             (len(x), 1), 0.01 if scene_damping_ratios is None else np.mean(scene_damping_ratios)
-        )  # of a matrix
+        )  # 0.01 if the damping is given as a matrix
 
     def compute_crack_sizes_relative_to_largest(self, x: np.ndarray) -> np.ndarray:
         """Return crack sizes at values x (m, d), relative to the largest: (m,).
@@ -142,7 +144,8 @@ class FeaturePredictor:
     Attributes
     ----------
     features : tuple of Feature
-        f features: the given ones, then the frequencies without the crack for those with it.
+        f features: the requested ones. Then, for each natural frequency with the crack, the same
+        mode's frequency without the crack.
     is_known : (f,) bool
         True for a feature that the solved cases can predict.
     cracked_indices, uncracked_indices : list of int
@@ -188,8 +191,8 @@ class FeaturePredictor:
         )
         self._interpolation_error_scales = self._estimate_interpolation_error_scales()
         interpolations = [self._coarse_interpolation]
-        # An error of the first order leaves d / (f - 1) where a mesh finer by f changes d, one of
-        # high order nothing: half of the former is added, and may be wrong.
+        # If elements smaller by a factor f change a quantity by d, an error of first order leaves
+        # d / (f - 1), an error of high order nothing. The mean is added, and is the deviation, too.
         mesh_ratio = model.identify_table.finer
         self._remaining_mesh_fraction = 0.5 / max(mesh_ratio - 1.0, 1.0 / mesh_ratio - 1.0, 0.1)
         self._mesh_correction: Interpolation | None = None
@@ -301,9 +304,10 @@ class FeaturePredictor:
     def _estimate_interpolation_error_scales(self) -> np.ndarray:
         """Return factors (>= 1) on the estimated interpolation errors: (2f,).
 
-        A factor is the root-mean-square error at cases halfway between grid nodes over the
-        estimated error, for each of f features. All are 1 without such cases. Features with more
-        waves than nodes look smooth, as higher modes along the height do.
+        A factor is a ratio for a feature: its root-mean-square error at cases halfway between grid
+        nodes, over the estimated error there. All factors are 1 without such cases. The estimate is
+        too small for a feature with more waves along an unknown than grid nodes, as higher modes
+        over the height of the crack.
         """
         halfway_cases = self.model.halfway_cases
         if halfway_cases is None:
@@ -363,7 +367,9 @@ class FeaturePredictor:
         """List independent errors of smooth forms by mesh and contact: (m, 2f, r) each.
 
         Each of the r columns is an error in all smooth forms; the sum of the columns' outer
-        products is the covariance. Half of each variance is common to several forms.
+        products is the covariance. Half of the mesh variance is common to all features, half to the
+        features of a group (:attr:`Feature.error_group_key`). Half of the contact variance is
+        common to a group, half belongs to a single harmonic.
 
         Parameters
         ----------
@@ -396,9 +402,11 @@ class FeaturePredictor:
 
 
 def _correlate_errors(errors: np.ndarray) -> list[np.ndarray]:
-    """Return errors (m, k, 2f) with half of each variance common to all forms, half its own.
+    """Split the variance of errors into a correlated half and an independent half.
 
-    Shapes (m, 2f, k) and (m, 2f, 2f), with independent errors in columns.
+    ``errors`` (m, k, 2f) are k independent errors of 2f smooth forms. The two results have a column
+    for each independent error. In the first, (m, 2f, k), all forms change together; in the second,
+    (m, 2f, 2f), each form changes alone.
     """
     return [
         np.sqrt(0.5) * errors.transpose(0, 2, 1),

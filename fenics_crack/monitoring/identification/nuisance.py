@@ -21,22 +21,26 @@ Young's modulus E and density change the elastic part e_j of w_j^2, not the part
 
     d ln w_j / d ln E = e_j / 2,      e_j = phi_j^T K_0 phi_j / w_j^2,
 
-with the stiffness K_0 at rest and the mode phi_j at its speed. A soft clamp takes from w_j^2
+with the stiffness K_0 at rest and the mode phi_j at its speed. A soft clamp has the compliances c_r
+to rotation and c_t to translation. It reduces w_j^2 by
 
-    m_j^2 times its softness to turning and (m_x^2 + m_y^2) times that to pushing,
+    c_r m_r^2 + c_t m_t^2,      (m_r, m_t) = R^T K_0 phi_j,
 
-with m = R^T K_0 phi_j, the moment and the forces at the clamp in the mode. R are rigid motions
-about the clamp's middle; at rest m = w_j^2 R^T M phi_j (Rayleigh's quotient). The two are
-independent: a loose bolt lets the clamp turn, slipping jaws let it move. Their ratio is q^2, as for
-a uniformly soft clamp with the radius of gyration q about its middle. Their size is by what both
-take from the first mode.
+with the moment m_r and the force m_t at the clamp in the mode. R are rigid motions about the
+clamp's middle; at rest R^T K_0 phi_j = w_j^2 R^T M phi_j, with the mass M (Rayleigh's quotient).
+The two compliances are independent: a loose bolt lets the clamp turn, slipping jaws let it move.
+Their ratio is c_t / c_r = q^2, as for a uniformly soft clamp with the radius of gyration q about
+its middle. Their size follows from the first natural frequency, which both together change by one
+standard deviation.
 
-Modes at other speeds or with another modulus follow from a K_0 + s (K - K_0). Here a is the factor
-of the modulus and s the squared speed over the scene's. The modes at rest and at the scene's speed
-span the space. Temperature and clamp change between the record before there was a crack and the one
-since, and so move each mode at each speed. The stiffening by rotation may change, too, by the
-blade's seat or the measured speed. Together with a temperature it can change all frequencies by the
-same ratio.
+Modes at other speeds or with another modulus follow from the stiffness a K_0 + s (K - K_0). Here K
+is the stiffness at the scene's speed, a the factor of the modulus, and s the square of the speed
+over the scene's. The modes at rest and at the scene's speed span the space.
+
+Temperature and clamp may change between the measurements before the crack (baseline) and after.
+Each natural frequency then changes at each speed. The stiffening by rotation may change, too, by
+the blade's seat or a wrong speed. Together with a temperature change it can change all frequencies
+by the same ratio.
 
 Shapes: n modes, s priors, r motions, q measurements, m points x of d unknowns, f features.
 """
@@ -87,7 +91,7 @@ class UncrackedPlate:
         Stiffness at rest, and the addition by rotation at the rotor speed, in r mass-normalised
         motions.
     clamp_reactions : (r, d)
-        Forces and moments at the clamp by these motions, relative to a clamp of uniform compliance;
+        Forces times the clamp's radius of gyration, then moments, at the clamp by these motions.
         d = 0 if the clamped nodes are unknown.
     n_reaction_forces : int
         Number of forces among the d reactions; they precede the moments.
@@ -98,7 +102,7 @@ class UncrackedPlate:
     def __init__(self, scene: Scene, identify_table: Identify) -> None:
         if (
             identify_table.temperature_deviation is None
-        ):  # of a room; of blades that their gas or drag warms
+        ):  # 10 K: temperature of a room; 25 K: of blades that gas or drag warms
             identify_table = replace(
                 identify_table, temperature_deviation=25.0 if scene.speed else 10.0
             )
@@ -238,9 +242,10 @@ class UncrackedPlate:
         frequency_split_root_and_frequencies: np.ndarray,
         mode_sensitivities: np.ndarray,
     ) -> np.ndarray:
-        """Return relative changes of features by the priors: (m, f, s).
+        """Return relative changes of features by the priors: (m, f, s + n + 1).
 
-        Each of the s columns is for one standard deviation. A natural frequency of the cracked
+        Each column is for one standard deviation: the s priors in ``mode_sensitivities``, the
+        crack's effect on each of n modes by itself, and damping. A natural frequency of the cracked
         plate stands here for the change of ln(frequency) by the crack.
 
         Parameters
@@ -291,7 +296,7 @@ class UncrackedPlate:
             pole_slopes * log_frequency_shifts_by_crack,
         )
         slopes_by_mode = np.where(is_natural_frequency, slopes_by_mode, pole_slopes)
-        harmonic_size_changes = np.zeros(mode_sensitivities.shape[2])  # of harmonics
+        harmonic_size_changes = np.zeros(mode_sensitivities.shape[2])
         harmonic_size_changes[:3] = np.multiply(
             self._young_density_thickness_deviations, (-1.0, 0.0, -1.0)
         )
@@ -330,9 +335,10 @@ class UncrackedPlate:
     def compute_clamp_and_temperature_sensitivities(
         self, speed_ratio: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return relative changes of frequencies since the plate had no crack.
+        """Return relative frequency changes between the baseline and later measurements.
 
-        ``speed_ratio`` is the rotor speed over the scene's.
+        The baseline was measured before the crack. ``speed_ratio`` is the rotor speed over the
+        scene's.
 
         Returns
         -------
@@ -340,7 +346,8 @@ class UncrackedPlate:
             Changes of n frequencies by one standard deviation each: a turning clamp, a moving
             clamp, the stiffening of all modes by rotation, and each mode by itself.
         (n, 1 + n)
-            Change by 1 K [1/K], and its uncertainty [1/K] for each mode by rotation.
+            Changes by 1 K [1/K] (column 0). Then one standard deviation of this change [1/K] in a
+            column for each mode, due to the uncertain stiffening by rotation.
         """
         identify_table = self.identify_table
         elastic_fractions = self.compute_elastic_fractions(speed_ratio)
@@ -376,9 +383,9 @@ class UncrackedPlate:
         frequencies with those of this plate. Measured values must not seem to be in kHz, mHz or,
         for natural frequencies, rad/s.
 
-        With ``may_be_other_plate`` unknowns change more than the crack, and rad/s is refused only
-        if all natural frequencies seem to be in rad/s. Otherwise a frequency without the crack must
-        be nearest to this plate's frequency of the same mode.
+        ``may_be_other_plate`` is True if an unknown changes more than the crack, as the thickness.
+        rad/s is then refused only if all natural frequencies seem to be in rad/s. If it is False, a
+        frequency without the crack must be nearest to this plate's frequency of the same mode.
         """
         for row in [
             row for row in measurements.rows if load_frequencies and not row.is_natural_frequency
@@ -457,21 +464,23 @@ def _guess_frequency_unit_or_empty(frequency_ratio: float) -> str:
 class BaselineChanges:
     """Changes of the plate since it was measured without the crack (baseline).
 
-    Changes are in q predicted measurements. They are 0 for measurements other than natural
-    frequencies, and for modes above those of the plate.
+    The attributes tell how q predicted measurements change. Changes are 0 for measurements other
+    than natural frequencies, and for modes above those of the plate.
 
     Attributes
     ----------
     temperature_frequency_factors : (q,)
-        Factors on predictions by known temperatures.
-    clamp_frequency_changes : (q, s)
-        Relative changes by one standard deviation of each change at the clamp.
-    unknown_temperature_frequency_changes : (q, s)
+        Factors on predictions by known temperature differences between baseline and now.
+    clamp_frequency_changes : (q, 3 + n)
+        Relative changes of baseline frequencies by clamp, stiffening by rotation, and each of n
+        modes by itself, one standard deviation each
+        (:meth:`UncrackedPlate.compute_clamp_and_temperature_sensitivities`).
+    unknown_temperature_frequency_changes : (q, 1 + n)
         Relative changes by one standard deviation of an unknown temperature difference (column 0),
-        and their uncertainties.
-    temperature_error_frequency_changes : (q, s)
-        Relative changes by errors of known temperatures: by the coefficient, the thermometer and
-        rotation.
+        and their uncertainties due to rotation, by mode.
+    temperature_error_frequency_changes : (q, 2 + n)
+        Relative changes by errors in known temperature differences, one standard deviation each:
+        temperature coefficient, thermometer, and stiffening by rotation for each of n modes.
     """
 
     def __init__(
@@ -482,8 +491,8 @@ class BaselineChanges:
     ) -> None:
         """Take measurements, and the rotor speed of each over the scene's.
 
-        The present temperature is the mean of temperatures stated for measurements since the crack.
-        Without a temperature before and since, the difference is unknown.
+        The present temperature is the mean of the temperatures stated for measurements with the
+        crack. The difference from the baseline is unknown unless both have stated temperatures.
         """
         identify_table = uncracked_plate.identify_table
         n_modes = len(uncracked_plate.natural_frequencies_hz)
@@ -635,7 +644,7 @@ def compute_deviations_from_equivalent_crack(
     identify_table = scene.given("identify")
     equivalence_deviations = np.zeros_like(x)
     crack_extents = np.zeros(len(x))
-    for size_key in CRACK_SIZE_KEYS:  # that of a part-through crack is its depth
+    for size_key in CRACK_SIZE_KEYS:  # the last size given is the extent: depth, else length
         crack_sizes = np.full(
             len(x), getattr(scene.crack, size_key.removeprefix("crack."), None) or 0.0
         )
@@ -644,7 +653,7 @@ def compute_deviations_from_equivalent_crack(
             common_relative_deviation = identify_table.crack_deviation * np.sqrt(
                 identify_table.crack_correlation
             )
-            # Frequencies change with its square.
+            # Frequencies change with the square of the size: half the relative deviation.
             equivalence_deviations[:, unknown_keys.index(size_key)] = (
                 common_relative_deviation / 2.0 * crack_sizes
             )

@@ -177,8 +177,8 @@ class Likelihood:
     def explains_measurements(self, x: np.ndarray) -> np.ndarray:
         """Return True for values x (m, d) that explain the measurements: (m,).
 
-        The p-value of chi^2 must be at least 1 - ``identify.confidence``; no unknown counts as
-        fitted.
+        The p-value of chi^2 must be at least 1 - ``identify.confidence``. The degrees of freedom
+        are not reduced by the unknowns, since x need not be the optimum.
         """
         return np.asarray(
             self._compute_chi_squares_and_p_values(x, 0)[1]
@@ -327,7 +327,7 @@ class PosteriorBranch:
         axis_weights = [trapezoid(np.eye(len(axis)), axis) / np.ptp(axis) for axis in self.axes]
         self.prior_masses = reduce(np.multiply.outer, axis_weights)
         grid_points = UnknownGrid(self.axes).nodes
-        # Interpolate on the first grid where all of it around a point is far below the maximum.
+        # Far below the maximum, log L is interpolated on the first grid, not computed again.
         neighbourhood_maxima = maximum_filter(first_grid_log_likelihood, size=3, mode="nearest")
         log_likelihood_limit = self.optima[0].log_likelihood - OPTIONS.allowed_grid_log_drop
         is_evaluated = (
@@ -443,7 +443,7 @@ def _convolve_with_crack_deviations(
             continue
         kernel_widths = np.maximum(kernel_widths, 0.1 * np.gradient(axis_values))[
             ..., None
-        ]  # no effect below
+        ]  # narrower kernels fall to 0 before the next grid point
         kernel_matrix = weights_along_axis * np.exp(
             -0.5 * ((axis_values - axis_values[:, None]) / kernel_widths) ** 2
         )
@@ -764,8 +764,8 @@ class Posterior:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return probability and density over two unknowns: (n_first, n_second) each.
 
-        Both results are for one choice of text values, ``words_text``. The density is the
-        probability over the prior's.
+        Both are for one choice of text values, ``words_text``, as "left" for crack.edge. The
+        density is the posterior probability over the prior probability.
         """
         pair_mass, pair_prior = (
             np.moveaxis(point_array, (first_unknown_index, second_unknown_index), (0, 1)).sum(

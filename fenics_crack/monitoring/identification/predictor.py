@@ -151,8 +151,8 @@ class ProbeDisplacements:
         )
         harmonic_terms = displacement_slopes * model_harmonics[:, None, :]
         displacements = harmonic_terms.sum(axis=2).real
-        # Priors that are wide: all of the size, a phase anywhere in the period, a constant of ten
-        # times the largest displacement.
+        # Wide priors: standard deviations of 100 % for the size, of a uniform phase over the
+        # period, and of ten times the largest displacement for the constant.
         phase_induced_changes = (
             np.pi / np.sqrt(3.0) * (harmonic_orders * harmonic_terms).sum(axis=2).imag
         )
@@ -250,7 +250,8 @@ class CrackFaceState(NamedTuple):
     common_deviation, independent_deviation : float
         Standard deviations of resonances from the frequency of this state, relative to the
         difference between bonded and open frequency. The first is common to all resonances, the
-        second independent. For breathing faces, those in ``[identify]`` for each mode are added.
+        second independent. For breathing faces, the deviation for each mode in ``[identify]`` is
+        added.
     prior_weight : float
         Prior probability, up to a common factor.
     """
@@ -382,13 +383,14 @@ class MeasurementPredictor:
         """Yield predictions for each possible motion of the crack faces.
 
         Under a steady load, a preload or a clearance a crack may always stay open or closed. The
-        motion then has no higher harmonics. Between a solved crack with such a motion and one
-        without, both are possible.
+        motion then has no higher harmonics. If one of two neighbouring solved cracks breathes and
+        the other does not, a crack between them may do either.
 
-        At a resonance four cases have the same probability: the crack stays open, stays closed,
-        breathes for half of the period, or breathes for another part of the period. In the last
-        case the part is the same at all resonances, or different at each, with half of the
-        probability each.
+        At a resonance, the motions of :func:`_list_face_states` are possible. The crack breathes
+        for half of the period, breathes for another part of the period, stays open, or stays
+        closed, with the same probability each. The other part of the period is either common to
+        all resonances or different at each, with half of the probability each. If the motion is
+        proportional to the load, the crack breathes for half of the period.
 
         Parameters
         ----------
@@ -566,8 +568,8 @@ class MeasurementPredictor:
         Harmonics of the contact force fall like 1 / k. They act on modes with static compliances 1
         / w_j^2: |U_k|^2 = c^2 sum_j |w_j^2 - (k W)^2 + 2 i z w_j k W|^-2 / k^2. Here c^2 is the
         mean over the upper half of the known harmonics. A test had 150 cracks under loads of 120 to
-        1500 Hz, with 30 harmonics. Harmonics omitted above twelve and six are 1.0 and 1.3 times
-        this estimate, in root mean square.
+        1500 Hz, with 30 harmonics. With twelve known harmonics, the root mean square of the others
+        was 1.0 times this estimate; with six known harmonics, 1.3 times.
 
         Parameters
         ----------
@@ -716,9 +718,10 @@ class MeasurementPredictor:
 def _find_harmonic_masks_and_motionless_nodes(
     solved_cases: SolvedCases, features: Sequence[Feature], load_index_of_features: Sequence[int]
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """Find solved cracks whose faces stay open or closed.
+    """Find the loads under which some solved cracks do not breathe.
 
-    Higher harmonics are then zero. Only loads with such cracks and with breathing cracks count.
+    The faces of such a crack stay open or closed, and its higher harmonics are zero. A load is left
+    out if all solved cracks breathe, or none does.
 
     Parameters
     ----------
@@ -732,10 +735,10 @@ def _find_harmonic_masks_and_motionless_nodes(
     Returns
     -------
     harmonic_masks : list of (f,) bool
-        Features that are higher harmonics of such a load, for each of n loads.
+        For each of the n loads found, True for the features that are its higher harmonics.
     motionless_grids : (..., n)
-        1 on the grid of the unknowns for cracks without higher harmonics, otherwise 0; an empty
-        array without such loads.
+        For each of these loads, 1 at grid nodes of the unknowns without higher harmonics, otherwise
+        0; an empty array without loads.
     """
     harmonic_masks, motionless_grids = [], []
     is_higher_harmonic = np.array([feature.harmonic_order > 1 for feature in features], dtype=bool)
@@ -776,7 +779,7 @@ def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
         (CrackFaceState("open"), CrackFaceState("tied")),
         (smallest_closed_time_share < 1.0, largest_closed_time_share > 0.0),
     )
-    # Breathing for another part of the period at each resonance, or for the same at all.
+    # Open for an unknown part of the period: another part at each resonance, or a common part.
     partly_open_states = (
         CrackFaceState("bilinear", independent_deviation=resonance_deviation, prior_weight=0.5),
         CrackFaceState("bilinear", common_deviation=resonance_deviation, prior_weight=0.5),

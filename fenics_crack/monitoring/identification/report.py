@@ -70,7 +70,7 @@ def report_of_identification(identify_output: IdentificationOutput) -> Report:
     summary_by_key, estimate_rows = identify_output.summary_by_key, []
     confidence_text = f"{100.0 * summary_by_key['priors']['confidence']:g} %"
     for unknown_key, estimate_value in summary_by_key["estimate"].items():
-        interval_ends = summary_by_key["intervals"].get(unknown_key)  # of a word there are none
+        interval_ends = summary_by_key["intervals"].get(unknown_key)  # None for text values
         limit_texts = (
             [value_in_words(unknown_key, interval_end) for interval_end in interval_ends]
             if interval_ends

@@ -227,8 +227,8 @@ class Identification(Tabular):
     def misfit(self) -> tuple[float, float]:
         """Return chi^2 and its p-value at the largest likelihood.
 
-        Degrees of freedom are the measurements less the unknowns, and less three for each load with
-        displacements; at least 1.
+        Degrees of freedom are the measurements less the unknowns, and less three for each load
+        frequency and point with displacements; at least 1.
         """
         return self.posterior.misfit
 
@@ -475,10 +475,11 @@ class Identification(Tabular):
 
 
 def _list_small_deviation_warnings(measurements: Measurements) -> list[str]:
-    """Return a warning of a natural frequency with a tiny standard deviation.
+    """Return a warning about a natural frequency with a tiny standard deviation.
 
-    The first one below 1e-5 of the frequency counts, as 0.1 K changes more. The list is empty
-    without any.
+    The list has one sentence, for the first natural frequency with a standard deviation below 1e-5
+    times its value. A temperature change of 0.1 K has a larger effect. If there is no such
+    frequency, the list is empty.
     """
     rows = [
         measurement
@@ -548,8 +549,8 @@ def _list_misfit_warnings(identification: Identification) -> list[str]:
 def _describe_single_crack_condition_or_empty(identification: Identification) -> str:
     """Return the condition that there is a single crack, as text.
 
-    The text follows if only natural frequencies were measured, in no more modes than two cracks
-    have unknowns: no misfit can then exclude two cracks. Otherwise return "".
+    Two cracks have twice as many unknowns as one crack. If natural frequencies of so few modes, or
+    fewer, are the only measurements, two cracks may explain all of them. Otherwise return "".
     """
     identify_table, rows = identification._identify_table, identification.measurements.rows
     n_crack_unknowns = len(identify_table.mesh_axes) + sum(
@@ -575,11 +576,12 @@ def _describe_single_crack_condition_or_empty(identification: Identification) ->
 
 
 def _describe_unchanged_plate_condition_or_empty(identification: Identification) -> str:
-    """Return the condition that the plate has not changed otherwise, as text.
+    """Return the condition that clamp and temperature have not changed, as text.
 
-    The text follows in two cases. A plate without a crack explains the measurements only with
-    changes of clamp or temperature since the baseline. Or it does not, but would with changes as
-    large as a clamp can make. Otherwise, and without frequencies before the crack, return "".
+    The baseline are natural frequencies measured before the crack. The text is returned in two
+    cases. First, a plate without a crack explains the measurements, but only with the stated prior
+    changes of clamp or temperature since the baseline. Second, it does so only with larger changes,
+    of the size ``identify.clamp_deviation``. Otherwise, and without a baseline, return "".
     """
     identify_table, rows = identification._identify_table, identification.measurements.rows
     uncracked_posterior = identification.plain
@@ -633,9 +635,10 @@ def _describe_unchanged_plate_condition_or_empty(identification: Identification)
 
 
 def _describe_warming_condition_or_empty(identification: Identification) -> str:
-    """Describe the change of Young's modulus that a crack needs to fit.
+    """Describe the change of Young's modulus without which no crack fits.
 
-    Return "" if the crack explains the measurements without a change of temperature.
+    The text names the modulus change, and the temperature change that causes it. Return "" if the
+    crack explains the measurements without a change of temperature.
     """
     if (
         identification.posterior.compute_misfit_with_change_factors(temperature_factor=0.0)[1]
@@ -651,7 +654,7 @@ def _describe_warming_condition_or_empty(identification: Identification) -> str:
 def _describe_modulus_change(identification: Identification, posterior: Posterior) -> str:
     """Describe the posterior mean of the change in Young's modulus.
 
-    An example: "a Young's modulus 1 % lower than before, as about 25 K more cause".
+    An example is "a Young's modulus 1.00% lower than before, as about 25 K more cause".
     """
     kelvin_change = (
         identification.priors["temperature_deviation"]
@@ -669,7 +672,9 @@ def _describe_modulus_change(identification: Identification, posterior: Posterio
 def _describe_intervals(identification: Identification) -> str:
     """Describe the credible intervals of all unknowns.
 
-    Sizes of the crack may also be below the bounds of the search.
+    An example is "crack length 2 mm to 3 mm, or below 1 mm, outside the bounds of the search". The
+    second half is added for crack sizes: the prior excludes smaller cracks, the measurements may
+    not.
     """
     posterior = identification.posterior
     branch = posterior.branch_by_words[posterior.best_words_and_unknowns[0]]

@@ -587,8 +587,8 @@ def _build_models(
     """Build a forward model for each choice of text values, from its sweeps.
 
     Some unknowns have text values, as crack.edge = "left". Keys are these values joined with ", ".
-    ``uncracked_sweeps`` are for the plate without the crack; None if the crack cannot be removed,
-    or if ``cracked_sweeps`` are without the crack, too.
+    ``uncracked_sweeps`` have the same cases without the crack. They are None if the crack cannot be
+    removed, or to build models without the crack: ``cracked_sweeps`` then have no crack.
     """
     mesh_number_axes = scene.given("identify").mesh_axes
     axes = [

@@ -208,8 +208,8 @@ def list_advice_texts(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> li
     """List advice on the next measurements, as sentences.
 
     Advised are frequencies of the uncracked plate that are missing, and the most informative
-    candidate in ``worth``. Advice that changes no printed digit is left out. ``x`` (d,) is the
-    estimate.
+    candidate in ``worth``. An advice is left out if every unknown's standard deviation stays the
+    same as printed. ``x`` (d,) is the estimate.
     """
     model, measured_rows = likelihood.predictor.model, likelihood.predictor.rows
     measured_modes = {
@@ -330,7 +330,8 @@ def _compute_information_and_deviations(
     float
         log det F of the Fisher information F, prior included.
     dict of str to float
-        Standard deviation of each unknown by key.
+        Standard deviation of each unknown by key, for the real crack: the deviation from the
+        equivalent straight crack is included.
     """
     selected_covariance = covariance_and_slopes[0][np.ix_(row_indices, row_indices)]
     selected_slopes = covariance_and_slopes[1][row_indices]
