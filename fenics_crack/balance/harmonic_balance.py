@@ -731,7 +731,6 @@ def solution_of_orbit(
     more_modes: MoreModes | None = None
 
     def solution_with_harmonics(harmonics: int) -> PeriodicSolution:
-        """Return the orbit's series with H = ``harmonics``; coefficients are made on demand."""
         nonlocal coefficients
         if 2 * harmonics + 1 > len(coefficients.gap):
             coefficients = orbit.coefficients(harmonics)
