@@ -1,14 +1,14 @@
 """Error and stability of a harmonic-balance solution with a given number of harmonics.
 
 One step of Newton's method for the whole solution on the exact flow predicts the effect of the
-truncated harmonics (:func:`fenics_crack.motion.orbit.predict_orbit`). From there, or from the
-solution's state, Newton's method finds the nearest orbit. A solution found from an orbit has that
-orbit.
+truncated harmonics (:func:`fenics_crack.motion.orbit.predict_orbit`). Newton's method for a single
+state then starts from the predicted state, or from the solution's, and finds the nearest orbit. If
+the search for the solution started from an orbit, this orbit is taken without Newton's method.
 
-The distance to the orbit is the error. The orbit is accepted up to a distance of 0.1 (0.5 if crack
-faces have no mass) and of three times the prediction. Its multipliers are then those of the motion.
-If no orbit is found next to crack faces without mass, the solution with twice or four times the
-harmonics is assessed, up to the same distance.
+The distance to the orbit is the error. The orbit is accepted if the relative distance is at most
+0.1 (0.5 if crack faces have no mass), and at most three times the prediction. The motion's Floquet
+multipliers are then taken from the orbit. If crack faces have no mass and no orbit is found, the
+solution with twice or four times the harmonics is assessed instead, up to a distance of 0.5.
 
 Without an orbit the error is stated from the prediction p as 3 p / (1 + 2 p): three times a small
 prediction, and never below p. Then the exact motion that begins with the solution is followed, and
@@ -53,15 +53,15 @@ from fenics_crack.numerics.newton import change_relative_to_motion
 MAX_ORBIT_DISTANCE = 0.1
 """Maximum relative distance of the gaps at which the nearest orbit is accepted.
 
-Up to this predicted error, the search begins at the predicted state first. Measured on 680
-solutions of 170 systems: 99 % of chains, 83 % of plates and 79 % of stiff chains have a prediction
-within half to twice the distance.
+If the predicted error is smaller, Newton's method starts from the predicted state before it tries
+the solution's state. Measured on 680 solutions: the prediction is half to twice the distance for
+99 % of chains, 83 % of plates and 79 % of stiff chains.
 """
 MAX_ORBIT_DISTANCE_OF_MASSLESS_FACES = 0.5
 """Maximum relative distance of an accepted orbit for crack faces without mass.
 
-Of ten such orbits between 0.1 and 0.5 away, and within three times the prediction, nine belonged to
-the solution with many harmonics. All had the same verdict on stability.
+Measured on ten orbits at a distance from 0.1 to 0.5, within three times the prediction. For nine,
+the solution with many harmonics had the same orbit. All ten had the same verdict on stability.
 """
 MAX_HARMONIC_DOUBLINGS = 2
 """Maximum number of times that the harmonics are doubled to find an orbit."""
@@ -109,9 +109,9 @@ class Assessment:
         self._failure_reasons: list[str] = []
 
     def holds_for(self, wave: Wave) -> bool:
-        """Return True if this assessment was made for a motion.
+        """Return True if this assessment was made for the motion ``wave``.
 
-        Arrays, structure and law must be the same objects, and numbers equal.
+        Arrays, structure and law of both motions must be the same objects, and numbers equal.
         """
         attribute_pairs = [
             (getattr(self.wave, wave_field.name), getattr(wave, wave_field.name))
@@ -174,9 +174,9 @@ class Assessment:
 
     @cached_property
     def orbit_prediction(self) -> Prediction | None:
-        """Newton step from the whole solution towards an exact orbit.
+        """Solution after one Newton step towards an exact orbit, for all instants together.
 
-        None: the motion cannot be followed, or there is no exact flow.
+        None: the exact motion cannot be integrated, or no exact flow is known.
         """
         flow, wave = self.flow, self.wave
         return (
@@ -189,7 +189,7 @@ class Assessment:
     def predicted_error(self) -> float:
         """Predicted relative error of the gaps over the period, by one Newton step.
 
-        inf if it is unknown: the motion cannot be followed, or there is no exact flow.
+        inf: unknown, as the exact motion cannot be integrated, or no exact flow is known.
         """
         return np.inf if self.orbit_prediction is None else self.orbit_prediction.relative_gap_error
 
@@ -197,8 +197,8 @@ class Assessment:
     def nearest_orbit(self) -> PeriodicOrbit | None:
         """Nearest exact orbit; None if none was found.
 
-        The solution was found from this orbit, or Newton's method ended there. The orbit may be
-        too far away to be accepted (:attr:`is_accepted`).
+        The solution was found from this orbit, or Newton's method led from the solution to this
+        orbit. The orbit may be too far away to be accepted (:attr:`is_accepted`).
         """
         return self._orbit_and_acceptance[0]
 
@@ -239,7 +239,7 @@ class Assessment:
     def _search_nearest_orbit(self) -> PeriodicOrbit | None:
         """Search for an exact orbit by Newton's method from the solution.
 
-        None: the load is too slow, the motion cannot be followed, or Newton's method fails.
+        None: the load is too slow, the motion cannot be integrated, or Newton's method fails.
         """
         if self.orbit_prediction is None or self.is_load_too_slow:
             return None
@@ -262,7 +262,7 @@ class Assessment:
         """Return the assessment of the solution with twice the harmonics, or None.
 
         None: crack faces have mass, orbits cannot be searched, the harmonics were doubled twice
-        already, or there is no such solution.
+        already, or Newton's method does not converge with twice the harmonics.
         """
         flow, n_doublings_left = self.flow, self._n_harmonic_doublings - 1
         if (
@@ -280,9 +280,10 @@ class Assessment:
 
     @cached_property
     def irregular_attractor(self) -> Attractor | None:
-        """Exact motion that begins with the solution, if it is irregular.
+        """Exact motion from the solution's state at phase zero, if irregular.
 
-        None for a regular motion, if an orbit was found, or if the motion cannot be followed.
+        Irregular: a small disturbance of the motion grows. None for a regular motion, if an orbit
+        was found, or if the motion cannot be integrated in reasonable time.
         """
         if (
             self.nearest_orbit is not None
@@ -297,9 +298,10 @@ class Assessment:
 
     @cached_property
     def relative_orbit_distance(self) -> float:
-        """Relative distance between the gaps of solution and orbit over the period.
+        """Relative distance between the gaps of solution and orbit; nan without an orbit.
 
-        The reference is the vibrating part of the gaps without clearance; nan without an orbit.
+        Root mean square over the period and the pairs, relative to the orbit's gaps plus clearance.
+        In this reference the mean counts at most as much as the vibration.
         """
         return (
             np.nan
@@ -310,9 +312,10 @@ class Assessment:
     def gap_and_displacement_errors(self, *, search: bool = True) -> tuple[float, float]:
         """Return relative errors of the gap, and of the displacement at the load.
 
-        With ``search`` they are the distances to the nearest orbit. Without an orbit they are 3 p /
-        (1 + 2 p) for the predictions p. Without ``search`` they are the predictions. Each is at
-        most 1, which stands for unknown.
+        If the solution has an orbit's coefficients, the errors are the distances to this orbit.
+        With ``search`` they are the distances to the nearest orbit; if none is found,
+        :func:`stated_error` of the predictions. Without ``search`` they are the predictions. Each
+        is at most 1, and 1 means unknown.
         """
         wave = self.wave
         if self.exact_orbit is not None or (search and self.nearest_orbit is not None):
@@ -353,10 +356,10 @@ class Assessment:
 
     @cached_property
     def more_modes(self) -> MoreModes | None:
-        """Nearest orbit's motion if the structure has more modes.
+        """Change of the nearest orbit if the structure has more modes.
 
-        None: no orbit is found, no flow with more modes is known, or it would take long. The orbit
-        need not be accepted.
+        None: no orbit is found, no flow with more modes is known, or the search would take long.
+        The orbit need not be accepted.
         """
         if self._more_modes is not None:
             return self._more_modes
@@ -411,15 +414,18 @@ class Assessment:
 
 
 def stated_error(predicted_error: float) -> float:
-    """Return the error reported without an orbit, 3 p / (1 + 2 p).
+    """Return the error that is reported if no orbit was found: 3 p / (1 + 2 p).
 
-    p is the predicted relative error. The result is about 3 p for a small p, and never below p.
+    p is the predicted relative error. The result is about 3 p for a small p, and p for p >= 1.
     """
     return 3.0 * predicted_error / (1.0 + 2.0 * min(predicted_error, 1.0))
 
 
 def wave_with_twice_the_harmonics(wave: Wave) -> Wave | None:
-    """Solve again with twice the harmonics, from a solution's motion; None if it fails."""
+    """Return the solution with twice the harmonics, or None without convergence.
+
+    Newton's method starts from the gaps of the given motion.
+    """
     assert wave.contact is not None
     problem = Problem(
         wave.structure, wave.omega, wave.contact, 2 * wave.harmonics,
@@ -432,10 +438,10 @@ def wave_with_twice_the_harmonics(wave: Wave) -> Wave | None:
 
 
 def _relative_change_at_load(wave: Wave, change: np.ndarray, motion: np.ndarray) -> float:
-    """Return the relative size of a displacement's change at the load (collective).
+    """Return a change of the displacement relative to the motion, along the load (collective).
 
-    ``change`` and ``motion`` are displacements (n, n_local) [m] at n instants; the reference is the
-    motion's size at the load.
+    ``change`` and ``motion`` are displacements (n, n_local) [m] at n instants. Both are projected
+    on the load (:func:`motion_along_load`). The result is the ratio of both root sums of squares.
     """
     return change_relative_to_motion(
         *(
@@ -448,8 +454,9 @@ def _relative_change_at_load(wave: Wave, change: np.ndarray, motion: np.ndarray)
 def relative_gap_distance(wave: Wave, orbit: PeriodicOrbit) -> float:
     """Return the relative distance between a solution's gaps and an orbit's over the period.
 
-    The reference is the vibrating part of the orbit's gaps without clearance. The result is 0 if
-    the load presses the crack faces together and only rounding moves them.
+    Root mean square over the period and the pairs, relative to the orbit's gaps plus clearance. In
+    this reference the mean counts at most as much as the vibration. The result is 0 if the load
+    presses the crack faces together, and gaps move only by rounding.
     """
     orbit_samples = orbit.period_samples
     if are_crack_faces_still(orbit_samples):

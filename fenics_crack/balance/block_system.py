@@ -1,27 +1,27 @@
 """Harmonic balance of all displacements: the block system, solved by PETSc's SNES.
 
-The coefficients u (2H+1, n) of the displacement solve (eqs 5 to 15, in their order)
+The coefficients u (2H+1, n) of the displacement solve (eqs 5 to 15 in the paper)
 
     r(u) = A u + B b(s) - c = 0,        s = B^T u - g0,        J = A + B T B^T,
 
-A = I x K - diag(k^2 w^2) x M + S x C follows from the matrices of the structure. S couples the
-cosine and the sine of each harmonic k by +-k w. b are the coefficients of the contact force and c
-those of the load. b and T = db/ds follow from the integrals of the condensed form
+A = I x K - diag(k^2 w^2) x M + S x C follows from stiffness K, mass M and damping C. S couples the
+cosine and the sine of each harmonic k by +-k w. b are the contact force's coefficients, c the
+load's. b and T = db/ds follow from the integrals of the condensed form, with gaps as unknowns
 (:mod:`contact_system`). J is a sparse matrix (AIJ) on the structure's ranks, and each rank has all
 harmonics of its dofs. Modal damping C = M Phi diag(d) Phi^T M is dense. Its m modes add the
 unknowns q = Phi^T M u to each harmonic, on the last rank.
 
-A static compliance R_inf = W^T B may be in series with contact, as for crack faces without mass.
-Then s is the slow gap of the condensed form, s = B^T u - g0 + R_inf b. With B b = c - A u it is
-linear in the displacement:
+A static compliance R_inf = W^T B may be in series with contact, as for crack faces without mass. W
+has the static displacements by unit contact forces. Then s is the slow gap of the condensed form,
+s = B^T u - g0 + R_inf b. With B b = c - A u the slow gap is linear in the displacement:
 
     s = B^T u - g0 + W^T (c - A u),        J = A + B T (B - A^T W)^T.
 
-The linear solution is the unit of the unknowns, and the load the unit of residuals. Newton's method
-takes full steps. It starts from the linear solution at very soft contact, whose solution is close.
-The contact stiffness then grows up to the law; steps in stiffness that fail are shortened. Every
-iteration factors J, with 2H+1 times the unknowns of the structure. The condensed form has the same
-solutions in a fraction of the time.
+Unknowns are scaled by the norm of the linear solution, residuals by the norm of the load. Newton's
+method takes full steps. The search begins with very soft contact, whose solution is close to the
+linear one. The contact stiffness then grows up to the law's; steps in stiffness that fail are
+shortened. Every iteration factors J, with 2H+1 times the unknowns of the structure. The condensed
+form has the same solutions in a fraction of the time.
 """
 
 from __future__ import annotations
@@ -51,13 +51,14 @@ from fenics_crack.numerics.fourier import resize_harmonics, stretch_period
 from fenics_crack.numerics.newton import MAX_ITERATIONS, Snes
 
 MAX_STIFFNESS_RATIO, MIN_STIFFNESS_RATIO = 10.0, 1.1
-"""Largest and smallest ratio of successive contact stiffnesses that is tried."""
+"""Largest and smallest ratio between the contact stiffnesses of successive solutions."""
 MUMPS_WORKSPACE_PERCENT = 200
 """Work space of the solver MUMPS beyond its estimate [%].
 
 On several ranks some Jacobians need more for their pivots than the default.
 """
 BLOCK_SEARCH_REMEDY = "form = 'condensed', other harmonics, a softer contact, or more damping"
+"""Advice in the error message if the block system is not solved."""
 
 
 class BlockSystem(Snes):
@@ -153,8 +154,9 @@ class BlockSystem(Snes):
     def _linear_jacobian_rows(self, base_omega: float) -> sparse.coo_matrix:
         """Return this rank's rows of the dynamic stiffness, the Jacobian without contact.
 
-        ``base_omega`` [rad/s] is the response's frequency. Rows and columns are in the system's
-        units. Rows of damped modes are on the last rank.
+        ``base_omega`` [rad/s] is the response's frequency. The matrix takes unknowns divided by
+        ``length_unit`` to forces divided by ``force_unit``. Rows for the amplitudes of damped modes
+        are on the last rank.
         """
         structure, n_rows = self.structure, self._shape[0]
         mass, stiffness = (
@@ -203,9 +205,11 @@ class BlockSystem(Snes):
     def _group_columns_by_rank(
         self, matrix: sparse.spmatrix, n_new_columns: int
     ) -> sparse.csr_matrix:
-        """Reorder columns from (harmonic, dof) to rank by rank.
+        """Return a matrix with its columns in the order of PETSc's unknowns.
 
-        ``n_new_columns`` is the number of columns of the result.
+        Columns come ordered (Fourier coefficient, global dof). PETSc needs all columns of the first
+        rank, then all of the second rank; within a rank the order stays (Fourier coefficient, dof).
+        The result has ``n_new_columns`` columns; added columns are zero.
         """
         coo_matrix = matrix.tocoo()
         n_rows = self._shape[0]
@@ -237,6 +241,7 @@ class BlockSystem(Snes):
         )
 
     def _set_linear_solver_type(self, solver: Any) -> None:
+        """Choose a direct solver, MUMPS if PETSc has this package."""
         solver.getPC().setType("lu")
         if PETSc.Sys.hasExternalPackage("mumps"):
             solver.getPC().setFactorSolverType("mumps")
@@ -259,7 +264,8 @@ class BlockSystem(Snes):
     def scaled_unknowns_of(self, displacement: np.ndarray) -> np.ndarray:
         """Return this rank's scaled unknowns for a displacement (2H+1, n_local) [m] (collective).
 
-        On the last rank, the amplitudes of damped modes follow.
+        The result is flat: displacement over ``length_unit``, on the last rank then the amplitudes
+        of damped modes.
         """
         scaled_displacement, comm = displacement / self.length_unit, self.structure.comm
         modal_unknowns = self.structure.sum_over_ranks(
@@ -302,7 +308,7 @@ class BlockSystem(Snes):
         Parameters
         ----------
         displacement : (2H+1, n_local) [m]
-            Start.
+            Displacement at which the steps begin.
         stiffness_factor : float
             Factor of the contact stiffness, above 0, at most 1.
         tolerance : float
@@ -311,9 +317,11 @@ class BlockSystem(Snes):
         Returns
         -------
         displacement : (2H+1, n_local) [m]
-            End.
+            Displacement at which the steps end, converged or not.
         has_converged : bool
+            True if |F| <= ``tolerance`` |x|.
         n_iterations : int
+            Newton steps taken, at most 8.
         """
         self.integrals = self.integrals.with_softness(1.0 / stiffness_factor - 1.0)
         has_converged, n_iterations = self.solve_into_unknown_vector(
@@ -428,9 +436,10 @@ def _solve_with_growing_stiffness(
 ) -> tuple[np.ndarray, float]:
     """Solve at growing contact stiffness, up to the law's.
 
-    Each solution begins on a straight line through the last two, over the logarithm of the
-    stiffness factor. ``displacement`` (2H+1, n_local) [m] starts the first solution, at
-    ``first_stiffness_factor``. Steps that fail are shortened, down to a ratio of 1.1.
+    Newton's method starts at ``displacement`` (2H+1, n_local) [m] with the factor
+    ``first_stiffness_factor`` of the law's stiffness. Later starts are extrapolated from the last
+    two solutions, linearly in the logarithm of the factor. If a later start fails, the ratio of
+    successive factors is reduced, down to 1.1.
 
     Returns
     -------

@@ -15,8 +15,8 @@ omega^2,
 
     Z^-1 = D^-1 + Phi diag(1/(d_j + 2 i xi_j omega_j omega) - 1/d_j) Phi^T
 
-exactly. Close to a natural frequency the two terms with d_j cancel, and D is all but singular. The
-mode is then deflated: the bordered matrix
+exactly, with the damping ratios xi_j. Close to a natural frequency the two terms with d_j cancel,
+and D is all but singular. The mode is then deflated: the bordered matrix
 
     [ D           M phi_j ]
     [ phi_j^T M   0       ]
@@ -145,7 +145,7 @@ class DynamicStiffness:
     def solve(self, dof_forces: np.ndarray) -> np.ndarray:
         """Return displacements under forces on the dofs, both (m, n_local) (collective).
 
-        Forces [N] are real or complex. The m rows are separate cases.
+        Forces [N] are real or complex. Each of the m rows is a load case of its own.
         """
         n_local = self.structure.n_local
         if self._damping_matrix is not None:
@@ -222,9 +222,9 @@ def load_coefficients(structure: Structure, harmonics: int, subharmonic: int) ->
 class ModalCompliance:
     """Dynamic compliance of the gaps in closed form, from all modes of a small structure.
 
-    It is exact with any damping. Mode j has the impedance omega_j^2 - w^2 + i w c_j at the
-    frequency w, with the natural frequency omega_j and the modal damping c_j. Damping that couples
-    modes makes it a full matrix of the same size.
+    The compliance is exact with any damping. Mode j has the impedance omega_j^2 - w^2 + i w c_j at
+    the frequency w, with the natural frequency omega_j and the modal damping c_j. If damping
+    couples modes, the impedance is a full matrix (n_modes, n_modes).
 
     Attributes
     ----------
@@ -233,7 +233,7 @@ class ModalCompliance:
     matrices : (H+1, n_pairs, n_pairs) complex [m/N]
         Compliance for each harmonic, symmetric.
     linear_gap : (2H+1, n_pairs) [m]
-        Gap without contact forces, less the clearance.
+        Gap under the load without contact forces: B^T u less the clearance.
     reachable_gap_basis : (n_pairs, n) or None
         Orthonormal basis of the gaps that modes can make; None if modes are at least as many as
         pairs.
@@ -272,6 +272,10 @@ class ModalCompliance:
     def _set_parameters(
         self, base_omega: float, load_factor: float, damping_factor: float, added_clearance: float
     ) -> None:
+        """Set frequency [rad/s], factors and added clearance [m], and all that follows from them.
+
+        The modal receptances, modal loads and ``gap_without_modes`` are computed again.
+        """
         self._base_omega, self._damping_factor = base_omega, damping_factor
         is_mode_loaded = self._modal_load_at_unit_factor != 0.0
         self._receptance = self._all_modes.modal_receptances(
@@ -284,10 +288,12 @@ class ModalCompliance:
 
     @cached_property
     def matrices(self) -> np.ndarray:
+        """Compliance for each harmonic: (H+1, n_pairs, n_pairs) complex [m/N]."""
         return self._pair_compliance(self._receptance)
 
     @cached_property
     def linear_gap(self) -> np.ndarray:
+        """Gap under the load without contact forces: (2H+1, n_pairs) [m]."""
         return self._gap_response(self._modal_load) + self.gap_without_modes
 
     def with_parameters(
@@ -322,8 +328,8 @@ class ModalCompliance:
     def _pair_compliance(self, modal_receptance: np.ndarray) -> np.ndarray:
         """Return the gaps' compliance from modal receptances: (n, n_pairs, n_pairs) complex [m/N].
 
-        ``modal_receptance`` has n frequencies first; for uncoupled modes (n, n_modes), else (n,
-        n_modes, n_modes).
+        ``modal_receptance`` is the modal displacement by unit modal forces at n frequencies: (n,
+        n_modes) for uncoupled modes, else (n, n_modes, n_modes).
         """
         dynamic_pair_compliance = self._all_modes.compliance_of_pairs(modal_receptance)
         return (
@@ -389,10 +395,10 @@ class ModalCompliance:
     def selected_displacement(
         self, selection_rows: np.ndarray, contact_force: np.ndarray
     ) -> np.ndarray:
-        """Return combinations of the displacement under load and contact forces: (2H+1, m).
+        """Return linear combinations of the displacements under load and contact: (2H+1, m).
 
-        ``selection_rows`` (m, n_local) are factors of the dofs; ``contact_force`` has the
-        coefficients (2H+1, n_pairs) [N].
+        Each of the m rows ``selection_rows`` (m, n_local) has a factor for each dof.
+        ``contact_force`` has the coefficients (2H+1, n_pairs) [N].
         """
         displacement_of_modes = from_complex(
             -self._negative_modal_displacement(contact_force)
@@ -406,10 +412,10 @@ class ModalCompliance:
         )
 
     def _massless_displacement(self, contact_force: np.ndarray) -> np.ndarray:
-        """Return the contribution of coordinates without mass to the displacement: (2H+1, n_local)
-        [m].
+        """Return the displacement by coordinates without mass: (2H+1, n_local) [m].
 
-        The contribution is quasi-static, under load and contact forces.
+        These coordinates respond quasi-statically to the load and to ``contact_force`` (2H+1,
+        n_pairs) [N].
         """
         assert (
             self._all_modes.massless_pair_responses is not None
@@ -522,10 +528,10 @@ class ModalCompliance:
     def _negative_modal_displacement_omega_derivative(
         self, contact_force: np.ndarray
     ) -> np.ndarray:
-        """Return minus the derivative of modal displacements by the response's frequency.
+        """Return -dq/dw, with modal displacements q and the response's frequency w.
 
-        ``contact_force`` (2H+1, n_pairs) has real Fourier coefficients, the result (H+1, n_modes)
-        complex ones.
+        ``contact_force`` (2H+1, n_pairs) [N], kept fixed, has real Fourier coefficients. The result
+        (H+1, n_modes) has complex ones.
         """
         harmonic_orders = self._harmonic_orders[:, None]
         negative_modal_displacement = self._negative_modal_displacement(contact_force)
@@ -549,10 +555,10 @@ class ModalCompliance:
         )
 
     def _negative_modal_displacement(self, contact_force: np.ndarray) -> np.ndarray:
-        """Return minus the modal displacements under load and contact forces.
+        """Return -q, with the modal displacements q under load and contact forces.
 
-        ``contact_force`` (2H+1, n_pairs) has real Fourier coefficients, the result (H+1, n_modes)
-        complex ones.
+        ``contact_force`` (2H+1, n_pairs) [N] has real Fourier coefficients, the result (H+1,
+        n_modes) complex ones. The modal force taken is the contact force less the load: hence -q.
         """
         modal_force_less_load = (
             to_complex(contact_force) @ self._all_modes.gaps_by_mode.T - self._modal_load
@@ -566,8 +572,8 @@ class ModalCompliance:
 class FactoredCompliance:
     """Dynamic compliance of the gaps by a sparse factorisation for each harmonic.
 
-    The compliance is exact. The factors are kept. Further attributes are those of
-    :class:`ModalCompliance`.
+    The compliance is exact. The factored matrices are kept until :meth:`destroy`. ``gap_shape``,
+    ``matrices`` and ``linear_gap`` are as in :class:`ModalCompliance`.
 
     Attributes
     ----------
@@ -577,6 +583,7 @@ class FactoredCompliance:
     """
 
     reachable_gap_basis: np.ndarray | None = None
+    """None: no basis of the gaps that modes can make, as all modes take part."""
 
     def __init__(self, structure: Structure, base_omega: float, load_rows: np.ndarray) -> None:
         self.structure, self.load = structure, load_rows
@@ -604,8 +611,8 @@ class FactoredCompliance:
     def compliance_matrices_of_higher_harmonics(self, max_harmonic: int) -> np.ndarray:
         """Return the compliance at harmonics above H: (n, n_pairs, n_pairs) complex [m/N].
 
-        The n harmonics are H+1 to ``max_harmonic``. At least 20 modes respond dynamically; the
-        remaining static compliance responds statically. This approximation is for error estimates.
+        The n harmonics are H+1 to ``max_harmonic``. The lowest modes, at least 20, respond
+        dynamically; all higher modes respond statically. This approximation is for error estimates.
         """
         natural_omegas, modal_damping_rates, gap_shapes = self.structure.compute_once(
             _omegas_damping_rates_and_gap_shapes
@@ -662,9 +669,9 @@ ComplianceModel = ModalCompliance | FactoredCompliance
 def resized_compliance_model(compliance_model: ComplianceModel, harmonics: int) -> ComplianceModel:
     """Return a compliance model with another number of harmonics.
 
-    :class:`FactoredCompliance` has no factors for harmonics above the present H. At least 20 modes
-    and the remaining static compliance approximate these, enough for an error estimate. The model's
-    ``displacement`` keeps the number of harmonics.
+    :class:`FactoredCompliance` has no factored matrices for harmonics above the present H. There,
+    the lowest modes (at least 20) respond dynamically and higher modes statically, enough for an
+    error estimate. The new model's method ``displacement`` still takes forces with H harmonics.
     """
     new_model = copy(compliance_model)
     resized_matrices = compliance_model.matrices[: harmonics + 1]
@@ -688,7 +695,8 @@ def _omegas_damping_rates_and_gap_shapes(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the lowest modes with damping, at least 20 if the structure has as many dofs.
 
-    Modes with a natural frequency of 0, perhaps lost in rounding, are left out.
+    Modes with a computed frequency of 0 are left out: rigid-body modes, or modes so slow that
+    rounding hides the frequency.
 
     Returns
     -------

@@ -2,10 +2,11 @@
 
     b_0 = 1/T int lambda dt,   b_k = 2/T int lambda cos(k w t) dt  or  sin(k w t)          (eq. 7)
 
-There are two ways. *Sampled*: the trapezoidal rule on N instants, for any law; kinks let the error
-fall like N^-2. *Exact*: a law that is linear in contact is integrated in closed form between the
-switching instants. In both the force is locally kappa(t) g(t). Both tangents (eq. 14) consist of
-c_m and s_m, the means of kappa cos(m theta) and kappa sin(m theta): for rows i and columns j
+There are two ways. *Sampled*: the trapezoidal rule on N instants, for any law; with kinks the error
+falls like N^-2. *Exact*: a law that is linear in contact is integrated in closed form between the
+switching instants. In both, a small change of the gap changes the force by kappa(t), the law's
+slope. The derivative of the coefficients (eq. 14) consists of c_m and s_m, the means of
+kappa cos(m theta) and kappa sin(m theta) at the phase theta = w t. For rows i and columns j
 
     d a_i/d a_j:  c_{i-j} + c_{i+j}      d a_i/d b_j:  s_{i+j} - s_{i-j}
     d b_i/d a_j:  s_{i+j} + s_{i-j}      d b_i/d b_j:  c_{i-j} - c_{i+j},      i, j >= 1,
@@ -14,15 +15,15 @@ a Toeplitz plus a Hankel matrix for each pair. The row of the mean has c_0, c_j,
 of the mean 2 c_i, 2 s_i.
 
 A static compliance couples pairs: the forces lambda follow from all slow gaps s = g + R_inf lambda.
-With S_A the stiffness for the set A of closed pairs (:mod:`fenics_crack.model.contact`), lambda =
-S_A(t) s(t). For s with H harmonics the product needs only the means
+With S the stiffness matrix for the present set of closed pairs (:mod:`fenics_crack.model.contact`),
+lambda = S(t) s(t). For s with H harmonics the coefficients of lambda need only the means
 
     S_m = 1/(2 pi) int S(theta) exp(i m theta) d theta,        m = 0 .. 2H.
 
 *Exact*: the kernel finds the events at which a pair opens or closes, and the means are sums over
-events (``kernel/intervals.h``, ``coupled_forces.h``). *Sampled*: S is the tangent at every sample.
-In both, T v is found on N > 4H instants. S is cut off above 2H harmonics, so that products are
-exact.
+events (``kernel/intervals.h``, ``coupled_forces.h``). *Sampled*: S is the law's slope at every
+sample. In both, the force change by a gap change v is the product S v at N > 4H instants. S is cut
+off above 2H harmonics, so that the change's coefficients up to H are exact.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ class ContactForces(ABC):
 
     @abstractmethod
     def force_change(self, gap_change: np.ndarray) -> np.ndarray:
-        """Return the linearised contact force change by a slow gap's change.
+        """Return the linearised change of the contact forces for a change of the slow gaps.
 
         Both are Fourier coefficients (2H+1, n_pairs) [N], [m]. The slow gap is the gap plus
         residual flexibility times contact force.
@@ -152,7 +153,7 @@ class ContactIntegrals(ABC):
     def compliance_diagonal(self) -> np.ndarray:
         """Compliance in series with each pair: (n_pairs,), or one number [m/N].
 
-        The sum of residual flexibility and contact springs' compliance has this diagonal.
+        Diagonal of residual flexibility plus contact springs' compliance.
         """
         return (
             self.spring_compliance
@@ -162,10 +163,7 @@ class ContactIntegrals(ABC):
 
     @cached_property
     def mean_pair_compliance(self) -> float:
-        """Mean over the pairs of the compliance in series [m/N].
-
-        It is the mean diagonal of residual flexibility plus contact springs' compliance.
-        """
+        """Mean of ``compliance_diagonal`` over the pairs [m/N], the unit of the softness."""
         return float(np.mean(self.compliance_diagonal))
 
     @abstractmethod
@@ -195,7 +193,7 @@ class ContactIntegrals(ABC):
         return replace(self, harmonics=harmonics)
 
     def exact_or_finer_integrals(self) -> ContactIntegrals | None:
-        """Return exact integrals, or integrals with more samples.
+        """Return exact integrals if the law permits, else integrals with more samples.
 
         None: these integrals are exact already.
         """
@@ -241,8 +239,9 @@ class SampledIntegrals(ContactIntegrals):
     """Integrals of uncoupled contact forces by samples at equally spaced instants.
 
     The trapezoidal rule, by the fast Fourier transform, for any law. A softness in series divides
-    the contact stiffness by 1 + softness. More than 4 H instants make products exact; 2H+1, as many
-    as coefficients, are collocation.
+    the contact stiffness by 1 + softness. The derivatives need the slope's harmonics up to 2 H:
+    with 4 H instants or fewer, high harmonics alias to low ones. With 2H+1 instants, as many as
+    coefficients, the method is collocation.
     """
 
     samples: int
@@ -287,13 +286,14 @@ class SampledIntegrals(ContactIntegrals):
 class ExactIntegrals(ContactIntegrals):
     """Exact integrals of uncoupled contact forces, for lambda = k max(g, 0).
 
-    Between the instants at which a pair opens or closes, they have a closed form. With kappa = k
-    while the pair is closed, else 0, the means over a period are
+    Between the instants at which a pair opens or closes, the integrals have a closed form. With
+    kappa = k while the pair is closed, else 0, and the phase theta, the means over a period are
 
         c_m + i s_m = 1 / (2 pi) int kappa exp(i m theta) d theta.
 
-    Since lambda = kappa g, the coefficients of the force are the tangent times those of the gap. A
-    diagonal residual flexibility D_0 replaces k by 1 / (D_0 + 1/k), and k may then be infinite.
+    The derivative of the force coefficients consists of these means. Since lambda = kappa g, the
+    force coefficients are this derivative times the gap coefficients. A diagonal residual
+    flexibility D_0 replaces k by 1 / (D_0 + 1/k), and k may then be infinite.
     """
 
     @property
@@ -336,6 +336,7 @@ class ExactIntegrals(ContactIntegrals):
 
 
 PairIntegrals = ExactIntegrals | SampledIntegrals
+"""Integrals for uncoupled pairs."""
 
 
 class PairForces(ContactForces):
@@ -454,8 +455,8 @@ def tangent_from_means(stiffness_means: np.ndarray) -> np.ndarray:
     Returns
     -------
     (2H+1, n, (2H+1) n)
-        For each coefficient of a pair's force: by the gaps' coefficients, ordered (coefficient,
-        pair).
+        Derivative of force coefficient i of pair p, at index (i, p). The last axis has all gap
+        coefficients, ordered (coefficient, pair).
     """
     harmonics, n_pairs = len(stiffness_means) // 4, stiffness_means.shape[1]
     stiffness_means = require_shape(stiffness_means, 4 * harmonics + 1, n_pairs, n_pairs)
@@ -479,10 +480,11 @@ class CoupledIntegrals(ContactIntegrals):
     Attributes
     ----------
     samples : int or None
-        Instants per period; None: exact integrals, or for a smooth law :func:`default_n_samples`.
+        Instants per period; None: exact integrals, or for a smooth law
+        :func:`default_instants_per_period`.
     shared_active_set_solver : ActiveSetSolver or None
-        Solver of other integrals with the same law and residual flexibility, whose factored
-        matrices for sets of touching pairs are used again.
+        Solver from other integrals with the same law and residual flexibility. Inverse matrices
+        that it keeps for sets of closed pairs are used again.
     """
 
     samples: int | None = None
@@ -495,8 +497,8 @@ class CoupledIntegrals(ContactIntegrals):
     def active_set_solver(self) -> ActiveSetSolver:
         """Solver for contact forces by sets of closed pairs.
 
-        Its compliance is residual flexibility plus contact springs' compliance plus softness; for a
-        smooth law without springs.
+        The solver's compliance is residual flexibility plus contact springs' compliance plus
+        softness. A smooth law has no contact springs: their compliance is left out.
         """
         if self.shared_active_set_solver is not None:
             return self.shared_active_set_solver
@@ -559,13 +561,14 @@ class CoupledForces(ContactForces):
     def tangent(self, gap_basis: np.ndarray | None = None) -> np.ndarray:
         """Return the derivative T of the force coefficients by the slow gap coefficients.
 
-        The slow gap is the gap plus residual flexibility times contact force.
-        With a basis U (n_pairs, n) of gaps, return U^T T U; else n = n_pairs.
+        The slow gap is the gap plus residual flexibility times contact force. With a basis U
+        (n_pairs, n) of gaps, return U^T T U; else n = n_pairs.
 
         Returns
         -------
         (2H+1, n, (2H+1) n) [N/m]
-            For each coefficient of a pair's force: by the gaps', ordered (coefficient, pair).
+            Derivative of force coefficient i of pair p, at index (i, p). The last axis has all gap
+            coefficients, ordered (coefficient, pair).
         """
 
     def identity_plus_compliance_tangent(
@@ -591,7 +594,8 @@ class CoupledForces(ContactForces):
 class _KernelForceEvaluator:
     """C object that computes exact forces for given numbers of harmonics and pairs.
 
-    Several forces share it. ``evaluated_forces`` are the forces whose gap it evaluated last.
+    Several :class:`_ExactForces` share the C object. ``evaluated_forces`` is the one for which the
+    C object holds the results at present.
     """
 
     def __init__(self, harmonics: int, n_pairs: int) -> None:
@@ -601,6 +605,7 @@ class _KernelForceEvaluator:
 
 
 _kernel_evaluator_for = lru_cache(maxsize=16)(_KernelForceEvaluator)
+"""Return the shared C object for numbers of harmonics and pairs; the last 16 are kept."""
 
 
 class _ExactForces(CoupledForces):
@@ -614,9 +619,10 @@ class _ExactForces(CoupledForces):
         self._evaluated_kernel_handle()
 
     def _evaluated_kernel_handle(self) -> Any:
-        """Return the C object, evaluated at the gap of these forces.
+        """Return the C object after it evaluated the forces at this object's gap.
 
-        Raises ConvergenceError if no forces are found at an instant.
+        Nothing is evaluated again if the C object still holds these results. ConvergenceError: at
+        an instant, no contact forces are found.
         """
         kernel_evaluator = _kernel_evaluator_for(self.harmonics, self._gap_coefficients.shape[1])
         active_set_solver = self._integrals.active_set_solver
@@ -657,10 +663,11 @@ class _ExactForces(CoupledForces):
         return tangent_from_means(stiffness_means)
 
     def _diagonal_compliance_derivative(self, compliance_rates: np.ndarray) -> np.ndarray:
-        """Return the forces' derivative by the compliance in series: (2H+1, n_pairs).
+        """Return the forces' derivative by a parameter of the series compliance: (2H+1, n_pairs).
 
         The compliance matrix is residual flexibility plus contact springs' compliance plus
-        softness. Its diagonal grows at ``compliance_rates`` (n_pairs,).
+        softness. ``compliance_rates`` (n_pairs,) is the derivative of the matrix's diagonal by the
+        parameter.
         """
         force_derivative = np.empty(self._gap_coefficients.shape)
         compliance_rates = require_shape(compliance_rates, self._gap_coefficients.shape[1])

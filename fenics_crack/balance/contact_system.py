@@ -3,17 +3,17 @@
     F(s) = s - g_lin + (R_k - R_inf) b_k(lambda(s)) = 0,       J = I + (R - R_inf) T,
 
 g_lin is the gap without contact forces. R is the compliance (:mod:`compliance`), block diagonal in
-the harmonics. R_inf is the static compliance in series with contact, b are the coefficients of the
-contact forces lambda(s), and T is their derivative. s is the slow gap, and the gap is g = s - R_inf
-lambda(s). Strategies for the forces:
+the harmonics. R_inf is the static compliance in series with contact. b are the coefficients of the
+contact forces lambda(s), and T is the derivative db/ds. s is the slow gap, and the gap is g = s -
+R_inf lambda(s). Contact forces are computed in four ways:
 
 pair by pair   R_inf = 0, s = g: the penalty law of uncoupled pairs (:mod:`contact_integrals`)
 coupled        R_inf couples the pairs. R_k - R_inf falls like k^-2, so that s is smooth. Only s is
                truncated, and g keeps its kinks. The penalty law and the constraint are one law,
                with a stiffness or without
-projected      no penetration, for pairs with mass. R_inf = I / eps in frequency, s = g + lambda /
-               eps, lambda = eps max(s, 0) pair by pair, the dynamic Lagrangian. Truncated solutions
-               depend a little on eps, and less with more harmonics
+projected      no penetration, for pairs with mass. R_inf = I / eps for the coefficients, with a
+               weight eps: s = g + lambda / eps, lambda = eps max(s, 0) pair by pair (dynamic
+               Lagrangian). Truncated solutions depend a little on eps, less with more harmonics
 sampled        any other law, by alternating between frequency and time (AFT)
 
 With fewer modes than coupled pairs, R_k - R_inf = U R'_k U^T. U is an orthonormal basis of the gaps
@@ -22,9 +22,10 @@ that modes can make, and steps are found in the coordinates of U:
     J^-1 r = r - U (I + R' U^T T U)^-1 R' U^T T r,       det J = det(I + R' U^T T U).
 
 With many coupled unknowns J is not formed, and GMRES takes products J v. With exact integrals the
-kernel follows paths (``kernel/contact.h``, ``compliance.h``, ``krylov.h``). Along p the contact
-stiffness grows like e^(growth p), g_lin grows linearly, and the softness falls. Or the base
-frequency and the modal damping change, and R and g_lin follow.
+kernel follows paths (``kernel/contact.h``, ``compliance.h``, ``krylov.h``). Along the path
+parameter p the contact stiffness grows like e^(growth p), g_lin grows linearly, and the softness (a
+compliance in series with every pair) falls. Or the base frequency and the modal damping change, and
+R and g_lin follow.
 
 Sources: Nacivet, Pierre, Thouverez, Jezequel, Journal of Sound and Vibration 265 (2003) 201-219
 (projected); Monjaraz-Tec, Gross and Krack, arXiv 2111.07693 and 2207.00795 (coupled, in time),
@@ -84,13 +85,15 @@ from fenics_crack.numerics.newton import gmres
 MAX_UNKNOWNS_WITH_JACOBIAN = 350
 """Unknowns per step above which coupled pairs have no dense Jacobian.
 
-Measured with H = 8 to 40 and 18 pairs: both ways take equally long at 300 to 350 unknowns.
+Above, GMRES takes products with the Jacobian. Measured with H = 8 to 40 and 18 pairs: both ways
+take equally long at 300 to 350 unknowns.
 """
 
 DYNAMIC_TO_SOFT_PAIR_COMPLIANCE = 0.05
-"""Dynamic compliance of the gaps over compliance in series with the pairs, at the softest contact.
+"""Dynamic compliance of the gaps, relative to the series compliance of very soft contact.
 
-Below this ratio the solution is unique and close to the linear one.
+A path to the contact law starts at this ratio. The solution there is unique and close to the
+linear one.
 """
 
 ResidualDerivativeFunction = Callable[["ContactPoint"], np.ndarray]
@@ -146,7 +149,7 @@ class ContactSystem:
         self.reachable_gap_basis = (
             compliance_model.reachable_gap_basis if integrals.has_coupled_pairs else None
         )
-        """Orthonormal basis (n_pairs, n) of the gaps that modes can make.
+        """Orthonormal basis (n_rows, n) of the gaps that modes can make.
 
         None: modes can make all gaps, or pairs are uncoupled.
         """
@@ -157,16 +160,16 @@ class ContactSystem:
             integrals.has_coupled_pairs and n_step_unknowns > MAX_UNKNOWNS_WITH_JACOBIAN
         )
         self.n_cost_unknowns = min(n_step_unknowns, MAX_UNKNOWNS_WITH_JACOBIAN)
-        """Number of unknowns by which the time of a Newton step grows, at most 350."""
+        """Number of unknowns for an estimate of a Newton step's time, at most 350."""
 
     @cached_property
     def linear_gap(self) -> np.ndarray:
-        """Gap without contact forces: (2H+1, n_pairs) [m]."""
+        """Gap without contact forces: (2H+1, n_rows) [m]."""
         return self.compliance_model.linear_gap
 
     @cached_property
     def dynamic_less_static_compliance(self) -> np.ndarray:
-        """Dynamic compliance less residual flexibility: (H+1, n_pairs, n_pairs) complex [m/N]."""
+        """Dynamic compliance less residual flexibility: (H+1, n_rows, n_rows) complex [m/N]."""
         compliance_matrices = self.compliance_model.matrices
         return (
             compliance_matrices
@@ -176,7 +179,7 @@ class ContactSystem:
 
     @cached_property
     def compiled_equations(self) -> CompiledEquations | None:
-        """Same equations in the C kernel; None without exact integrals."""
+        """Same equations in the C kernel; None if the contact integrals are not exact."""
         if not self.integrals.is_exact:
             return None
         series_compliance = self._start_softness * self.integrals.mean_pair_compliance
@@ -344,8 +347,9 @@ class ContactSystem:
     def with_harmonics(self, harmonics: int) -> ContactSystem:
         """Return these equations with another number of harmonics.
 
-        Large structures have no factors for harmonics above the present H. At least 20 modes and
-        the remaining static compliance approximate these, enough for an error estimate.
+        Large structures have no factored matrices for harmonics above the present H. There, the
+        lowest modes (at least 20) respond dynamically and higher modes statically, enough for an
+        error estimate.
         """
         compliance_model = resized_compliance_model(self.compliance_model, harmonics)
         return ContactSystem(compliance_model, self.integrals.with_harmonics(harmonics))
@@ -387,9 +391,9 @@ class ContactPoint(DenseLinearisation):
         self._residual_derivative_by_parameter_function = residual_derivative_by_parameter_function
         self.linearised_forces = integrals.linearise(unknown)
         self.force = self.linearised_forces.force
-        """Coefficients of the contact force: (2H+1, n_pairs) [N]."""
+        """Coefficients of the contact force: (2H+1, n_rows) [N]."""
         self.gap = system.gap(unknown, self.force)
-        """Coefficients of the gap: (2H+1, n_pairs) [m]."""
+        """Coefficients of the gap: (2H+1, n_rows) [m]."""
 
     @cached_property
     def residual(self) -> np.ndarray:  # type: ignore[override]
@@ -459,7 +463,7 @@ class ContactPoint(DenseLinearisation):
         return self._residual_derivative_by_parameter_function(self)
 
     def gap_change(self, slow_gap_change: np.ndarray) -> np.ndarray:
-        """Return the gap's linearised change by a change of the slow gap.
+        """Return the gap's linearised change for a change of the slow gap.
 
         Both are (2H+1, n_rows) [m]. Slow gap: gap plus residual flexibility times contact force.
         """
@@ -468,10 +472,10 @@ class ContactPoint(DenseLinearisation):
         )
 
     def gap_change_by_force(self, force_change: np.ndarray) -> np.ndarray:
-        """Return the linearised change of the gap by an added contact force.
+        """Return the gap's linearised change for a given error of the contact force.
 
-        ``force_change`` (2H+1, n_pairs) [N] acts besides the law; the gap's change (2H+1, n_pairs)
-        [m] includes the law's reaction.
+        ``force_change`` (2H+1, n_rows) [N] is added to the force by the law. The equations are
+        solved again, linearised: the result (2H+1, n_rows) [m] includes the law's reaction.
         """
         unknown_change = self.solve(
             -multiply_compliance_and_force(self.system.dynamic_less_static_compliance, force_change)
@@ -527,7 +531,7 @@ class Wave:
 
     @cached_property
     def residual_compliance(self) -> np.ndarray | None:
-        """Residual flexibility: (n_rows, n_rows) [m/N], or None without quasi-static modes.
+        """Residual flexibility: (n_rows, n_rows) [m/N], or None if ``static_above`` is None.
 
         The flexibility is the quasi-static response of gaps to contact forces. Rows are the normal
         gaps of pairs; with friction their tangential gaps follow, and under the layered law the
@@ -554,7 +558,7 @@ class Wave:
 
     @cached_property
     def _integrals(self) -> ContactIntegrals:
-        """Integrals from slow gaps to contact forces, with residual flexibility or friction.
+        """Object to compute contact forces from slow gaps, for coupled pairs or friction.
 
         A slow gap is the gap plus residual flexibility times contact force.
         """
@@ -616,7 +620,7 @@ class Wave:
     def _gaps_and_forces_with_basis_at(
         self, basis_at_phases: np.ndarray, phases: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the given Fourier basis with gaps [m] and contact forces [N].
+        """Return ``basis_at_phases``, gaps [m] and contact forces [N].
 
         ``basis_at_phases`` (n, 2H+1) has a row for each response phase in ``phases`` (n,) [rad].
         Gaps and forces are (n, n_columns).
@@ -705,13 +709,15 @@ class Wave:
         )[1]
 
     def _check_friction(self) -> None:
+        """Raise InputError if the contact law has no friction."""
         if friction_of(self.contact) is None:
             raise InputError("contact", self.contact, "a law with friction, CoulombFriction")
 
     def displacement_of_local_dofs(self, time: np.ndarray) -> np.ndarray:
         """Return the displacement of this rank's dofs at times [s]: (len(time), n_local) [m].
 
-        The quasi-static response follows the contact forces in time, with their kinks.
+        With quasi-static modes the displacement has kinks in time: the quasi-static response
+        follows the contact forces, and only the rest is a truncated series.
         """
         basis_at_times, _, force_at_times = self.basis_gaps_and_forces_at_phases(
             self.base_omega * np.atleast_1d(time)
@@ -738,7 +744,10 @@ class Wave:
 
 
 def _join_columns(normal_columns: np.ndarray, tangential_columns: np.ndarray | None) -> np.ndarray:
-    """Return normal and tangential columns side by side; normal ones alone for None."""
+    """Return normal and tangential columns side by side.
+
+    If ``tangential_columns`` is None, return the normal columns.
+    """
     return (
         normal_columns
         if tangential_columns is None
@@ -877,7 +886,8 @@ class CompiledEquations(Equations):
 class CompiledPoint(Linearisation):
     """Harmonic-balance equations in the C kernel, linearised at a point.
 
-    The kernel holds one point at a time, and evaluates this one again if another came between.
+    The kernel holds a single point at a time. If another point was evaluated since, the kernel
+    evaluates this point again.
     """
 
     def __init__(self, system: CompiledEquations, unknown: np.ndarray, parameter: float) -> None:
@@ -885,6 +895,7 @@ class CompiledPoint(Linearisation):
 
     @property
     def residual(self) -> np.ndarray:
+        """Residual F(s, p): (2H+1, n_pairs) [m]."""
         residual_coefficients = np.empty_like(self.unknown)
         function_table = self.system.function_table_at(self)
         function_table.residual(function_table, pointer(residual_coefficients))

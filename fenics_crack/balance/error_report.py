@@ -5,18 +5,18 @@ R b(g) - g_lin at the solution, and a disturbance d of b,
 
     delta g = -J^-1 R d.
 
-- truncation: d has the truncated harmonics, by equations that have these harmonics
-- sampling: d is the difference between the contact integrals used and finer or exact ones; with
+- truncation: d has the truncated harmonics, from equations with more harmonics
+- sampling: d is the difference between finer or exact contact integrals and the present ones; with
 collocation this is the aliasing
-- reduction: R lacks delta R, and a larger basis has a share of delta R. R d becomes (delta R b -
-delta g_lin) / share
+- reduction: R lacks the compliance delta R of truncated modes. A larger basis has a known share of
+delta R, so R d becomes (delta R b - delta g_lin) / share
 
 The exact flow gives the truncation error (:mod:`assessment`). Without a flow, it is the change by
 Newton's method with more harmonics. Likewise, with a residual flexibility the reduction error is
 the change with the modes of the larger basis.
 
-Source of the test of the second step: Deuflhard, Newton Methods for Nonlinear Problems, 2004,
-section 2.1.1, with the monitor |simplified step| / |step|.
+Source: Deuflhard, Newton Methods for Nonlinear Problems, 2004, section 2.1.1 (test of the second
+Newton step by the ratio |simplified step| / |step|).
 """
 
 from __future__ import annotations
@@ -57,24 +57,25 @@ from fenics_crack.numerics.newton import motion_size_squared, solve_by_full_or_d
 LARGE_ERROR = 0.05
 """Estimated relative error above which a solution has a warning."""
 MIN_HARMONICS_FOR_MODAL_CHANGE = SearchOptions.guess_harmonic_counts[-1]
-"""Minimum harmonics of the load frequency for estimating modal truncation by two solutions.
+"""Minimum harmonics of the load for a modal truncation error from two harmonic-balance solutions.
 
-On 14 plates next to a resonance, the change between solutions with 40 harmonics is 0.3 to 3 times
-the change between exact orbits; with 20 harmonics the ratio begins at a hundredth.
+The two solutions differ in the number of modes. Measured on 14 plates next to a resonance: with 40
+harmonics the difference is 0.3 to 3 times the difference between the exact orbits. With 20
+harmonics it may be a hundredth.
 """
 NOT_CONFIRMED_TEXT = "not confirmed by an orbit"
 """Words printed with an error report if no exact orbit was found for the truncation error."""
 PART_NAMES_OF_TOTAL_ERROR = ("truncation", "reduction", "sampling", "residual")
-"""Names of the parts of a total error; of equal parts the first is reported."""
+"""Names of the errors in the total. If the largest are equal, the first name is reported."""
 
 
 @dataclass(frozen=True, repr=False)
 class ErrorReport(Described):
     """Estimated relative errors of a solution.
 
-    The reference is the root mean square of B^T u, the gap without clearance. In its mean square
-    the mean gaps contribute no more than the vibration. An error of 1 is unknown: the better
-    equations were not solved, or lead to another motion.
+    The reference is the root mean square of B^T u, the gap plus clearance. In this reference the
+    mean over time counts at most as much as the vibration. An error of 1 is unknown: the equations
+    with more harmonics or modes were not solved, or lead to another motion.
 
     Attributes
     ----------
@@ -112,19 +113,19 @@ class ErrorReport(Described):
 
     @property
     def unknown(self) -> bool:
-        """True if the total error is at least 1, or an error could not be estimated."""
+        """True if the total error is at least 1; an error that cannot be estimated is 1."""
         return self.total >= ERROR_IF_UNKNOWN
 
     @property
     def estimated(self) -> bool:
-        """True if the errors were requested; the total is then a number, else nan."""
+        """True if errors were requested. If not, the total error is nan."""
         return not math.isnan(self.total)
 
     @property
     def largest_part(self) -> str:
         """Name of the largest error: "truncation", "reduction", "sampling" or "residual".
 
-        Of equal errors the first is named.
+        If several are equally large, the first in this order.
         """
         return max(PART_NAMES_OF_TOTAL_ERROR, key=lambda part_name: getattr(self, part_name))
 
@@ -137,7 +138,8 @@ class ErrorReport(Described):
         }
 
     def _unit_by_name(self) -> dict[str, str]:
-        return {}  # relative
+        """Return no units: all errors are relative."""
+        return {}
 
     def _repr_text(self) -> str:
         return ", ".join(
@@ -180,6 +182,7 @@ def estimate_errors(
     gap_from_displacement = problem.structure_with_row_pairs.gap_of(wave.displacement_coefficients)
 
     def relative_gap_size(change: np.ndarray) -> float:
+        """Return the size of a gap change (m, n_rows) [m] relative to the solution's gaps."""
         return relative_rms_of_gap_change(change, point, problem.structure_with_row_pairs.clearance)
 
     relative_residual = relative_gap_size(point.residual)
@@ -244,10 +247,10 @@ UNESTIMATED_REPORT = ErrorReport(math.nan, math.nan, math.nan, math.nan, math.na
 
 
 def report_by_more_modes(solution: Wave, more_modes_solution: Wave) -> ErrorReport:
-    """Return the error report of a linear solution, by a solution with more modes (collective).
+    """Return the error report of a linear solution, from a solution with more modes (collective).
 
-    ``more_modes_solution`` belongs to the reference of the solution's reduced structure, a
-    reduction with more modes. The change between both gives the modal truncation error.
+    ``more_modes_solution`` is the linear solution for the reduced structure's reference, a
+    reduction with more modes. The difference between both gives the modal truncation error.
     """
     gap_plus_clearance = more_modes_solution.gap_coefficients.copy()
     gap_plus_clearance[0] += solution.structure.clearance
@@ -279,8 +282,8 @@ def _relative_change_at_load(wave: Wave, structure: Structure, displacement: np.
     Returns
     -------
     float
-        Change over the root mean square of the first motion, both along the vibrating load. The
-        mean counts at most as much as the vibration.
+        Root mean square of the change over that of the first motion. Both are projected on the
+        load (:func:`motion_along_load`). The mean counts at most as much as the vibration.
     """
     motion_coefficients = motion_along_load(wave.structure, wave.displacement_coefficients)
     change_mean_square = mean_square(
@@ -296,21 +299,22 @@ def _relative_change_at_load(wave: Wave, structure: Structure, displacement: np.
 def relative_rms_of_gap_change(
     gap_change: np.ndarray, point: ContactPoint, clearance: np.ndarray
 ) -> float:
-    """Return the root mean square of a gap's change, relative to the gap without clearance.
+    """Return the root mean square of a gap change, relative to the solution's gap plus clearance.
 
     Parameters
     ----------
-    gap_change : (m, n_pairs) [m]
-        Fourier coefficients of the change.
+    gap_change : (m, n_rows) [m]
+        Fourier coefficients of the change, with any number of harmonics.
     point : ContactPoint
         Equations at the solution.
-    clearance : (n_pairs,) [m]
+    clearance : (n_rows,) [m]
+        Clearance of each pair; with friction, zeros for tangential gaps follow.
 
     Returns
     -------
     float
-        Mean gaps count at most as much as the vibration. 0 if the load presses the crack faces
-        together, so that only rounding moves them.
+        In the reference the mean counts at most as much as the vibration. 0 if the load presses
+        the crack faces together, so that gaps move only by rounding.
     """
     gap_plus_clearance = point.gap.copy()
     linear_gap = point.system.compliance_model.linear_gap.copy()
@@ -328,12 +332,11 @@ def relative_rms_of_gap_change(
 
 
 def _truncation_errors(point: ContactPoint, wave: Wave) -> GapAndDisplacementErrors:
-    """Return the truncation errors, by solving with more harmonics.
+    """Return the truncation errors, by solving again with more harmonics.
 
-    For solutions without an exact flow. The number of harmonics K is four times H, or less if the
-    equations would not be small, but at least twice H. Steps are found by elimination. Iterative
-    solutions of these equations do not converge with many stiff pairs, unless pairs have a residual
-    flexibility.
+    For solutions without an exact flow. Four times as many harmonics are taken, fewer if the
+    equations would be large, but at least twice as many. For uncoupled pairs Newton's method
+    factors the Jacobian: iterative linear solvers do not converge with many stiff pairs.
 
     Returns
     -------
@@ -359,21 +362,21 @@ def _relative_changes_by_better_system(
     start_slow_gap: np.ndarray,
     structure: Structure,
 ) -> GapAndDisplacementErrors:
-    """Return the relative changes from a solution to the solution of better equations.
+    """Return the relative changes from a solution to one with more harmonics or modes.
 
     Parameters
     ----------
     base_point : ContactPoint
-        Equations at the solution.
+        Equations of the present solution.
     wave : Wave
-        Motion of the solution.
+        Motion of the present solution.
     better_system : ContactSystem
         Equations with more harmonics or modes.
     start_slow_gap : (2K+1, n_rows) [m]
         Gap coefficients at which Newton's method starts; with a residual flexibility, coefficients
         of gap plus residual flexibility times contact force.
     structure : Structure
-        Structure of the better equations.
+        Structure of ``better_system``.
 
     Returns
     -------
@@ -467,19 +470,18 @@ def _rms_penetration_of_each_pair(point: ContactPoint, problem: Problem) -> np.n
 
 
 def mean_square(coefficients: np.ndarray) -> float:
-    """Return the mean square over a period from Fourier coefficients (Parseval).
+    """Return the mean square over a period, summed over n quantities (Parseval).
 
-    ``coefficients`` (2H+1, n) have the mean, then cosine and sine of each harmonic. Columns are
-    summed.
+    ``coefficients`` (2H+1, n) have the mean, then cosine and sine of each harmonic.
     """
     return float(np.sum(coefficients[:1] ** 2) + 0.5 * np.sum(coefficients[1:] ** 2))
 
 
 def mean_square_with_limited_mean(coefficients: np.ndarray) -> float:
-    """Return the mean square over a period, in which the mean is limited.
+    """Return the mean square over a period, summed over n quantities, with a limited mean.
 
-    ``coefficients`` (2H+1, n) have the mean first. The mean counts at most as much as the
-    vibration. The result is never zero.
+    ``coefficients`` (2H+1, n) have the mean, then cosine and sine of each harmonic. The mean counts
+    at most as much as the vibration. The result is at least 1e-300, for divisions.
     """
     vibration_mean_square = 0.5 * np.sum(coefficients[1:] ** 2)
     squared_means_sum = np.sum(coefficients[0] ** 2)

@@ -1,14 +1,18 @@
 """Fourier coefficients of contact forces with friction, by alternating between frequency and time.
 
-The forces follow slow gaps s, n_pairs normal and then n_pairs tangential ones, through N instants
-of period after period. At each instant they depend on s and on h, at which pairs stuck until then:
+The slow gaps s, n_pairs normal and then n_pairs tangential ones, are given at N instants of the
+period. The forces lambda are computed instant by instant, period after period. At each instant they
+depend on s and on the slider positions h, the tangential gaps at which tangential springs are
+relaxed:
 
     lambda = L (s - [0; h]),        h = g_t - lambda_t / k_t for pairs that do not stick
 
-g_t, lambda_t and k_t are tangential gap, friction force and tangential stiffness
-(:mod:`fenics_crack.model.contact`, ``kernel/friction_waves.c``). The march ends when h repeats: its
-beginning is then forgotten. Pairs that stick all the time are the exception. They stay at their
-first gap, or at their last slip. The derivative goes through the last two periods, h with it.
+L is the stiffness matrix for the present states of the pairs: open, sticking or slipping. g_t,
+lambda_t and k_t are tangential gap, friction force and tangential stiffness
+(:mod:`fenics_crack.model.contact`, ``kernel/friction_waves.c``). A pair that sticks keeps h. The
+march ends when h repeats after a period: the first value of h then has no more effect. Pairs that
+stick all the time are the exception: h is their first tangential gap, or stays from their last
+slip. The derivative of the forces follows the last two periods, with the changes of h.
 
 Source: Cameron and Griffin, Journal of Applied Mechanics 56 (1989) 149-154.
 """
@@ -53,19 +57,19 @@ def integrals_with_coupled_pairs(
         friction twice as many, normal gaps before tangential ones.
     samples : int, optional
         Instants per period. Default: exact integrals for a piecewise linear law without friction;
-        with friction 32 H, at least 128; otherwise :func:`default_n_samples`.
+        with friction 32 H, at least 128; otherwise :func:`default_instants_per_period`.
     """
     integrals_class = CoupledIntegrals if friction_of(law) is None else FrictionIntegrals
     return integrals_class(law, harmonics, residual_compliance=residual_compliance, samples=samples)
 
 
 SAMPLES_PER_HARMONIC, MIN_SAMPLES = 32, 128
-"""Instants per harmonic and least number of instants for friction forces."""
+"""Instants per harmonic, and minimum instants per period, to compute friction forces."""
 MAX_MARCH_PERIODS = 20
 """Maximum number of periods over which friction forces are followed until they repeat.
 
-Pairs that never all slip or open at once keep a ninth of the initial difference per period (an edge
-crack in flap). After twelve periods only rounding is left.
+If at no instant all pairs slip or open, an initial error of the slider positions falls to a ninth
+per period (measured: an edge crack in flap). After twelve periods only rounding is left.
 """
 
 
@@ -131,11 +135,11 @@ class FrictionIntegrals(ContactIntegrals):
         -------
         forces : (n, 2 n_pairs) [N]
         states : (n, n_pairs) int8
-            Each pair: open, sticking, or slipping up or down.
+            0: open, 1: sticks, 2 and 3: slips with growing and with falling tangential gap.
         places : (n, n_pairs) [m]
             Friction sliders' positions: tangential gap less the tangential spring's deformation.
         origins : (n_pairs,) int
-            Instant at which each pair last did not stick, or 0.
+            Index of the last instant at which each pair did not stick; 0 if the pair always stuck.
         """
         return self.friction_contact_solver.solve(
             gap_samples, gap_samples[0, gap_samples.shape[1] // 2 :], max_periods=MAX_MARCH_PERIODS
@@ -154,6 +158,7 @@ class FrictionIntegrals(ContactIntegrals):
         gap_coefficients : (2H+1, 2 n_pairs) [m]
             Coefficients of the slow gaps.
         requested_phases : (n,) [rad]
+            Phases of the response.
 
         Returns
         -------
@@ -213,16 +218,17 @@ class FrictionForces(CoupledForces):
         return self._force_coefficient_change(sample_period(gap_change, self._integrals.n_instants))
 
     def _force_coefficient_change(self, gap_change_samples: np.ndarray) -> np.ndarray:
-        """Return the forces' coefficient change by gap changes at the instants of the period.
+        """Return the linearised change of the force coefficients for changes of the slow gaps.
 
         Parameters
         ----------
         gap_change_samples : (n_instants, 2 n_pairs) [m]
+            Changes of the slow gaps at the instants of the period.
 
         Returns
         -------
         (2H+1, 2 n_pairs) [N]
-            Linearised: open, sticking and slipping pairs stay so.
+            Change of the coefficients if every pair keeps its state: open, sticking or slipping.
         """
         gap_change_samples = np.ascontiguousarray(gap_change_samples)
         force_change_samples = np.empty_like(self._force_samples)
@@ -273,9 +279,9 @@ class FrictionForces(CoupledForces):
     def friction_scale_derivative(self) -> np.ndarray:
         """Return the forces' derivative by a factor for the friction coefficient.
 
-        Coefficients (2H+1, 2 n_pairs) [N]. f is the derivative of slipping pairs' friction forces
-        at fixed normal forces. By the compliance D in series it acts like a change -D f of the
-        gaps. The result is f plus the forces by that change.
+        The result has Fourier coefficients (2H+1, 2 n_pairs) [N]. Let f be the derivative of the
+        slipping pairs' friction forces at fixed normal forces. Through the series compliance D, f
+        changes the slow gaps by -D f. The result is f plus the force change by this gap change.
         """
         integrals, n_pairs = self._integrals, self._shape[1] // 2
         friction_law = friction_of(integrals.law)

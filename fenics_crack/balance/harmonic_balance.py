@@ -11,10 +11,11 @@ coefficients solve
 
     u_k = A_k^-1 (c_k - B b_k),    with b_k the coefficients of lambda(g(t)),
 
-for every k. As many are kept as the tolerance requires, by the distance of their sum from the
-orbit. The modal truncation error is the distance to the orbit of the reduction's reference, which
-has twice the modes. The modes of a large structure are doubled until that error is small. The
-search is independent of the tolerance, so that a tighter tolerance never gives a worse solution.
+for every harmonic k. As many harmonics are kept as the tolerance requires: the truncation error is
+the distance between the Fourier series and the orbit. The modal truncation error is the distance to
+the orbit with more modes, on the reduction's reference. The modes of a large structure are doubled
+until this error is small. The search for the orbit does not depend on the tolerance, so that a
+tighter tolerance never gives a worse solution.
 
 If there is no exact flow, or no orbit is found, harmonics are added until the estimated error is
 small enough.
@@ -113,6 +114,7 @@ def solve_linear(
 
     @cache
     def estimate() -> ErrorReport:
+        """Return the modal truncation errors, from the linear solution with more modes."""
         more_modes_structure = more_modes_structure_of(solution)
         if more_modes_structure is None:
             return ErrorReport()
@@ -342,15 +344,17 @@ def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
 
 
 SOUGHT_CHANGE_FACTOR = 3.0
-"""Maximum predicted gap change by more modes for which their orbit is searched, over the tolerance.
+"""Maximum predicted gap change by more modes, over the tolerance, to search the orbit from.
 
-It holds while a tolerance chooses the modes: a linear prediction this far above the tolerance is
-enough to go on to more modes. The error of the solution that is returned has no such limit.
+The orbit with more modes gives the exact modal truncation error. While the tolerance chooses the
+modes, a larger prediction is enough to go on to more modes, without a search from this prediction.
+For the solution that is returned the search has no such limit.
 """
 FIRST_MODE_COUNT = 10
 """Number of modes in the first attempt to meet a tolerance, for a large structure."""
 MAX_HARMONICS = 500
-"""Maximum number of harmonics solved for; from an orbit, per load period."""
+"""Maximum number of harmonics of a solution. The series of an exact orbit may have as many for each
+load period in the response's period."""
 
 
 def mode_counts_to_try(
@@ -381,8 +385,9 @@ def solve_to_tolerance(
 ) -> PeriodicSolution:
     """Return a solution with few modes and harmonics that meet a tolerance (collective).
 
-    It has no fewer harmonics than the problem. If the tolerance is missed, ConvergenceError says by
-    how much; with ``solver.throw`` False the best solution is returned.
+    A solution by an exact orbit has no fewer harmonics than the problem. If the tolerance is
+    missed, ConvergenceError says by how much; with ``solver.throw`` False the best solution is
+    returned.
 
     Parameters
     ----------
@@ -393,8 +398,8 @@ def solve_to_tolerance(
     initial : PeriodicSolution, optional
         Start of the search.
     structures : iterable of Structure, optional
-        Reductions with more and more modes, each made on demand. Default: a structure with many
-        dofs is reduced, another one is not.
+        Reductions with more and more modes, each made on demand. Default: a large structure is
+        reduced to 10, 20, ... modes; a small or reduced structure is solved as it is.
     modes_key : str
         Key for the number of modes in a scene, for messages.
     """
@@ -433,7 +438,10 @@ def solve_to_tolerance(
 def _solution_with_smaller_error(
     solution: PeriodicSolution | None, other_solution: PeriodicSolution
 ) -> PeriodicSolution:
-    """Return the solution with the smaller total error, ``other_solution`` if there is one only."""
+    """Return the solution with the smaller total error.
+
+    If ``solution`` is None, return ``other_solution``.
+    """
     if solution is None or other_solution.report.total < solution.report.total:
         return other_solution
     return solution
@@ -456,8 +464,8 @@ def solve_from_neighbour(
 ) -> PeriodicSolution:
     """Return a small structure's solution, searched from a neighbouring solution.
 
-    With a tolerance, the solution is preferably an exact orbit. It has no fewer harmonics than the
-    problem, and as many as bring the truncation error below the tolerance.
+    With a tolerance, an exact orbit is searched first. As many harmonics are kept, or added without
+    an orbit, as bring the truncation error below the tolerance.
 
     Parameters
     ----------
@@ -472,9 +480,9 @@ def solve_from_neighbour(
     Raises
     ------
     InputError
-        The contact is so stiff that rounding leaves nothing of its force.
+        The contact is so stiff that rounding hides the contact force.
     ConvergenceError
-        There is no solution, or none to the tolerance.
+        No solution is found, or the truncation error stays above the tolerance.
     """
     if tolerance is None:
         balanced_solution = Solver(problem).solve(neighbour)
@@ -636,6 +644,7 @@ def _search_orbit_from_solutions(
     problem, solutions = solver.problem, list[PeriodicSolution]()
 
     def state_guesses() -> Iterator[np.ndarray]:
+        """Yield states at 32 instants: of the initial orbit, then of harmonic-balance solutions."""
         if initial is not None and initial.orbit is not None:
             orbit = initial.orbit
             if initial.structure is problem.structure and orbit.subharmonic == problem.subharmonic:
@@ -700,7 +709,8 @@ def solution_of_orbit(
 ) -> PeriodicSolution:
     """Return an orbit's Fourier series with the fewest harmonics that meet a tolerance.
 
-    It has no fewer harmonics than the problem. Its errors are due to truncated harmonics and modes.
+    The series has no fewer harmonics than the problem. Errors are due to truncated harmonics and
+    modes.
 
     Parameters
     ----------
@@ -711,8 +721,8 @@ def solution_of_orbit(
     initial : PeriodicSolution, optional
         Neighbouring solution, whose factored matrices make the search with more modes faster.
     allowed_prediction : float
-        Maximum predicted relative change of the gaps for which the orbit with more modes is
-        searched.
+        Maximum relative gap change by more modes, predicted linearly, from which Newton's method
+        searches the orbit with more modes (:attr:`MoreModes.allowed_prediction`).
     """
     max_harmonics = MAX_HARMONICS * problem.subharmonic
     coefficients = orbit.coefficients(
@@ -804,11 +814,13 @@ def _with_orbit_by_balance(
     solution_with_harmonics: Callable[[int], PeriodicSolution],
     more_modes: MoreModes | None,
 ) -> MoreModes | None:
-    """Return more modes with their orbit, from harmonic balance where Newton's method misses it.
+    """Search for the orbit with more modes by harmonic balance, after Newton's method failed.
 
-    The solution with more modes is searched from the orbit's series with 40 harmonics of the load
-    frequency. Unchanged: more modes with an orbit, or whose orbit is left out; crack faces with
-    mass; no convergence.
+    Harmonic balance with more modes and 40 harmonics of the load frequency starts from the orbit's
+    series. If the solution has an accepted orbit, ``more_modes`` is returned with this orbit.
+
+    ``more_modes`` is returned unchanged if its orbit is known or not wanted
+    (:attr:`MoreModes.is_orbit_left_out`), if crack faces have mass, or without convergence.
     """
     if (
         more_modes is None
@@ -869,7 +881,8 @@ def _solve_with_growing_harmonics(
 ) -> PeriodicSolution:
     """Double the harmonics until the error is small, and return the best solution.
 
-    ``solution`` is the first one. The doubling ends at 500 harmonics, or without convergence.
+    ``solution`` has the first number of harmonics. The doubling ends at 500 harmonics, or if
+    Newton's method does not converge.
     """
     best_solution = solution
     while solution.converged and not _has_enough_harmonics(solution, tolerance):
@@ -884,9 +897,13 @@ def _solve_with_growing_harmonics(
 def _has_enough_harmonics(solution: PeriodicSolution, tolerance: float) -> bool:
     """Return True if no more harmonics are needed, or allowed.
 
-    True in three cases: the truncation and sampling error meets its part of the tolerance, the rest
-    being for the reduction error; the error is unknown with 40 harmonics of the load frequency; or
-    there are 500 harmonics. With sampled contact forces, more harmonics also mean more samples.
+    True in three cases:
+
+    - The sum of truncation and sampling error is small enough (:func:`_allowed_harmonics_error`).
+    - The error is still unknown with 40 harmonics of the load frequency.
+    - The solution has 500 harmonics.
+
+    With sampled contact forces, more harmonics also mean more samples.
     """
     truncation_and_sampling = solution.report.truncation + solution.report.sampling
     is_error_unknown = (
@@ -912,7 +929,7 @@ def slide_along_lines(structure: Structure, omega: float, contact: ContactLaw) -
 
     with the normal force lambda_n,i of pair i, and the change dg_i of its two tangential gaps. The
     direction of sliding may turn. ``turning`` measures sliding across the lines relative to sliding
-    along them: the root of the pairs' second eigenvalues, summed, over the first ones.
+    along the lines: the root of (sum over pairs of second eigenvalues) / (sum of first ones).
 
     Parameters
     ----------
@@ -995,9 +1012,11 @@ def find_line_angles_and_turning(
     Returns
     -------
     line_angles : (n_pairs,) [rad]
+        Angle between each pair's line and the first tangent.
     turning : float
-        Root of the sum over pairs of A across the lines, over A along them, with the matrices A of
-        :func:`slide_along_lines`; 0 if nothing slides.
+        Sliding across the lines relative to sliding along the lines: root of the ratio between the
+        sums n^T A n and t^T A t over the pairs. A is the matrix in :func:`slide_along_lines`, t the
+        unit vector along the line, n across. 0 if nothing slides.
     """
     tangential_gap_matrix = motion.structure.tangential
     assert tangential_gap_matrix is not None

@@ -1,14 +1,16 @@
 """Exact orbits of one structure in many cases: other frequencies, loads, dampings, clearances.
 
-Neighbouring cases have neighbouring orbits. Contact forces grow with the gaps: a common factor of
-load and clearance multiplies the orbit. Divided by the load's factor, the orbit depends on
+Neighbouring cases have neighbouring orbits. Contact forces are proportional to the gaps: a common
+factor of load and clearance multiplies the orbit. Divided by the load's factor, the orbit depends
+on
 
-    x = omega, damping, sign of the load, clearance / load,
+    x = omega, damping, sign of the load, clearance / load.
 
-each scaled by its range, and frequencies by the width of the resonance next to their middle. Cases
-are taken from the middle outwards. Newton's method (:mod:`fenics_crack.motion.orbit`) begins on the
-plane through the orbits of the nearest earlier cases, and then at the nearest orbit. If no stable
-orbit is found, the case is solved like a single one.
+Distances between cases are measured in x, each entry divided by its range over the cases. The
+frequency's range is at most the width of the resonance next to the median frequency. Cases are
+taken from the median outwards. Newton's method (:mod:`fenics_crack.motion.orbit`) starts from a
+linear fit of the orbits of the nearest earlier cases, then from the nearest orbit. If no stable
+orbit is found, the case is solved alone, as :func:`search_initial_orbit` does.
 """
 
 from __future__ import annotations
@@ -42,20 +44,23 @@ from fenics_crack.numerics.fourier import fourier_coefficients
 from fenics_crack.numerics.newton import change_relative_to_motion
 
 N_NEAREST_CASES, N_NEIGHBOURS = 16, 8
-"""Number of nearest cases searched for neighbours, and maximum number of neighbours.
+"""Number of nearest cases among which neighbours are taken, and maximum number of neighbours.
 
-A plane is fitted through the neighbours' orbits.
+Neighbours are earlier cases with an orbit. A linear function of the parameters is fitted to them.
 """
 MIN_INSTANTS_OF_ORBIT = 256
 """Minimum number of instants per period at which an orbit's results are evaluated.
 
-A coefficient of order 20 is then accurate to a hundredth.
+A Fourier coefficient of order 20 then has a relative error of a hundredth.
 """
 STEP_TOLERANCE = 1e-10
 """Maximum relative length of the last Newton step for an orbit."""
 PARAMETER_NAMES = "omega", "load", "damping", "clearance"
+"""Columns of :class:`ManyOrbits` with the parameters of the cases."""
 TEXT_COLUMNS = "status", "reason", "verdict"
+"""Columns of :class:`ManyOrbits` with results in words."""
 NUMBER_COLUMNS = "amplitude", "opening", "closed_share", "multiplier", "truncation"
+"""Columns of :class:`ManyOrbits` with a number for each case."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -74,8 +79,8 @@ class ManyOrbits(Tabular):
         Cases: frequency of the load [rad/s], factors of load and damping, and the clearance [m]
         added to every pair.
     status : (n,) str
-        "neighbour": found from neighbours' orbits; "alone": found like a single solution; "lost":
-        no orbit was found; "refused": the case cannot exist.
+        "neighbour": found from the orbits of neighbouring cases. "alone": found without them.
+        "lost": no orbit was found. "refused": a parameter cannot be used.
     reason : (n,) str
         Explanation for cases found alone, lost or refused.
     amplitude : (n,) [m]
@@ -87,7 +92,7 @@ class ManyOrbits(Tabular):
     multiplier : (n,)
         Largest modulus of the Floquet multipliers.
     verdict : (n,) str
-        "stable", "unstable", or "undecided" if the multiplier is 1 to rounding.
+        "stable", "unstable", or "undecided" if the multiplier is 1 to 1e-6.
     truncation : (n,)
         Relative error of the gap due to the harmonics above H.
     states : (n, flow.state_size)
@@ -115,7 +120,7 @@ class ManyOrbits(Tabular):
     def problem(self, case: int) -> Problem:
         """Return the problem with H harmonics for a case, given by its index.
 
-        Raises InputError if the case cannot exist.
+        Raises InputError if a parameter of the case cannot be used.
         """
         omega, load_factor, damping_factor, added_clearance = (
             float(getattr(self, parameter_name)[case]) for parameter_name in PARAMETER_NAMES
@@ -235,14 +240,14 @@ def solve_many(
 def _yield_cases_with_neighbours(
     orbit_table: ManyOrbits, flow: ContactFlow
 ) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-    """Yield cases from the middle of their parameters outwards, each with earlier neighbours.
+    """Yield cases from the median of all parameters outwards, each with earlier neighbours.
 
-    Cases that cannot exist may stand anywhere in this order.
+    The position of cases with unusable parameters in this order has no meaning.
 
     Yields
     ------
     case : int
-        Index.
+        Index of the case.
     neighbour_indices : (k,) int
         Indices of earlier cases among the nearest 16, the nearest first.
     offsets : (k, 5)
@@ -401,10 +406,10 @@ def _table_entries_of_orbit(
 
 
 def _interpolated_overall_maximum(period_samples: np.ndarray) -> float:
-    """Return the largest value in all columns over a period, by interpolation.
+    """Return the largest value of m functions over a period, by interpolation.
 
-    ``period_samples`` (n, m) has equally spaced instants as rows. A parabola goes through the
-    largest value and its two neighbours in the column.
+    ``period_samples`` (n, m) are values at n equally spaced instants. The result is the maximum of
+    the parabola through the largest sample and its neighbours before and after.
     """
     row_index, column_index = np.unravel_index(period_samples.argmax(), period_samples.shape)
     sample_before, largest_sample, sample_after = period_samples[

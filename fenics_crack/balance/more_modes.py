@@ -1,16 +1,18 @@
 """Change of an exact motion due to the modes that a reduction truncates.
 
-The reference of a reduced structure has more modes (:mod:`fenics_crack.model.reduction`). If crack
-faces have no mass, the further modes begin at their static coordinates, Lambda q = f - P lambda.
-From there Newton's method finds an orbit, which gives the change exactly. Without an orbit, one
-step of Newton's method for the whole motion gives the change linearly. The reference has a share of
-the truncated modes:
+The reference of a reduced structure is a reduction with more modes
+(:mod:`fenics_crack.model.reduction`). Newton's method searches the reference's orbit, starting from
+the reduced structure's orbit. If crack faces have no mass, the added modes start with their static
+displacements q, Lambda q = f - P lambda, under load f and contact forces lambda. With an orbit, the
+change by the added modes is exact. Without an orbit, one Newton step for all instants together
+gives the change linearly. The reference removes only a share of the truncation error. From numbers
+y of the reduced structure and y_ref of the reference, the error is
 
-    e = |f - f_ref| / share.
+    e = |y - y_ref| / share.
 
-Quasi-static modes have no damping. By Rayleigh's a M + b K they would dissipate b times the
-integral of c'^T S c' per period, with c the coordinates without mass and S their stiffness. The
-reference has a share of that, as additional modal damping.
+Truncated modes respond quasi-statically, without damping. With Rayleigh damping a M + b K they
+would dissipate b times the integral of c'^T S c' per period, with the coordinates c without mass
+and their stiffness S. The reference gets a share of this loss as additional modal damping.
 """
 
 from __future__ import annotations
@@ -52,8 +54,8 @@ GapAndDisplacementErrors = tuple[float, float]
 def more_modes_structure_of(wave: Wave) -> ReducedStructure | None:
     """Return the reference of a solution's reduced structure: the reduction with more modes.
 
-    None: the structure is not reduced, or has no reference. The reference gets more damping if the
-    truncated modes have none.
+    None: the structure is not reduced, or has no reference. The reference's damping is increased
+    by the loss that truncated modes lack (:func:`_neglected_to_kept_dissipation_ratio`).
     """
     reduced_structure = wave.structure
     if not isinstance(reduced_structure, ReducedStructure) or reduced_structure.reference is None:
@@ -67,10 +69,11 @@ def more_modes_structure_of(wave: Wave) -> ReducedStructure | None:
 
 
 def _neglected_to_kept_dissipation_ratio(wave: Wave) -> float:
-    """Return the dissipation missing in truncated modes, relative to the kept modes.
+    """Return the energy loss missing in truncated modes, over the loss in kept modes.
 
-    Rayleigh damping would damp the truncated modes, too, but they respond quasi-statically, without
-    damping. The ratio is 0 with another damping, and for a structure with mass in all coordinates.
+    Both are losses of the motion ``wave`` per period, by Rayleigh damping. Truncated modes respond
+    quasi-statically, without this loss. The ratio is 0 without Rayleigh damping, and for a
+    structure with mass in all coordinates.
     """
     massless_structure = as_massless_structure_or_none(wave.structure)
     if massless_structure is None or not isinstance(
@@ -97,7 +100,7 @@ def _neglected_to_kept_dissipation_ratio(wave: Wave) -> float:
 def modal_truncation_errors(
     structure: Structure, gap_and_displacement_changes: GapAndDisplacementErrors
 ) -> GapAndDisplacementErrors:
-    """Return modal truncation errors from changes between a structure and its reference.
+    """Return modal truncation errors from the changes between a structure and its reference.
 
     The reference is a reduction with more modes. The reference removes the fraction
     :attr:`ReducedStructure.share` of the truncation error; the fraction is 1 for other structures.
@@ -111,7 +114,10 @@ def modal_truncation_errors(
 
 @dataclass(frozen=True)
 class MoreModes:
-    """Change of a solution's motion if the structure has more modes."""
+    """Change of a solution's exact orbit if the structure has more modes.
+
+    The orbit with more modes is searched on first request.
+    """
 
     flow: ContactFlow
     """Exact flow of the structure with more modes."""
@@ -122,10 +128,14 @@ class MoreModes:
     i_minus_m_solver: IMinusMSolver | None = None
     """Solver for (I - M) x = r with a neighbouring orbit's monodromy matrix M.
 
-    The search for the orbit starts with it; None: without.
+    The first Newton steps to the orbit with more modes use this solver. None: M is computed.
     """
     allowed_prediction: float = math.inf
-    """Maximum predicted relative change of the gaps for which the orbit is searched."""
+    """Maximum relative change of the gaps, predicted linearly, from which an orbit is searched.
+
+    With up to 120 modes, Newton's method is first tried from the orbit with fewer modes, without
+    this limit.
+    """
     known_orbit: PeriodicOrbit | None = None
     """Orbit with more modes, if it is known from another search."""
 
@@ -133,9 +143,9 @@ class MoreModes:
     def nearest_orbit_states_with_static_new_modes(self) -> np.ndarray:
         """Nearest orbit's states, with more modes added: (32, flow.state_size).
 
-        The states belong to 32 equal parts of the period. New modes respond statically to the load
-        and the contact forces. With mass at the crack faces, the motion is projected on the new
-        modes.
+        The states are those at the starts of 32 equal parts of the period. Added modes respond
+        statically to the load and the contact forces. If crack faces have mass, the orbit's motion
+        is projected on the modes of the larger reduction.
         """
         orbit_samples, flow = self.nearest_orbit.period_samples, self.flow
         n_orbit_modes = self.nearest_orbit.flow.n_modes
@@ -176,8 +186,8 @@ class MoreModes:
         """Return states with more modes by projection: (n, flow.state_size).
 
         For reduced structures whose crack faces have mass. Modal coordinates and velocities (n,
-        n_modes), and the friction sliders' positions ``sticking_places`` (n, n_pairs), are those
-        with fewer modes.
+        n_modes) are those of the orbit with fewer modes. ``sticking_places`` (n, n_pairs) are the
+        friction sliders' positions.
         """
         reduced_structure, more_modes_structure = self.wave.structure, self.flow.structure
         assert isinstance(reduced_structure, ReducedStructure) and isinstance(
@@ -209,8 +219,8 @@ class MoreModes:
     def orbit_or_corrected_motion(self) -> PeriodicOrbit | None:
         """Orbit with more modes, or else the motion after one Newton step, or None.
 
-        The step corrects all parts of the nearest orbit's period together. None: the motion cannot
-        be followed.
+        The step corrects the states at 32 instants of the period together. None: the motion with
+        more modes cannot be integrated.
         """
         if self.known_orbit is not None:
             return self.known_orbit
@@ -241,7 +251,8 @@ class MoreModes:
     def orbit_i_minus_m_solver(self) -> IMinusMSolver | None:
         """Solver for (I - M) x = r with the orbit's monodromy matrix M.
 
-        A neighbour's search starts with it. None without an orbit, or if I - M is singular.
+        The search for a neighbouring orbit with more modes starts with this solver. None without an
+        orbit, or if I - M is singular.
         """
         with suppress(np.linalg.LinAlgError):
             return self.orbit.i_minus_m_solver if self.orbit else None
@@ -278,15 +289,16 @@ class MoreModes:
 
     @property
     def is_orbit_left_out(self) -> bool:
-        """True if the orbit is not sought, as its linear prediction exceeds the allowed one."""
+        """True if no orbit is known and the predicted error exceeds ``allowed_prediction``."""
         errors = self.gap_and_displacement_errors
         return self.orbit is None and errors is not None and errors[0] > self.allowed_prediction
 
     def describe_contradiction(self, verdict: str) -> str:
-        """Return in words that the orbit with more modes has another stability than given.
+        """Return in words that more modes change the orbit's stability, or "".
 
-        ``verdict`` is the solution's stability. Returns "" if both agree, or if one is not known.
-        Multipliers of more than 120 modes are not computed: they would take longer than the orbit.
+        ``verdict`` is the solution's stability. Returns "" if the orbit with more modes has the
+        same stability, or if either is unknown. Multipliers of more than 120 modes are not
+        computed: that would take longer than the orbit.
         """
         if verdict not in ("stable", "unstable") or self.orbit is None:
             return ""
@@ -303,9 +315,9 @@ class MoreModes:
 
 
 def are_crack_faces_still(samples: Samples) -> bool:
-    """Return True if the load presses the crack faces together and only rounding moves them.
+    """Return True if the load presses the crack faces together: gaps move only by rounding.
 
-    Gaps without clearance are then at most 1e-12 of the gaps by the vibrating modes alone.
+    Gaps plus clearance are then at most 1e-12 of the gaps by the modes with mass alone.
     """
     modal_gaps = samples.states[:, : samples.flow.n_modes] @ samples.flow.modal_model.gaps_by_mode
     gap_plus_clearance = samples.gaps + samples.flow.clearance
@@ -313,10 +325,11 @@ def are_crack_faces_still(samples: Samples) -> bool:
 
 
 def motion_along_load(structure: Structure, motion: np.ndarray) -> np.ndarray:
-    """Return a motion projected on the load's vibrating parts: (n, n_parts) (collective).
+    """Return the products of a displacement with the load: (n, n_loads) [J] (collective).
 
-    ``motion`` (n, n_local) is a displacement. Each vibrating Fourier coefficient of the load is a
-    part. If none vibrates, the mean load is taken.
+    ``motion`` (n, n_local) [m] is a displacement at n instants, or n Fourier coefficients. The
+    loads are the load's cosine and sine coefficients, without zero rows. If all are zero, the mean
+    load is taken.
     """
     is_loaded_row = structure.sum_over_ranks(np.sum(structure.force**2, axis=1)) > 0.0
     is_loaded_row[0] &= not is_loaded_row[1:].any()

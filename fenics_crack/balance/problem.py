@@ -1,25 +1,26 @@
 """Problems of harmonic balance, and the search for their solutions.
 
-A problem holds all that a solution depends on. A search climbs a ladder of starts, until Newton's
-method converges or the budget of iterations is spent. A start yields guesses. Newton's method takes
-full steps from a guess. If these fail, shortened steps lead to a second guess:
+A problem holds all that a solution depends on. A search tries the starts below in this order, until
+Newton's method converges or the budget of iterations is spent. A start yields guesses. Newton's
+method takes full steps from a guess. If these fail, shortened steps lead to a second guess:
 
 near       a given solution
 fewer      the linear solution. With many unknowns, or with a static compliance in series
-           (:mod:`contact_system`), the solution with half the harmonics. The search for that
-           solution begins with half of its own harmonics, and so on; where full steps fail, the
-           path is followed. Many harmonics start from the exact orbit next to a solution with
-           fewer, which is near for any number
+           (:mod:`contact_system`), the solution with half the harmonics, found from a quarter, and
+           so on. If full steps fail for a smaller number, a path leads to the solution. Above 40
+           harmonics of the load, the first guess is the exact orbit next to a solution with fewer
 without    with friction: the solution without friction
-orbit      the exact orbit next to the solution with fewer harmonics, or without friction. It comes
-           after the path if the structure has so many modes that a path costs less
-path       the end of a continuation in the compliance in series with every pair. The path begins
-           where the solution is unique and close to the linear one, and arc-length leads through
-           its folds. With friction the coefficient grows along it
+orbit      the exact orbit next to the solution with fewer harmonics, or without friction. With more
+           than 120 modes this start comes after the path, which costs less
+path       the end of a continuation from very soft contact to the law. The compliance in series
+           with every pair falls along the path. At the beginning the solution is unique and close
+           to the linear one; arc-length leads through folds. With friction, the path leads from a
+           zero coefficient to the full one instead
 
-The path cannot return to soft contact, but several stiff pairs with little damping have thousands
-of folds. All starts share one budget of iterations. A gap rounded to eps |g| makes a contact
-force rounded to eps k |g|. That force moves the gap by eps k R |g|, and no residual can be smaller.
+The path does not return to soft contact, but several stiff pairs with little damping have thousands
+of folds. All starts share one budget of iterations. With machine epsilon eps, a gap g has the
+rounding error eps |g|, and the contact force eps k |g|. This force moves the gap by eps k R |g|:
+no residual can be smaller.
 """
 
 from __future__ import annotations
@@ -106,9 +107,9 @@ from fenics_crack.numerics.path import HOMOTOPY_OPTIONS, EndReason, Path, PathOp
 CUTOFF_TO_HIGHEST_HARMONIC = 2.0
 """Frequency above which modes are quasi-static, relative to the highest harmonic."""
 MAX_UNKNOWNS_TIMES_POINTS_PER_CALL = 15_000
-"""Maximum unknowns, summed over points, that one kernel call computes along a curve.
+"""Maximum number of unknowns times points in a kernel call along a curve.
 
-Ctrl-C waits for the call, a second or two.
+Ctrl-C waits until the call ends, a second or two.
 """
 REMEDY_IF_SINGULAR = (
     "'penalty' with a stiffness, as rigid contact is singular here: a strip beside a crack is too "
@@ -116,7 +117,7 @@ REMEDY_IF_SINGULAR = (
 )
 """Remedies, for an error message, if the residual flexibility is singular to rounding.
 
-The contact is rigid, and some pair cannot move quasi-statically beside the others.
+The contact is rigid, and static contact forces cannot move some pair independently.
 """
 REMEDY_WITHOUT_COMPLIANCE = (
     "a penalty law with a tangential stiffness, as sticking pairs need some compliance; or "
@@ -137,12 +138,12 @@ to 8 s.
 MIN_UNKNOWNS_WITH_GROWING_COST = 200
 """Number of unknowns below which an iteration takes constant time.
 
-The time is then mostly for the contact integrals.
+Most of this time is for the contact integrals.
 """
 MAX_FRICTION_SEARCH_WORK = 8e6
 """Search budget with friction: iterations times instants times unknowns.
 
-At most 350 unknowns count. The search takes 1 to 3 s.
+More than 350 unknowns count as 350. The search takes 1 to 3 s.
 """
 
 
@@ -162,9 +163,10 @@ class Problem:
     harmonics : int
         H, the highest multiple of ``omega / subharmonic`` kept; default: 5.
     samples : int, optional
-        Instants per period of the response at which the contact force is evaluated. Default: none,
-        but exact integrals, if the law is piecewise linear; else 1024 for each period of the load,
-        or 32 H if that is more.
+        Instants per period of the response at which the contact force is evaluated. Default: exact
+        integrals, without instants, for a piecewise linear law. With friction: 32 H, at least 128.
+        Other laws: 1024, or the next power of two from 32 H on; for uncoupled pairs, as many in
+        each load period.
     subharmonic : int
         The response has this many times the load's period.
     static_above : float, optional
@@ -205,13 +207,14 @@ class Problem:
 
     @property
     def least_harmonics(self) -> int:
-        """Number of the load's highest harmonic, in multiples of the response's frequency."""
+        """Load's highest harmonic, as a multiple of the response's frequency."""
         return least_harmonics(self.structure, self.subharmonic)
 
     def response_harmonics(self, load_harmonics: int) -> int:
-        """Return how many response harmonics cover a number of load harmonics.
+        """Return the number of response harmonics for a number of load harmonics.
 
-        They are ``subharmonic`` times as many, and at least cover the load itself.
+        The result is ``subharmonic`` times ``load_harmonics``, and at least the load's highest
+        harmonic.
         """
         return max(load_harmonics * self.subharmonic, self.least_harmonics)
 
@@ -229,15 +232,15 @@ class Problem:
     def quasi_static_above(self) -> float:
         """Frequency above which modes are quasi-static [rad/s].
 
-        It is ``static_above``, or 2 H times the response's frequency. It matters only with a
-        :attr:`residual_compliance`.
+        The value is ``static_above``, or 2 H times the response's frequency. Without a
+        :attr:`residual_compliance` no mode is quasi-static.
         """
         default_cutoff = CUTOFF_TO_HIGHEST_HARMONIC * self.harmonics * self.base_omega
         return default_cutoff if self.static_above is None else self.static_above
 
     @property
     def static_cutoff(self) -> float | None:
-        """Frequency above which modes are quasi-static [rad/s], for a solution's ``static_above``.
+        """Value for a solution's ``static_above``: :attr:`quasi_static_above` [rad/s], or None.
 
         None without a residual flexibility: no mode is quasi-static.
         """
@@ -320,10 +323,10 @@ class Problem:
         return residual_compliance
 
     def with_common_cutoff(self, cutoff: float) -> Problem:
-        """Return a problem with a fixed set of quasi-static modes, for all points of a curve.
+        """Return the problem with quasi-static modes that are the same along a curve.
 
-        ``cutoff`` [rad/s] decides for all points whether pairs have a residual flexibility, and
-        which modes are quasi-static: those above it.
+        Modes above ``cutoff`` [rad/s] are quasi-static at all points. The problem at this cutoff
+        also decides for all points whether pairs have a residual flexibility.
         """
         base_omega = cutoff / (CUTOFF_TO_HIGHEST_HARMONIC * self.harmonics)
         residual_compliance = replace(
@@ -358,7 +361,7 @@ class Problem:
     def system(self, compliance_model: ComplianceModel) -> ContactSystem:
         """Return the harmonic-balance equations with gaps as unknowns.
 
-        ``compliance_model`` is the gaps' dynamic compliance.
+        ``compliance_model`` is the problem's dynamic compliance of the gaps.
         """
         return ContactSystem(compliance_model, self.with_weight(compliance_model).integrals())
 
@@ -388,9 +391,9 @@ class Problem:
         )  # fmt: skip
 
     def integrals(self) -> ContactIntegrals:
-        """Return the integrals from gaps to contact forces over a period.
+        """Return the object that computes contact forces and derivatives from gaps.
 
-        A rigid law that is solved pair by pair uses its weight as the contact stiffness.
+        If a rigid law is solved pair by pair, the law's weight is the contact stiffness.
         """
         contact_law, harmonics = self.row_law, self.harmonics
         if self.residual_compliance is not None:
@@ -432,9 +435,8 @@ def least_harmonics(structure: Structure, subharmonic: int) -> int:
 def check_memory(structure: Structure, harmonics: int) -> None:
     """Raise InputError if the equations with H = ``harmonics`` do not fit into memory.
 
-    The equations may take 80 % of the machine's memory. Uncoupled pairs need the dense Jacobian.
-    Crack faces without mass need the stiffnesses at all instants, and vectors of the iterative
-    solver.
+    The equations may take 80 % of the machine's memory. Uncoupled pairs need dense Jacobians. Crack
+    faces without mass need the pairs' stiffness matrix at all instants, and vectors for GMRES.
     """
     n_pairs = structure.n_pairs
     n_unknowns, memory_exponent = (2 * harmonics + 1) * n_pairs, 2
@@ -498,8 +500,11 @@ class Search:
     attempt_texts: list[str] = field(default_factory=list)
     """Name, outcome and number of iterations of each attempt, in words."""
     _residual_rounding: float = ROUNDING
+    """Rounding error of the relative residual |F(x)| / |x|."""
     _max_iterations: float = 0.0
+    """Maximum number of iterations for all attempts; raised if a cheap attempt is not counted."""
     _simpler_point: ContactPoint | None = None
+    """Last solution with fewer harmonics, or the point under the forces without friction."""
 
     @property
     def status(self) -> str:
@@ -521,7 +526,7 @@ class Search:
         Raises
         ------
         InputError
-            The contact is so stiff that rounding leaves nothing of its force.
+            The contact is so stiff that rounding hides the contact force.
         """
         system = self.system
         if system.residual_compliance is None:
@@ -563,7 +568,7 @@ class Search:
         """Record in words whether an attempt converged, and in how many iterations.
 
         ``start_name`` names the attempt. ``iterations_before`` is the search's number of iterations
-        before it.
+        when the attempt began.
         """
         outcome_text = "converged" if self.has_converged else "failed"
         self.attempt_texts.append(
@@ -573,10 +578,10 @@ class Search:
     def _point_after_newton_steps_or_at_guess(
         self, snes: SystemSnes | None, guess: np.ndarray
     ) -> Linearisation:
-        """Take full Newton steps from a guess, and return their end.
+        """Take full Newton steps from a guess, set ``has_converged`` and return the last point.
 
-        ``guess`` (2H+1, n_rows) [m] has gap coefficients. ``snes`` None: the C kernel takes the
-        steps, and if they fail the guess is returned. ``has_converged`` is set.
+        ``guess`` (2H+1, n_rows) [m] has slow gap coefficients. If ``snes`` is None, the C kernel
+        takes the steps; if the steps then fail, the point at the guess is returned.
         """
         if snes is not None:
             point, self.has_converged, n_iterations = snes.solve_and_linearise(
@@ -600,13 +605,13 @@ class Search:
         Parameters
         ----------
         system : ContactSystem
-            Equations.
+            Equations, perhaps with fewer harmonics or along a path parameter.
         guess : (2H+1, n_rows) [m]
-            Gap coefficients at which the steps begin.
+            Slow gap coefficients at which the steps begin.
         tolerance : float
-            Used if it is larger than the tolerance of the search.
+            Maximum |F| / |x|, if larger than the tolerance of the search.
         parameter : float
-            Parameter of the system: 1 is the law itself, 0 very soft contact.
+            Path parameter of the system: 1 is the law itself, 0 very soft contact.
         """
         max_iterations_per_guess = self._max_iterations_per_guess
         raised_tolerance = max(self.tolerance, tolerance)
@@ -638,10 +643,10 @@ class Search:
     def _yield_start_strategies(
         self, neighbour_slow_gaps: Sequence[np.ndarray]
     ) -> Iterator[StartStrategy]:
-        """Yield the ways to find a guess, in the order of attempts.
+        """Yield the starts of the module's list that suit the problem, in the order of attempts.
 
-        ``neighbour_slow_gaps`` (2H+1, n_rows) [m] are gap coefficients of neighbouring solutions,
-        tried first.
+        ``neighbour_slow_gaps`` (2H+1, n_rows) [m] are slow gap coefficients of neighbouring
+        solutions, tried first.
         """
         system, problem = self.system, self.problem
         for neighbour_slow_gap in neighbour_slow_gaps:
@@ -698,7 +703,7 @@ class Search:
     ) -> Iterator[np.ndarray]:
         """Yield a guess, then the end of shortened Newton steps from it.
 
-        The second is left out if the iterations are spent, or the steps fail. Both are gap
+        The end is left out if the iterations are spent, or the steps fail. Both are slow gap
         coefficients (2H+1, n_rows) [m].
         """
         yield guess
@@ -718,10 +723,11 @@ class Search:
     ) -> Iterator[np.ndarray]:
         """Yield guesses from solutions with fewer harmonics.
 
-        ``harmonic_counts`` ascend to the problem's number. The linear solution starts the first;
-        each solution starts the next. A number without a solution is skipped. Above 40 harmonics of
-        the load frequency, an exact orbit is tried first. Guesses are gap coefficients (2H+1,
-        n_rows) [m].
+        ``harmonic_counts`` are ascending numbers of harmonics; the last is the problem's. Newton's
+        method starts from the linear solution with the first number, then from each solution with
+        the next number. A number without a solution is skipped. Above 40 harmonics of the load
+        frequency, an exact orbit is tried first. Guesses are slow gap coefficients (2H+1, n_rows)
+        [m] with the problem's harmonics.
         """
         orbit_first_above_harmonics = self._orbit_first_above_harmonics
         for n_harmonics in harmonic_counts:
@@ -759,8 +765,8 @@ class Search:
     ) -> ContactPoint | None:
         """Return the first solution by full Newton steps from guesses, or None.
 
-        The maximum |F| / |x| of residual and unknowns is coarse, 6e-6. Guesses are gap coefficients
-        (2H+1, n_rows) [m].
+        The tolerance for residual over unknowns, |F| / |x|, is coarse: 6e-6. Guesses are slow gap
+        coefficients (2H+1, n_rows) [m].
         """
         points_or_none = (
             self._point_after_full_steps_or_none(system, guess, COARSE_TOLERANCE)
@@ -776,11 +782,11 @@ class Search:
         )
 
     def _yield_guesses_without_friction(self) -> Iterator[np.ndarray]:
-        """Yield a guess by the contact forces of the solution without friction.
+        """Yield the gaps under the contact forces of the solution without friction.
 
         Above 40 harmonics of the load frequency, an exact orbit next to this solution is tried
-        first. Nothing is yielded if the solution is not found. Guesses are gap coefficients (2H+1,
-        n_rows) [m].
+        first. Nothing is yielded if the solution is not found. Guesses are slow gap coefficients
+        (2H+1, n_rows) [m].
         """
         problem_with_friction, system_with_friction = self.problem, self.system
         frictionless_problem = replace(
@@ -816,10 +822,11 @@ class Search:
         yield self._simpler_point.unknown
 
     def _yield_guesses_from_orbit(self) -> Iterator[np.ndarray]:
-        """Yield guesses by an exact orbit: gap coefficients (2H+1, n_rows) [m].
+        """Yield guesses from an exact orbit: slow gap coefficients (2H+1, n_rows) [m].
 
-        The search for the orbit begins at a simpler solution, if there is one, and otherwise at
-        rest. Nothing is yielded without an exact flow, or if the search would take long.
+        The search for the orbit begins at the solution with fewer harmonics or without friction, if
+        known, and otherwise at rest. Nothing is yielded if no exact flow is known, if the search
+        would take long, or if no orbit is found.
         """
         problem = self.problem
         simpler_point = self._simpler_point
@@ -859,9 +866,9 @@ class Search:
     ) -> Iterator[np.ndarray]:
         """Yield the end of a path from very soft contact to the law.
 
-        With friction the path leads from zero to the full coefficient instead. It may take
-        ``budget_fraction`` of the iterations left. Nothing is yielded if the path does not arrive.
-        The guess has gap coefficients (2H+1, n_rows) [m].
+        With friction the path leads from zero to the full friction coefficient instead. The path
+        may take ``budget_fraction`` of the remaining iterations. Nothing is yielded if the path
+        does not arrive. The guess has slow gap coefficients (2H+1, n_rows) [m].
         """
         start_point: Linearisation | None = self._simpler_point
         if self.problem.has_friction:

@@ -1,4 +1,4 @@
-"""Periodic solution: Fourier coefficients, its properties, and its solver."""
+"""Periodic solution of harmonic balance, its stability, and its solver."""
 
 from __future__ import annotations
 
@@ -57,17 +57,17 @@ class Stability(Described):
     refined : bool
         True if the multipliers belong to an exact orbit.
     distance : float
-        Relative distance from the solution to the exact orbit, in the gaps over the period: the
-        actual error. The reference is the vibrating part of the gaps without clearance. nan: no
-        orbit.
+        Relative distance between the gaps of solution and exact orbit over the period: the actual
+        error. The reference is the orbit's gaps plus clearance, in which the mean counts at most
+        as much as the vibration. nan: no orbit.
     reason : str
-        Why no orbit decides; "" if an orbit does.
+        Why the verdict is "undecided" or "irregular"; else "".
     from_rest : str
         Outcome of the motion from rest, if it was integrated and does not settle to the solution;
         else "".
     rest_amplitude : float [m]
-        Half the peak-to-peak displacement of the watched dof to which the motion from rest settles,
-        over all periods of the load after which it repeats itself. nan: it does not settle.
+        Half the peak-to-peak displacement of the watched dof in the motion to which the motion from
+        rest settles, over its whole period. nan: the motion does not settle.
     """
 
     multipliers: np.ndarray
@@ -146,7 +146,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
     assessment : Assessment
         Assessment by the exact flow: the predicted error, and the nearest orbit.
     estimate : callable
-        Returns the :attr:`report`.
+        Function without arguments to compute the :attr:`report`.
     """
 
     converged: bool = True
@@ -168,7 +168,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
 
     @property
     def report(self) -> ErrorReport:
-        """Estimated errors, relative to the root mean square of the gap without clearance.
+        """Estimated errors, relative to the root mean square of the gap plus clearance.
 
         The errors are computed on first request; for a structure with many dofs, together with the
         solution.
@@ -197,9 +197,9 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         return self.structure.values_at(self.displacement_of_local_dofs(time), dofs)
 
     def function(self, time: float) -> Any:
-        """Return the displacement at a time [s] as DOLFINx's Function (collective).
+        """Return the displacement at a time [s] as a Function of DOLFINx (collective).
 
-        Its function space is on the mesh, for ParaView and for further forms.
+        The Function lives on the structure's mesh, for ParaView and for variational forms.
         """
         check_number("time", time)
         return self.structure.function(self.displacement_of_local_dofs(np.array([time]))[0])
@@ -212,7 +212,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         Parameters
         ----------
         rows : (m, n_local)
-            Factors of the displacement: their products with it are recorded.
+            Factors: the product of each row with the displacement is recorded.
         instants : int, optional
             Number of instants; all results then follow from these samples. Default: as many as
             :meth:`instants` has.
@@ -257,9 +257,9 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
 
     @property
     def _displacement_rows_mean_if_still(self) -> np.ndarray:
-        """Displacement coefficients: (2H+1, n_local) [m].
+        """Displacement coefficients, without rounding if nothing vibrates: (2H+1, n_local) [m].
 
-        If nothing vibrates but by rounding, all except the mean are zero.
+        If the solution is :attr:`still`, all coefficients except the mean are zero.
         """
         coefficient_rows = self.displacement_coefficients
         return (
@@ -286,7 +286,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
 
     @cached_property
     def still(self) -> bool:
-        """True if the load is constant and only rounding moves (collective)."""
+        """True if the load is constant and the motion is rounding error (collective)."""
         coefficient_rows = self.displacement_coefficients
         load_motion_and_mean = self.structure.force[1:], coefficient_rows[1:], coefficient_rows[:1]
         square_sums = self.structure.sum_over_ranks(
@@ -361,14 +361,15 @@ def solution_of(
 ) -> PeriodicSolution:
     """Return the periodic solution at a point of the harmonic-balance equations (collective).
 
-    Its errors are estimated on first request; for a structure with many dofs at once.
+    Errors are estimated on first request; for a large structure immediately, as factored matrices
+    are not kept.
 
     Parameters
     ----------
     problem : Problem
         Problem that was solved.
     point : ContactPoint
-        Coefficients of gaps and contact forces.
+        Equations linearised at the solution, with coefficients of gaps and contact forces.
     status : str
         Attempts and their outcomes, in words.
     has_converged : bool
@@ -376,7 +377,7 @@ def solution_of(
     search : bool
         True: the error is the distance to the exact orbit. False: it is predicted.
     assessment : Assessment, optional
-        Assessment with the motion; default: the motion at the point.
+        Comparison of the solution's motion with exact motions. Default: a new one.
     """
     assessment = assessment or Assessment(problem.wave(point))
     estimate_options = {"search": search, "has_converged": has_converged}
@@ -401,7 +402,7 @@ class Solver:
     residual_tolerance: float = 1e-10
     """Maximum relative residual |F(x)| / |x| of a solution x."""
     throw: bool = True
-    """True: raise ConvergenceError if nothing converged; else return the last iterate."""
+    """True: raise ConvergenceError without convergence. False: return the last iterate."""
 
     def solve(self, initial: PeriodicSolution | None = None) -> PeriodicSolution:
         """Solve from a neighbouring solution ``initial``, or from the linear one (collective).
@@ -456,8 +457,9 @@ class Solver:
         Returns
         -------
         search : Search
+            Record of all attempts.
         solution : PeriodicSolution
-            Converged or not, as its ``converged`` says.
+            Solution, or last iterate if ``solution.converged`` is False.
         """
         compliance_model = self.problem.compliance_model()
         budget_fraction = (
@@ -499,6 +501,7 @@ class Solver:
         Returns
         -------
         search : Search
+            Record of all attempts.
         point : ContactPoint
             Last point, converged or not.
         wave : Wave

@@ -1,4 +1,4 @@
-"""Attractors: exact motions after many periods."""
+"""Attractors: exact motions after many periods, settled to a periodic orbit or irregular."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from fenics_crack.motion.shooting import FlowOrbitEquations
 from fenics_crack.numerics.equations import MAX_LOCATION_RESIDUAL
 
 MAX_SETTLED_CHANGE = 1e-3
-"""Maximum change of a settled motion's state from one return to the next, relative to the state."""
+"""Maximum distance of a settled motion's state from an earlier state, relative to the state."""
 MAX_GROWTH_PERIODS = 35
 """Maximum number of periods over which the growth of a disturbance is measured."""
 IRREGULAR_TOTAL_GROWTH = 1e3
@@ -65,6 +65,7 @@ class Attractor:
     growth: float = math.nan
 
     def __repr__(self) -> str:
+        """Return the class name with the outcome in words."""
         return f"{type(self).__name__}({self.description})"
 
     def amplitudes(self, dof: int | None = None) -> np.ndarray:
@@ -106,8 +107,8 @@ def find_attractor(
 ) -> Attractor:
     """Integrate a motion until it settles to a stable periodic orbit.
 
-    A motion settles if its state returns to 1e-3 after 1 to 8 periods, and Newton's method finds a
-    stable orbit near.
+    A motion settles if two conditions hold. The state agrees to 1e-3, relative, with the state 1 to
+    8 periods before. And Newton's method finds a stable orbit near this state.
 
     Parameters
     ----------
@@ -181,14 +182,16 @@ def find_attractor(
 def find_irregular_motion(
     flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int = 1
 ) -> Attractor | None:
-    """Return the motion from a state if a small disturbance grows.
+    """Return the motion from a state if a small disturbance grows, else None.
 
     The disturbance v_i after i periods is followed from a random v_0: v_{i+1} = M_i v_i, with the
     derivative M_i of the flow over period i. The mean growth in a period is exp(lambda T), with the
-    first Lyapunov exponent lambda and the period T. Up to 35 periods are integrated.
+    first Lyapunov exponent lambda and the period T. Up to 35 periods are integrated, with at most
+    20,000 Taylor pieces (intervals with a single Taylor series).
 
     Parameters
     ----------
+    flow : ContactFlow
     omega : float
         Load frequency [rad/s].
     state : (flow.state_size,)

@@ -6,12 +6,16 @@ the stiffness kappa of the contact pairs,
     q'' + C q' + Lambda q + P lambda = f(t),      s = P^T q + l(t),
     0 <= lambda,   (R_inf + I/kappa) lambda - s >= 0,   complementary.
 
+C and Lambda are modal damping and squared frequencies, f the modal load, lambda the contact forces.
+P has each mode's gaps. s are the slow gaps (gap plus R_inf lambda). l(t) is the gap by the load on
+coordinates without mass, less the clearance.
+
 While the set A of closed pairs stays, lambda_A = S s_A with S = ((R_inf + I/kappa)_AA)^-1, and the
-motion is linear. Its Taylor series gives the motion, closed pairs' forces and open pairs' openings,
-piece by piece.
-An event is an instant at which a force or an opening falls through zero. Behind an event another
-set holds (``kernel/flow.c``). Nothing is truncated: the error is rounding error. Forces are
-continuous, so the flow's derivative is the product of all sets' exponentials.
+motion is linear. A Taylor series gives the motion, closed pairs' forces and open pairs' openings,
+piece by piece. An event is an instant at which a force or an opening falls through zero. After an
+event another set A is closed (``kernel/flow.c``). Nothing is truncated: the error is rounding
+error. Forces are continuous, so the flow's derivative is the product of all intervals' matrix
+exponentials.
 
 References
 ----------
@@ -77,9 +81,9 @@ class BudgetError(ConvergenceError):
 def exact_flow_or_none(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
     """Return the exact flow of a structure and a contact law, or None.
 
-    None for a smooth law, for a large structure, and for rigid contact with a singular residual
-    flexibility, as on faces with mass. A structure is small enough with at most 600 dofs on one
-    rank, or reduced to modes and massless faces.
+    None for a smooth law, for a large structure, and for rigid contact (or sticking without
+    tangential springs) with a singular residual flexibility, as on faces with mass. A structure is
+    small enough with at most 600 dofs on one rank, or reduced to modes and massless faces.
     """
     return (
         ContactFlow(structure, contact)
@@ -94,7 +98,8 @@ def exact_flow_or_error(structure: Structure, contact: ContactLaw) -> ContactFlo
     Raises
     ------
     InputError
-        The law is smooth, the structure is too large, or rigid contact acts on faces with mass.
+        The law is smooth, the structure is too large, or the residual flexibility is singular under
+        rigid contact, as on faces with mass.
     """
     check_has_exact_flow(structure, contact)
     return ContactFlow(structure, contact)
@@ -107,7 +112,10 @@ def check_has_exact_flow(structure: Structure, contact: ContactLaw) -> None:
 
 
 def _exact_flow_input_error_or_none(structure: Structure, contact: ContactLaw) -> InputError | None:
-    """Return the error of a structure and a contact law without exact flow, else None."""
+    """Return the error why a structure and a contact law have no exact flow, or None.
+
+    A law that does not fit the structure raises an InputError.
+    """
     check_law(structure, contact, allows_rigid=True)
     if not is_unilateral(contact):
         return InputError("contact", contact, "UnilateralPenalty or UnilateralConstraint")
@@ -324,14 +332,15 @@ class ContactFlow(Flow):
     def critical_friction_coefficient(self) -> float:
         """Return the smallest friction coefficient without unique contact forces.
 
-        The matrix A(mu) from contact forces to gaps is then singular, on closed pairs' normal rows
-        and stuck pairs' tangential rows. Roots mu are sought in 400 random states of the pairs;
-        without a root the result is infinite. With these rows D_rows of ``compliance``,
+        At this coefficient mu, the matrix A(mu) from contact forces to gaps is singular. Its rows
+        are closed pairs' normal gaps and stuck pairs' tangential gaps. With these rows D_rows of
+        ``compliance``,
 
             A = D_rows (E_0 + mu E_1).
 
-        E_0 places the forces in all rows, and E_1 adds the friction of slipping pairs. So mu = -1
-        / (a real negative eigenvalue of (D_rows E_0)^-1 D_rows E_1).
+        E_0 places the forces in all rows, and E_1 adds slipping pairs' friction. So mu = -1 / (a
+        real negative eigenvalue of (D_rows E_0)^-1 D_rows E_1). The smallest mu is taken from 400
+        random combinations of open, sticking and slipping pairs; inf without such an eigenvalue.
         """
         n_pairs, critical_coefficients = self.structure.n_pairs, [np.inf]
         for pair_states in np.random.default_rng(1).integers(0, 4, (400, n_pairs)):
@@ -356,8 +365,8 @@ class ContactFlow(Flow):
     def rest_state(self) -> np.ndarray:
         """Return the state of rest under the mean load: (state_size,).
 
-        Normal contact forces are in equilibrium. Rigid-body displacement and tangential forces are
-        zero.
+        Load, elastic forces and normal contact forces are in equilibrium. Rigid-body displacements,
+        velocities and tangential forces are zero.
         """
         modal_model, n_pairs = self.modal_model, self.n_normal_rows
         mode_flexibilities = np.zeros_like(modal_model.squares)
@@ -395,7 +404,8 @@ class ContactFlow(Flow):
     def estimate_taylor_pieces(self, duration: float) -> float:
         """Return the number of Taylor pieces in a motion of ``duration`` [s] without events.
 
-        A piece has a single Taylor series. The fastest possible mode turns by 10 rad in a piece.
+        A piece is an interval with a single Taylor series. In a piece, the fastest mode with any
+        closed pairs turns by 10 rad.
         """
         return float(self.rate_bound * duration / kernel.MAX_PIECE_ANGLE)
 
@@ -437,7 +447,7 @@ class ContactFlow(Flow):
         instants: np.ndarray | None = None,
         budget: Budget | None = None,
     ) -> IntegratedMotion:
-        """Integrate a motion from a state.
+        """Integrate a motion from a state, exact to rounding.
 
         Parameters
         ----------
@@ -484,7 +494,7 @@ class ContactFlow(Flow):
     def integrate_parts(
         self, states: np.ndarray, omega: float, period: float
     ) -> tuple[np.ndarray, Track, np.ndarray]:
-        """Integrate n motions over n equal parts of a period.
+        """Integrate n motions, each over an equal part of a period.
 
         Parameters
         ----------
@@ -500,7 +510,7 @@ class ContactFlow(Flow):
         track : Track
             States of the pairs in all intervals between events, part after part.
         interval_counts : (n,) int
-            Number of intervals up to each part's end.
+            Number of intervals from the period's start to each part's end.
 
         Raises
         ------
@@ -523,8 +533,9 @@ class ContactFlow(Flow):
     ) -> tuple[Struct, Callable[[int], dict[str, np.ndarray]]]:
         """Return the kernel's struct ``flow_motion``, and a function to copy the track.
 
-        ``members`` are further fields of the struct by name. The function takes the number of
-        intervals between events, and returns a :class:`Track`'s arrays by name.
+        ``members`` are further fields of the struct by name. The kernel writes the track into
+        buffers for all motions. The function takes the number of intervals between events, and
+        copies a :class:`Track`'s arrays from the buffers into a dictionary by name.
         """
         budget = budget or Budget()
         if self._track_buffer_length < budget.allowed_event_intervals:
@@ -548,6 +559,7 @@ class ContactFlow(Flow):
         }
 
         def copy_track(n_intervals: int) -> dict[str, np.ndarray]:
+            """Copy the first ``n_intervals`` entries in each of the track's buffers."""
             return {
                 name: track_array[:n_intervals].copy()
                 for name, track_array in track_array_by_name.items()
@@ -571,9 +583,9 @@ class Track:
     lengths : (n,) [s]
         Durations of the intervals.
     causes, is_first, ratios : (n,) or None
-        Ends of intervals with friction; None without. ``causes``: index of the force or gap
-        function at zero (-1: none). ``is_first``: 1 for the first zero at an instant. ``ratios``:
-        rate of the pair's tangential gap over the rate of this function (``kernel/flow.h``).
+        Events at the intervals' ends; None without friction. ``causes``: index of the force or gap
+        function that becomes zero (-1: none). ``is_first``: 1 for the first event at an instant.
+        ``ratios``: the pair's tangential gap rate over this function's rate (``kernel/flow.h``).
     """
 
     flow: ContactFlow
@@ -586,10 +598,9 @@ class Track:
     ratios: np.ndarray | None = None
 
     def mean_time_share(self, is_selected: np.ndarray) -> float:
-        """Return the fraction of time in which pairs are in selected states.
+        """Return the fraction of time in which a pair is selected, as the mean over the pairs.
 
-        ``is_selected`` (n, n_pairs) is True for selected states in each interval. The result is the
-        mean over the pairs.
+        ``is_selected`` (n, n_pairs) is True for the selected pairs in each interval.
         """
         return float(self.lengths @ is_selected.mean(axis=1) / self.lengths.sum())
 
@@ -600,6 +611,7 @@ class Track:
 
     @cached_property
     def _struct(self) -> Struct:
+        """Return the kernel's struct ``flow_track`` with the track's arrays."""
         members_by_name = {name: member for name, member in vars(self).items() if name != "flow"}
         return Struct("flow_track", n_intervals=len(self.lengths), **members_by_name)
 
@@ -616,7 +628,7 @@ class Track:
     def derivative_by_softness(
         self, start_state: np.ndarray, softness_rate: np.ndarray
     ) -> np.ndarray:
-        """Return the derivative of the end state by a stiffness parameter: (state_size,).
+        """Return the end state's derivative by a parameter of the contact springs: (state_size,).
 
         The state at the start does not change with the parameter.
 
@@ -639,7 +651,7 @@ class Track:
     def __matmul__(self, start_change: np.ndarray) -> np.ndarray:
         """Return the end state's change for a small change (state_size,) of the start state.
 
-        The change is multiplied by the flow's derivative over the track, without forming it.
+        The change is multiplied by the flow's derivative over the track. This matrix is not formed.
         """
         interval_counts = np.array([len(self.lengths)], dtype=np.intc)
         return np.asarray(
@@ -651,7 +663,7 @@ class Track:
     def carry_changes(
         self, start_change: np.ndarray, state_jumps: np.ndarray, interval_counts: np.ndarray
     ) -> np.ndarray:
-        """Carry a change d of the state through consecutive parts of the track.
+        """Return a small change d of the state at the ends of consecutive parts of the track.
 
             d_{i+1} = M_i d_i + j_i,    M_i = derivative of the flow over part i
 
@@ -813,10 +825,10 @@ class IntegratedMotion(NamedTuple):
 
 
 def _upper_bound_of_rates(max_square: float, damping: np.ndarray) -> float:
-    """Return an upper bound of oscillation and decay rates [1/s].
+    """Return an upper bound of the modes' oscillation and decay rates [1/s].
 
-    Roots s of s^2 + c s + k = 0 have no larger |s| for all k <= ``max_square`` [1/s^2] and all
-    Rayleigh quotients c of ``damping`` [1/s], a matrix (n, n) or its diagonal (n,).
+    The bound holds for |s| in s^2 + c s + k = 0. Here k is at most ``max_square`` [1/s^2], and c is
+    any Rayleigh quotient of ``damping`` [1/s], a matrix (n, n) or a diagonal (n,).
     """
     max_damping_rate = float(np.linalg.norm(damping, 2 if damping.ndim == 2 else np.inf))
     if damping.ndim == 2 and not np.allclose(damping, damping.T):  # c is complex
@@ -827,10 +839,11 @@ def _upper_bound_of_rates(max_square: float, damping: np.ndarray) -> float:
 
 
 def _check_integration_outcome(outcome: int, n_events: int) -> None:
-    """Raise the error for a failure code ``outcome`` of the kernel's integration.
+    """Raise an error if the code ``outcome`` says that the kernel's integration failed.
 
-    BudgetError: too many Taylor pieces. ConvergenceError: too many intervals, or no finite motion.
-    ``n_events`` is the number of events before the failure, for the message.
+    BudgetError: too many Taylor pieces. ConvergenceError: too many intervals, no finite motion, or
+    no unique contact forces. MemoryError: no memory. ``n_events`` is the number of events before
+    the failure, for the message.
     """
     if outcome == kernel.FLOW_DONE:
         return

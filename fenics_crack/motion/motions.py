@@ -46,8 +46,8 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.extremes import RecordFunction, find_maximum_values
 
 SLIP_FORCE_RATIO = 1.0 - 1e-6
-"""Minimum friction force of a slipping pair, over the limit mu times the normal force. Orbits are
-accurate to 1e-6."""
+"""Minimum friction force of a slipping pair, over the limit mu times the normal force. The ratio is
+below 1, as orbits are accurate to 1e-6."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -135,24 +135,25 @@ class Record:
     subharmonic : int
         Number of load periods in the motion's period.
     time : (n,) [s]
-        Equally spaced.
+        Equally spaced instants.
     coefficients : (2H+1, m)
-        Fourier coefficients a0, a1, b1, ... of the products over the (last) period.
+        Observed displacements' Fourier coefficients a0, a1, b1, ... over the (last) period.
     row_products : (n, m)
-        Products at the n instants. For a row that selects a dof: its displacement [m].
+        Observed displacements at the n instants. For a row that selects a dof: the dof's
+        displacement [m].
     gaps, forces : (n, n_rows) [m], [N]
         Gaps and contact forces of all pairs; with friction tangential rows follow the normal rows.
     structure : Structure
-        Structure at the parameter of the curve.
+        Structure that vibrates; on a curve, with the parameter of the point.
     friction_coefficient : float or (n_pairs,), optional
         mu; None without friction.
     evaluate_at_period_fractions : callable, optional
         Function from positions in the period, 0 to 1, to products, gaps and forces. Extremes are
-        then exact to rounding. None: extremes are interpolated between instants.
+        then exact to rounding. None: extremes are the largest values at the instants.
     instants_per_load_period : int
         Instants in a load period, for a record of several periods; 0 for a periodic motion.
     exact_number_by_name : dict of str to float
-        Numbers of the crack faces, known more accurately than from the instants.
+        Crack face numbers by names in :class:`Indicators`, more accurate than from the instants.
     """
 
     omega: float
@@ -170,7 +171,10 @@ class Record:
 
     @property
     def periods(self) -> float:
-        """Return the number of load periods in the record."""
+        """Return the number of load periods in the record.
+
+        For a periodic motion, this is the number in the motion's period.
+        """
         return (
             (len(self.time) - 1) / self.instants_per_load_period
             if self.instants_per_load_period
@@ -181,7 +185,8 @@ class Record:
     def n_pairs(self) -> int:
         """Return the number of contact pairs in the record.
 
-        0 if ``gaps`` has no columns, because the crack faces' numbers are known already.
+        The number is 0 if ``gaps`` has no columns: the crack faces' numbers are then known from an
+        earlier record.
         """
         return self.gaps.shape[1] // (1 if self.friction_coefficient is None else 2)
 
@@ -346,11 +351,12 @@ class CrackFaces:
     gap_and_force_maxima : (4,)
         Largest opening and penetration [m], largest contact force of a pair and of a crack [N].
     is_slipping_at_instants, is_sticking_at_instants : (n, n_pairs) bool
-        With friction: True if a pair slips or sticks, in the last load period.
+        With friction: True if a pair slips or sticks.
     losses : (n_pairs,) [J]
-        With friction: energy lost in the last load period.
+        With friction: energy lost by each pair.
 
-    A periodic motion counts as a whole, with all load periods.
+    The attributes with friction are for a periodic motion's whole period. In a record with several
+    load periods they are for the last load period.
     """
 
     def __init__(self, record: Record) -> None:
@@ -371,7 +377,7 @@ def is_slipping(
 ) -> np.ndarray:
     """Return True for slipping pairs: (n, n_pairs) bool.
 
-    A closed pair slips if the friction force reaches mu times the normal force, less 1e-6.
+    A closed pair slips if the friction force reaches mu times the normal force, to 1e-6.
 
     Parameters
     ----------
@@ -402,10 +408,11 @@ def friction_losses(tangential_gap: np.ndarray, friction_force: np.ndarray) -> n
 
 
 def dof_selection_rows(structure: Structure, dofs: Sequence[int | None]) -> np.ndarray:
-    """Return rows (m, n_local) of factors that pick displacements at dofs (collective).
+    """Return rows (m, n_local) of factors to select the displacements at dofs (collective).
 
-    A row times the coordinates of the structure, summed over ranks, is the displacement at a dof.
-    ``dofs`` are m numbers in the whole structure; None stands for the watched dof.
+    A row times the structure's coordinates (dofs, or the coordinates of a reduction), summed over
+    ranks, is the displacement at a dof. ``dofs`` are m numbers in the whole structure; None stands
+    for the watched dof.
     """
     if not dofs:
         return np.zeros((0, structure.n_local))
@@ -419,7 +426,7 @@ def dof_selection_rows(structure: Structure, dofs: Sequence[int | None]) -> np.n
 
 
 class ExtraRows(NamedTuple):
-    """Further displacements to observe, for numbers as stress intensities or clamp forces.
+    """Further displacements to observe, to compute stress intensities or clamp forces.
 
     Attributes
     ----------
@@ -469,7 +476,7 @@ class ObservedMotion:
         Parameters
         ----------
         rows : (m, n_local)
-            Factors of the displacement.
+            Factors: each row times the displacement is an observed displacement.
         """
         raise NotImplementedError
 
@@ -487,7 +494,7 @@ class ObservedMotion:
     def indicators_of_dofs(self, dofs: Sequence[int | None]) -> list[Indicators]:
         """Return :meth:`indicators` of several dofs (collective).
 
-        The motion is formed once for all new dofs.
+        The motion is evaluated once for all dofs together; dofs observed before need no evaluation.
         """
         return [
             observed_displacement.indicators for observed_displacement in self.observe_dofs(dofs)[0]
@@ -495,10 +502,10 @@ class ObservedMotion:
 
     @property
     def face_indicators(self) -> dict[str, Any]:
-        """Return openings, forces and shares at the crack faces by name (collective).
+        """Return the crack faces' indicators by name (collective).
 
-        Names follow :class:`Indicators`; a curve has arrays (n,). Numbers that are nan everywhere
-        are left out.
+        Openings, contact forces and time shares, by the names in :class:`Indicators`; for a curve,
+        arrays (n,) over the points. Numbers that are nan everywhere are left out.
         """
         if not self._face_number_dicts:
             self.observe_rows(np.zeros((0, self.structure.n_local)))
@@ -516,7 +523,7 @@ class ObservedMotion:
     ) -> tuple[list[ObservedDisplacement], dict[str, Any]]:
         """Observe displacements at dofs, and further numbers from extra rows (collective).
 
-        The motion is formed once for all dofs that were not observed before, and for all rows.
+        The motion is evaluated once, for all extra rows and all dofs that were not observed before.
 
         Parameters
         ----------
@@ -531,7 +538,7 @@ class ObservedMotion:
         displacements : list of ObservedDisplacement
             One for each dof.
         numbers : dict
-            Numbers at all places by name.
+            Numbers from all ``places`` by name; on a curve, arrays (n,) over the points.
         """
         structure = self.structure
         wanted_dofs = [structure.watched_dof if dof is None else dof for dof in dofs]
@@ -569,7 +576,7 @@ class ObservedMotion:
         displacements : list of ObservedDisplacement
             One for each row.
         numbers : dict
-            Numbers at all places by name.
+            Numbers from all ``places`` by name; on a curve, arrays (n,) over the points.
         """
         row_ends = np.cumsum([len(rows), *(len(place.rows) for place in places)]).tolist()
         all_rows = np.vstack([rows, *(place.rows for place in places)])
@@ -615,9 +622,9 @@ class ObservedMotion:
     def _gather_over_curve_points_by_name(
         self, dicts_of_numbers_by_name: Sequence[Mapping[str, float]]
     ) -> dict[str, Any]:
-        """Gather each named number over all records: a float, or on a curve (n,).
+        """Return each named number over all records: a float, on a curve an array (n,).
 
-        The dictionaries have the same names, one dictionary for each record.
+        ``dicts_of_numbers_by_name`` has a dictionary for each record, all with the same names.
         """
         return {
             name: self._gather_over_curve_points(
@@ -627,7 +634,10 @@ class ObservedMotion:
         }
 
     def _gather_over_curve_points(self, values: list[Any]) -> Any:
-        """Return the value of a motion's only record; curves override the method."""
+        """Return the only entry of ``values``, from a motion with a single record.
+
+        A curve overrides this method and returns an array over the points.
+        """
         [only_record_value] = values
         return only_record_value
 
@@ -646,9 +656,9 @@ class ObservedMotion:
 
 
 def _face_number_by_name(record: Record) -> dict[str, float]:
-    """Return the numbers of the crack faces in a record by name.
+    """Return the crack faces' indicators in a record by name.
 
-    Numbers without pairs, or without friction, are nan.
+    All are nan without contact pairs, and friction indicators without friction.
     """
     number_by_name = dict.fromkeys(observable_names(Place.FACES), math.nan)
     if record.n_pairs:

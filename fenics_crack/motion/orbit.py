@@ -5,12 +5,12 @@ derivative of the flow over T. An orbit solves
 
     F(z) = z(T) - z = 0,      dF/dz = M - I.
 
-The eigenvalues of M are its Floquet multipliers. A Newton step is shortened until the *natural*
-test accepts it: the simplified step from the new state, with the same M, must be shorter. This test
-does not depend on the scaling of the state.
+The eigenvalues of M are the orbit's Floquet multipliers. A Newton step is shortened until the
+*natural* test accepts the step: the simplified step from the new state, with the same M, must be
+shorter. This test does not depend on the scaling of the state.
 
-M is kept over several steps and updated by Broyden's "good" method, for as long as the residual
-shrinks enough. The first M may come from a nearby motion.
+M is kept over several steps and updated by Broyden's "good" method, for as long as each step is at
+most a tenth of the step before. The first M may come from a nearby motion.
 
 With many modes M is not formed. GMRES takes products with M in the energy norm; a product costs
 half of a period's integration. Damping leaves little of fast modes, so some dozen products suffice.
@@ -20,6 +20,8 @@ The solution has the states Z_i at N equal parts of the period. With M_i the der
 over part i, and F_i its end state less Z_{i+1},
 
     d_{i+1} = M_i d_i + F_i,   periodic;       predicted error = |P^T d| / |P^T Z|.
+
+P^T takes modal displacements to gaps.
 
 References
 ----------
@@ -67,16 +69,17 @@ from fenics_crack.numerics.newton import FORCING_TERM, change_relative_to_motion
 MAX_SEARCH_PERIODS = 20
 """Maximum number of periods that Newton's method integrates in one search for an orbit."""
 MIN_NEWTON_DAMPING = 1e-3
-"""Minimum factor by which a Newton step is shortened; the search ends below."""
+"""Minimum factor of a shortened Newton step; a search that needs a smaller one fails."""
 MAX_SEARCH_PIECES = 20_000
-"""Maximum Taylor pieces in a search: about a second, with many pairs. With up to 120 modes the
-maximum is larger if 20 periods without events need more, unless the load is too slow."""
+"""Maximum number of Taylor pieces (intervals with a single Taylor series) in a search: about a
+second, with many pairs. With up to 120 modes the maximum is larger if 20 periods without events
+need more, unless the load is too slow (:func:`is_load_too_slow`)."""
 MAX_MODES_FOR_MONODROMY = 120
 """Maximum modes for which the monodromy matrix M is formed; more modes use GMRES."""
 MAX_GMRES_PRODUCTS = 60
 """Maximum products with the monodromy matrix in a solution by GMRES."""
 COMPARED_STEP_GMRES_TOLERANCE = 0.25
-"""Relative residual of GMRES for a Newton step whose length alone is needed, as a test."""
+"""Relative residual |A x - r| / |r| by GMRES for a simplified step, needed in the natural test."""
 MULTIPLIER_TOLERANCE = 1e-6
 """Accuracy of Floquet multipliers mu. A smaller distance ||mu| - 1| does not tell the stability.
 Orbits must also close to this relative accuracy."""
@@ -85,13 +88,13 @@ NEUTRAL_MULTIPLIER_TEXT = (
 )
 """Reason for undecided stability if the largest ||mu| - 1| is inconclusive."""
 INSTANTS_PER_BLOCK = 2048
-"""Number of instants with sines and cosines in memory together."""
+"""Number of instants with the sines and cosines for all harmonics in memory together."""
 INSTANTS_PER_PERIOD = 512
 """Instants per period in the samples of an orbit."""
 OBSERVED_HARMONICS = 40
-"""Number of harmonics in an orbit's record. From n instants, harmonic k has the error of harmonic
-(n - k). In motions with kinks the relative error is (k / (n - k))^2: for k = 40 at most 0.7 % with
-512 instants, 3.4 % with the 256 of a curve."""
+"""Number of harmonics in an orbit's record. With n instants, harmonic n - k is aliased onto k. In
+motions with kinks the relative error is (k / (n - k))^2: for k = 40 at most 0.7 % with 512
+instants, 3.4 % with a curve's 256."""
 
 
 IMinusMSolver = Callable[[np.ndarray, float], np.ndarray]
@@ -105,7 +108,8 @@ class Prediction(NamedTuple):
     Attributes
     ----------
     relative_gap_error : float
-        Predicted error of the gaps, |P^T d| / |P^T Z|; P^T takes states to gaps.
+        Predicted error in the gaps, |P^T d| / |P^T Z|; P^T takes modal displacements to gaps. In
+        |P^T Z| the mean over time counts at most as much as the oscillation.
     states : (n, flow.state_size)
         Z + d at the starts of n equal parts of the period.
     solution_track : Track
@@ -283,13 +287,13 @@ class PeriodicOrbit(ObservedMotion, Described):
     ) -> Iterator[Record]:
         """Yield the motion's :class:`Record` over a period: displacements, gaps and forces.
 
-        Between instants the motion is, on each piece of the period, the polynomial through Gauss
-        nodes.
+        At any time, the motion is interpolated by polynomials through Gauss nodes, with a
+        polynomial for each piece of the period between events.
 
         Parameters
         ----------
         rows : (m, n_dofs)
-            Factors of the displacement.
+            Factors: each row times the displacement is an observed displacement.
         instants : int, optional
             Number of instants. Default: 512, and the record also has the exact closed, stick and
             slip shares and the friction loss.
@@ -306,6 +310,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         column_splits = np.cumsum([column_block.shape[1] for column_block in column_blocks])[:2]
 
         def interpolate_at(period_fractions: np.ndarray) -> Any:
+            """Return row products, gaps and forces at positions in the period, 0 to 1."""
             time = self.period * np.mod(period_fractions, 1.0)
             piece_indices = np.minimum(np.searchsorted(piece_ends, time), len(piece_ends) - 1)
             piece_coordinates = (
@@ -342,8 +347,8 @@ class PeriodicOrbit(ObservedMotion, Described):
     def coefficients(self, harmonics: int) -> RealFourierCoefficients:
         """Return Fourier coefficients of gaps, contact forces and displacements.
 
-        ``harmonics`` is the highest order H, relative to the period. Gauss quadrature integrates
-        each piece of the period. Within a piece no pair changes state.
+        ``harmonics`` is the highest harmonic H of the orbit's period. Gauss quadrature integrates
+        the pieces of the period. Within a piece no pair opens, closes, sticks or slips.
         """
         gauss_samples = self._gauss_samples_and_lengths(harmonics * self.omega / self.subharmonic)[
             0
@@ -380,7 +385,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         return self._integrate_coefficients(gauss_samples.row_products(rows), harmonics)
 
     def _integrate_coefficients(self, node_values: np.ndarray, harmonics: int) -> np.ndarray:
-        """Return Fourier coefficients (2H+1, m) of values (n, m) at the Gauss nodes."""
+        """Return Fourier coefficients (2H+1, m) from values (n, m) at all Gauss nodes."""
         base_omega = self.omega / self.subharmonic
         node_samples, piece_lengths = self._gauss_samples_and_lengths(harmonics * base_omega)
         time_weights = (
@@ -408,7 +413,8 @@ class PeriodicOrbit(ObservedMotion, Described):
         """Return the motion at Gauss nodes in all pieces of the period.
 
         Within a piece no pair opens, closes, sticks or slips, and waves up to ``max_wave_omega``
-        [rad/s] turn by at most 10 rad. The samples for the highest frequency so far are kept.
+        [rad/s] plus the motion's own rates turn by at most 10 rad. The samples for the highest
+        frequency so far are kept.
 
         Returns
         -------
@@ -445,10 +451,9 @@ class PeriodicOrbit(ObservedMotion, Described):
 
     @cached_property
     def work(self) -> Work:
-        """Return the work of load, damping and friction in the period.
+        """Return the work of load, damping and friction in the period [J].
 
-        Gauss quadrature on each piece, with derivatives of the polynomials through the nodes, is
-        exact to rounding.
+        Gauss quadrature is exact to rounding. Rates come from the polynomials through the nodes.
         """
         flow = self.flow
         gauss_samples, piece_lengths = self._gauss_samples_and_lengths(
@@ -507,8 +512,8 @@ class PeriodicOrbit(ObservedMotion, Described):
     def stuck(self) -> np.ndarray:
         """Return the indices (k,) of pairs that always stick; none without friction.
 
-        Slider positions of these pairs follow from earlier motion, not from the orbit. They have no
-        part in the multipliers.
+        These pairs' slider positions follow from earlier motion, not from the orbit. The
+        multipliers do not measure disturbances in such positions.
         """
         pair_states = self.motion.track.sets
         sticks_always = self.flow.friction_law is not None and np.all(
@@ -521,8 +526,8 @@ class PeriodicOrbit(ObservedMotion, Described):
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers of the orbit by name.
 
-        These are the largest multiplier's modulus, opening and penetration [m] (0 without pairs),
-        and the numbers of events and iterations. The residual is relative.
+        The numbers are the largest multiplier's modulus, opening and penetration [m] (0 without
+        pairs), the relative residual, and the numbers of events and Newton iterations.
         """
         face_number_by_name = {"opening": 0.0, "penetration": 0.0} | self.face_indicators
         return {
@@ -552,8 +557,8 @@ class Work(NamedTuple):
     load, damping : float [J]
         Work done by the load, and lost by damping.
     friction : (n_pairs,) [J]
-        Work lost by friction of each pair: friction force times rate of the tangential gap,
-        integrated. The load's work is the sum of all losses.
+        Work lost by each pair's friction: friction force times tangential gap rate, integrated.
+        The load's work is the sum of all losses.
     """
 
     load: float
@@ -605,9 +610,9 @@ class RealFourierCoefficients(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class MotionInEqualParts(PeriodicOrbit):
-    """A motion in equal parts of a period, with the interface of an orbit.
+    """Approximate orbit: exact motions over equal parts of a period.
 
-    The state may jump from part to part: the motion only approximates an orbit.
+    The state may jump from part to part. The interface is the orbit's.
 
     Attributes
     ----------
@@ -657,7 +662,7 @@ def is_orbit_search_affordable(
 
     - The flow has up to 120 modes, and the load is not too slow (:func:`is_load_too_slow`).
     - The flow has more modes, crack faces have no mass, and ``n_periods`` periods without events
-      need at most 20,000 Taylor pieces, the intervals with a Taylor series for each motion.
+      need at most 20,000 Taylor pieces, intervals with a single Taylor series.
 
     With more modes and mass at the crack faces, the result is False: crack faces bounce, and
     Newton's method fails to converge from harmonic-balance solutions.
@@ -683,14 +688,17 @@ def is_load_too_slow(flow: ContactFlow, omega: float, subharmonic: int = 1) -> b
 def predict_orbit(
     flow: ContactFlow, omega: float, states: np.ndarray, subharmonic: int = 1
 ) -> Prediction | None:
-    """Take a Newton step towards an orbit for all parts of a motion together.
+    """Take a Newton step towards an orbit, for n instants together.
 
     Parameters
     ----------
+    flow : ContactFlow
     omega : float
         Load frequency [rad/s].
     states : (n, flow.state_size)
         States of a solution at the starts of n equal parts of the period.
+    subharmonic : int
+        Number of load periods in the period.
 
     Returns
     -------
@@ -726,7 +734,7 @@ def predict_motion(
 ) -> MotionInEqualParts | None:
     """Integrate the motion from a prediction's states; None if integration fails.
 
-    The motion has jumps between the equal parts.
+    Each state starts a motion over a part of the period, so the state jumps between the parts.
     """
     with suppress(ConvergenceError):
         period = 2.0 * np.pi * subharmonic / omega
@@ -743,8 +751,9 @@ def _make_i_minus_m_solver(
 ) -> IMinusMSolver:
     """Return the function from b to (I - M)^-1 b for a track.
 
-    M is the monodromy matrix along the track. With more than 120 modes GMRES solves, in the norm
-    with the given ``energy_weights`` (flow.state_size,). LinAlgError: I - M is singular.
+    M is the monodromy matrix along the track. Up to 120 modes I - M is factored; LinAlgError: I - M
+    is singular. With more modes GMRES solves, in the norm with the given ``energy_weights``
+    (flow.state_size,).
     """
     if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
         i_minus_m_factors = factorise_transpose(
@@ -779,12 +788,13 @@ def find_orbit(
 ) -> PeriodicOrbit | None:
     """Search for an orbit from a state by Newton's method.
 
-    The search fails after 20 periods, or if all motions together need more Taylor pieces (intervals
-    with one Taylor series) than the budget: 20,000, or more for a slow load. An orbit must close to
-    1e-6.
+    The search fails after 20 integrated periods, or if all motions together need more Taylor pieces
+    (intervals with one Taylor series) than the budget: 20,000, or more for a slow load. After a
+    period, an orbit's state must return to 1e-6, relative.
 
     Parameters
     ----------
+    flow : ContactFlow
     omega : float
         Load frequency [rad/s].
     state : (flow.state_size,)
@@ -796,7 +806,7 @@ def find_orbit(
     step_tolerance : float
         Maximum relative Newton step at the orbit. With more than 120 modes: 1.5e-8 in any case.
     failure_reasons : list of str, optional
-        Extended by the reason if the budget of pieces ends the search.
+        The reason is appended if the budget of pieces ends the search.
 
     Returns
     -------
@@ -834,6 +844,8 @@ class _NewtonOrbitSearch:
     ----------
     state : (flow.state_size,)
         Current state at phase zero.
+    motion : IntegratedMotion
+        Motion over a period from this state.
     n_integrated_periods : int
         Number of periods integrated so far.
     allowed_taylor_pieces : int
@@ -868,7 +880,8 @@ class _NewtonOrbitSearch:
         ``solve_i_minus_m`` belongs to a nearby motion, or is None. The simplified step is the next
         Newton step with the same monodromy matrix. A step times a damping factor d is accepted if
         |simplified step| <= (1 - d / 4) |step|. The next factor follows from the nonlinearity
-        |simplified step - (1 - d) step|.
+        |simplified step - (1 - d) step|. ``step_tolerance`` is the maximum relative simplified step
+        at the orbit.
         """
         forms_monodromy = self._flow.n_modes <= MAX_MODES_FOR_MONODROMY
         min_damping_factor = MIN_NEWTON_DAMPING if forms_monodromy else 0.1
@@ -931,7 +944,7 @@ class _NewtonOrbitSearch:
         return False
 
     def _fraction_along(self, change: np.ndarray, step: np.ndarray) -> float:
-        """Return the coefficient of a change projected on a step, in the energy norm."""
+        """Return the factor c of a state change's projection c ``step``, in the energy norm."""
         step_times_squared_weights = self._weights**2 * step
         return float(change @ step_times_squared_weights / (step @ step_times_squared_weights))
 
@@ -949,7 +962,7 @@ def orbit_through_state(
 ) -> PeriodicOrbit:
     """Return the orbit through a state (flow.state_size,) at phase zero, without a search.
 
-    ``iterations`` is the number of Newton steps to the state.
+    The state must belong to an orbit. ``iterations`` is the number of Newton steps to the state.
     """
     motion = flow.advance(state, omega, 2.0 * np.pi * subharmonic / omega)
     return PeriodicOrbit(flow, omega, subharmonic, motion, state, iterations + 1)
@@ -965,7 +978,7 @@ def is_same_orbit_in_phase(orbit: PeriodicOrbit, other_orbit: PeriodicOrbit) -> 
 
 
 def eigenvalues(matrix: np.ndarray) -> np.ndarray:
-    """Return the eigenvalues of a monodromy matrix in descending modulus.
+    """Return the eigenvalues of a monodromy matrix (n, n), descending in modulus: (n,) complex.
 
     LAPACK is called directly: for small matrices that takes a tenth of NumPy's time. LinAlgError:
     the matrix is not finite, or LAPACK does not converge.

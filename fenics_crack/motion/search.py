@@ -4,7 +4,7 @@ The search climbs :data:`ORBIT_STARTS_BY_NAME` until a :class:`StartStrategy` le
 
 1. Newton's method (:mod:`orbit`) from guesses, the motions of harmonic-balance solutions with few
    harmonics. Nearly all guesses lead to an orbit.
-2. The state after one Newton step of the whole motion
+2. Newton's method from the state after one Newton step for 32 instants together
    (:func:`fenics_crack.motion.orbit.predict_orbit`).
 3. The end of a path (homotopy) through folds, with the guess a:
 
@@ -54,11 +54,11 @@ from fenics_crack.numerics.path import HOMOTOPY_OPTIONS, Path, Target
 SEGMENTS_PER_PERIOD = 32
 """Number of equal parts of the period in multiple shooting."""
 SEGMENT_START_SLICE = slice(None, None, INSTANTS_PER_PERIOD // SEGMENTS_PER_PERIOD)
-"""Every 16th of an orbit's 512 samples: the starts of 32 equal parts."""
+"""Every 16th sample among an orbit's 512: the starts of 32 equal parts of the period."""
 MIN_PIECES_CHARGED_PER_PERIOD = 200
 """Minimum number of Taylor pieces that a search's budget counts for a period."""
 MAX_RETURN_PERIODS = 8
-"""Maximum number of periods after which a motion is compared with an earlier state."""
+"""A motion's state is compared with the states up to this number of periods before."""
 
 
 class SearchOptions:
@@ -69,11 +69,11 @@ class SearchOptions:
     guess_harmonic_counts : tuple of int
         Numbers of harmonics in the harmonic-balance solutions for guesses.
     period_budget : int
-        Budget after Newton's method failed from all guesses, in periods with 200 Taylor pieces and
-        12 modes. Other periods count by time, in proportion to the pieces and to the square of the
-        modes. Half of the budget is for the homotopy path, a quarter to follow the motion, and a
-        quarter for orbits near close returns. The budget lasts about a second. With friction three
-        quarters are allowed, for one to three seconds.
+        Work allowed after Newton's method failed from all guesses. The unit is a period with 200
+        Taylor pieces and 12 modes; other periods count in proportion to pieces and squared modes.
+        Half is for the homotopy path, a quarter to follow the motion, and a quarter for orbits near
+        close returns. The budget lasts about a second. With friction three quarters are allowed,
+        for one to three seconds.
     """
 
     guess_harmonic_counts: tuple[int, ...] = (5, 10, 20, 40)
@@ -83,8 +83,9 @@ class SearchOptions:
     def piece_budget(cls, flow: ContactFlow) -> int:
         """Return the search's budget on a flow, as a number of Taylor pieces.
 
-        A piece is an interval with a single Taylor series. The budget is 800,000 up
-        to 12 modes without friction, three quarters with friction; less with more modes.
+        A piece is an interval with a single Taylor series. Up to a state size 24 (12 modes without
+        friction) the budget is 800,000 pieces, with friction 600,000. For larger states it falls
+        with the squared size.
         """
         n_periods = (0.75 if flow.friction_law else 1.0) * cls.period_budget
         return int(
@@ -95,7 +96,7 @@ class SearchOptions:
     def max_periods(cls, flow: ContactFlow) -> int:
         """Return the maximum number of periods for following a motion, at least 60.
 
-        They take a quarter of the search's budget.
+        The periods take a quarter of the search's budget.
         """
         return max(cls.piece_budget(flow) // (4 * MIN_PIECES_CHARGED_PER_PERIOD), 60)
 
@@ -108,7 +109,8 @@ class StartStrategy(NamedTuple):
     name : str
         Text for the progress line.
     generate_candidates : callable
-        Function from a search task to guesses or orbits, made on demand.
+        Function to yield orbits for a :class:`_SearchTask`. In harmonic balance: function without
+        arguments to yield guesses.
     """
 
     name: str
@@ -123,7 +125,7 @@ class OrbitSearchResult(NamedTuple):
     orbit : PeriodicOrbit or None
         A stable orbit if the search met one, else the first orbit.
     other_orbits : tuple of PeriodicOrbit
-        Further orbits of the same start.
+        Further orbits that the successful start found.
     outcome_text : str
         Name of the start that led to the orbit; without orbit, why the last two attempts failed.
     """
@@ -142,10 +144,11 @@ def search_orbit(
     prefer_stable: bool = True,
     start_strategies: Iterable[StartStrategy] = (),
 ) -> OrbitSearchResult:
-    """Search for an orbit of the flow from guesses, taken as needed.
+    """Search for an orbit of the flow from guesses, made on demand.
 
     Parameters
     ----------
+    flow : ContactFlow
     omega : float
         Load frequency [rad/s].
     state_guesses : iterable of (n, flow.state_size)
@@ -176,7 +179,7 @@ def search_orbit(
 
 @dataclass(frozen=True)
 class _SearchTask:
-    """Arguments of :func:`search_orbit`, with notes that the starts leave.
+    """Arguments of :func:`search_orbit`, with the record of failed starts.
 
     Attributes
     ----------
@@ -210,9 +213,9 @@ class _SearchTask:
 
     @property
     def orbit_equations(self) -> FlowOrbitEquations:
-        """Return orbit equations with the last guess at phase zero as start.
+        """Return the equations z(T) = z(0) of an orbit, with the last tried guess as start.
 
-        Without guesses the start is a state of zero.
+        Without guesses the start is the zero state.
         """
         start_state = (
             self.tried_states[-1][0] if self.tried_states else np.zeros(self.flow.state_size)
@@ -223,7 +226,7 @@ class _SearchTask:
 def _find_orbits_from_guesses(search_task: _SearchTask) -> list[PeriodicOrbit]:
     """Find orbits by Newton's method from the guesses, up to the first stable orbit.
 
-    Without ``task.prefer_stable`` the first orbit is enough. Stable orbits come first.
+    Without ``search_task.prefer_stable`` the first orbit is enough. A stable orbit comes first.
     """
     found_orbits = list[PeriodicOrbit]()
     for guessed_states in search_task.state_guesses:
@@ -239,9 +242,9 @@ def _find_orbits_from_guesses(search_task: _SearchTask) -> list[PeriodicOrbit]:
 
 
 def _find_orbit_after_multiple_shooting_step(search_task: _SearchTask) -> Iterable[PeriodicOrbit]:
-    """Find an orbit by Newton's method after one step for all parts of a guess.
+    """Find an orbit by Newton's method after one step for a guess's 32 instants together.
 
-    The result has the first orbit from any guess, or is empty.
+    The result has the first orbit from any tried guess, or is empty.
     """
     prediction_iterator = (
         predict_orbit(search_task.flow, search_task.omega, guessed_states, search_task.subharmonic)
@@ -258,10 +261,11 @@ def _find_orbit_after_multiple_shooting_step(search_task: _SearchTask) -> Iterab
 def series_states_at_period_parts(
     flow: ContactFlow, displacement_coefficients: np.ndarray, base_omega: float
 ) -> np.ndarray:
-    """Return a Fourier series' states at equal parts of the period: (32, flow.state_size).
+    """Return a Fourier series' states at 32 instants of the period: (32, flow.state_size).
 
     Parameters
     ----------
+    flow : ContactFlow
     displacement_coefficients : (2H+1, n_dofs) [m]
         Rows a0, a1, b1, ....
     base_omega : float
@@ -351,9 +355,9 @@ class Homotopy:
 
 
 def _find_orbit_along_path(search_task: _SearchTask) -> Iterator[PeriodicOrbit]:
-    """Follow the path of :class:`Homotopy` from the last guess to an orbit.
+    """Follow the path of :class:`Homotopy` from the last guess, and yield the orbit at p = 1.
 
-    Yields nothing without a guess, with more than 120 modes, or if the path ends before.
+    Nothing is yielded without a guess, with more than 120 modes, or if the path does not arrive.
     """
     if not search_task.tried_states or search_task.flow.n_modes > MAX_MODES_FOR_MONODROMY:
         return
@@ -387,10 +391,10 @@ def _find_orbit_along_path(search_task: _SearchTask) -> Iterator[PeriodicOrbit]:
 
 
 def _find_orbit_along_motion(search_task: _SearchTask) -> Iterator[PeriodicOrbit]:
-    """Follow the motion from the last guess, and find an orbit near.
+    """Follow the motion from the last guess, and yield an orbit near the motion.
 
-    Newton's method starts from the last state, then from states that return most closely after a
-    period. Yields nothing if all fail within a quarter of the search's budget.
+    Newton's method starts from the last state, then from the states that a period changes least.
+    Nothing is yielded if all starts within a quarter of the budget fail.
     """
     orbit_equations = search_task.orbit_equations
     remaining_pieces = SearchOptions.piece_budget(search_task.flow) // 4
@@ -438,8 +442,8 @@ def yield_states_after_periods(
     """Yield a motion's state, in scaled unknowns x, after each period.
 
     ``scaled_state`` is the start. The motion ends after ``max_periods`` periods, or if integration
-    fails. It also ends after 200 Taylor pieces (intervals with a single Taylor series) times
-    ``max_periods``.
+    fails. The motion also ends after 200 ``max_periods`` Taylor pieces, intervals with a single
+    Taylor series.
     """
     remaining_pieces = MIN_PIECES_CHARGED_PER_PERIOD * max_periods
     with suppress(ConvergenceError):  # pairs may chatter without end

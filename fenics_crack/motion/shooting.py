@@ -34,7 +34,7 @@ from fenics_crack.numerics.newton import PathPoint
 class OrbitPoint(DenseLinearisation):
     """Equations F(x, p) = 0 of periodic orbits, evaluated at one point.
 
-    x are the scaled states at phase zero, and p is the parameter. F is the scaled change of the
+    x is the scaled state at phase zero, and p is the parameter. F is the scaled change of the
     state in a period.
 
     Attributes
@@ -44,7 +44,8 @@ class OrbitPoint(DenseLinearisation):
     make_monodromy, make_parameter_derivative : callable
         Compute the monodromy matrix in the unknowns x (n, n), and dF/dp (n,).
     n_events, n_taylor_pieces : int
-        Number of the contact pairs' events in the period, and of Taylor pieces.
+        Number of events (a pair opens, closes, sticks or slips) in the period, and of Taylor
+        pieces (intervals with a single Taylor series).
     """
 
     unknown: np.ndarray
@@ -74,6 +75,7 @@ class OrbitPoint(DenseLinearisation):
 
     @property
     def record(self) -> np.ndarray:
+        """Return the monodromy matrix (n, n): a step control compares Floquet multipliers."""
         return self.monodromy
 
 
@@ -95,7 +97,7 @@ class ShootingEquations(Equations):
     subharmonic : int
         Load periods in the orbit's period.
     **arrays
-        Quantities dependent on p. The kernel then changes load or damping of the flow itself.
+        Quantities that depend on p. If given, the kernel changes load or damping of ``flow``.
 
         - ``force``, ``gap``: load at p = 0 on modes (2K+1, n_modes) and gaps (2K+1, n_rows).
         - ``force_rate``, ``gap_rate``: derivatives of the load by p.
@@ -172,6 +174,7 @@ class ShootingEquations(Equations):
         n_events = int(kernel.count_events(self._kernel_point_pointer))
 
         def ensure_evaluated() -> None:
+            """Integrate the period again if the kernel's last point is another one."""
             if (
                 self._last_linearisation_reference is not weak_point_reference
             ):  # there is one for a point
@@ -179,12 +182,14 @@ class ShootingEquations(Equations):
                 self._last_linearisation_reference = weak_point_reference
 
         def monodromy() -> np.ndarray:
+            """Return the monodromy matrix in the unknowns x, from the kernel."""
             monodromy_matrix = np.empty(2 * self.shape)
             ensure_evaluated()
             kernel.get_monodromy(self._kernel_point_pointer, pointer(monodromy_matrix))
             return monodromy_matrix
 
         def by_parameter() -> np.ndarray:
+            """Return dF/dp, from the kernel."""
             derivative = np.empty(self.shape)
             ensure_evaluated()
             self.function_table.by_parameter(self.function_table, pointer(derivative))

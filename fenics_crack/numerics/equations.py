@@ -11,9 +11,9 @@ offers
 and computes each on first request. All four belong to the point, in whatever order a caller
 requests them.
 
-Newton's method and path following run in the compiled kernel. The kernel reaches equations
-through a table of functions (``kernel/equations.h``). Compiled equations bring a table; for a
-system in Python the functions in the table call back into Python.
+Newton's method and path following run in the compiled kernel. The kernel calls the equations
+through a table of C functions (``kernel/equations.h``). Compiled equations have a table; for a
+system in Python, the functions in the table call back into Python.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ ROOT_TOLERANCE = math.sqrt(MACHINE_EPSILON)
 """Absolute value below which a dimensionless function counts as zero: 1.5e-8. Also the maximum
 relative Newton step to an orbit without a formed monodromy matrix."""
 COARSE_TOLERANCE = CENTRAL_DIFFERENCE_STEP
-"""Maximum relative residual |F| / |x| of an approximate solution, used as a guess or to assess
-another solution: 6e-6. Equations with a larger rounding error are refused."""
+"""Maximum relative residual |F| / |x| of an approximate solution, used as a guess or for an error
+estimate: 6e-6. Equations with a larger rounding error are refused."""
 
 
 def residual_rounding(residual_slope: float) -> float:
@@ -86,10 +86,11 @@ class Linearisation(ABC):
 
     @property
     def record(self) -> np.ndarray:
-        """Return this point's numbers to compute a system's ``step_control_values`` from.
+        """Return the numbers for a step control to judge this point.
 
-        The array has ``n_record_entries`` entries; both names are attributes of :class:`System`.
-        Only systems for paths with a step control implement the property.
+        The array has the system's ``n_record_entries`` entries; the system's method
+        ``step_control_values`` evaluates records. Only systems for paths with a step control
+        implement the property.
         """
         raise NotImplementedError
 
@@ -104,7 +105,7 @@ class System(Protocol):
 
     The unknowns are equal on every rank. A system may have further attributes:
 
-    - ``compiled_equations``: the same equations for the kernel, an :class:`Equations`.
+    - ``compiled_equations``: the same equations for the kernel, an :class:`Equations`, or None.
     - ``angle_weights``: weight of each unknown in angles between tangents.
     - ``n_time_means``: number of leading unknowns that are means over time.
     - ``n_record_entries``: number of entries in :attr:`Linearisation.record`, an array of numbers
@@ -128,7 +129,7 @@ class DenseLinearisation(Linearisation):
     @property
     @abstractmethod
     def jacobian(self) -> np.ndarray:
-        """Return the Jacobian J = dF/dx: (n, n), for residual and unknowns flattened in C order."""
+        """Return the Jacobian J = dF/dx: (n, n), for residual and unknowns flattened row by row."""
 
     def matrix_to_factorise(self) -> np.ndarray:
         """Return the matrix to factorise: J, or a smaller matrix with the same determinant."""
@@ -136,6 +137,7 @@ class DenseLinearisation(Linearisation):
 
     @cached_property
     def _factors(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the factors from :func:`factorise_transpose`, computed on first request."""
         return factorise_transpose(self.matrix_to_factorise())
 
     def solve(self, right_side: np.ndarray) -> np.ndarray:
@@ -159,7 +161,7 @@ def factorise_transpose(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     factors : (n, n)
         L and U of A^T.
     pivots : (n,) int
-        Index, from 0, of the row that LAPACK swapped with each row.
+        Entry i: index, from 0, of the row swapped with row i.
     """
     lu_matrix, pivots, _ = dgetrf(matrix.T)
     return lu_matrix, pivots
@@ -196,21 +198,21 @@ class Equations(ABC):
 
     @property
     def compiled_equations(self) -> Equations | None:
-        """Return the equations for the kernel: this object, or None if Python must be called."""
+        """Return this object, as equations for the kernel need no other form."""
         return self
 
     @abstractmethod
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> Linearisation:
-        """Return F and J at the point that the kernel evaluated last.
+        """Return F and J at the point that the kernel evaluated last, without another evaluation.
 
-        ``unknown`` and ``parameter`` must be this point; nothing is evaluated again.
+        ``unknown`` x and ``parameter`` p must be this point.
         """
 
     def run_unchecked(self, loop: Any, *arguments: Any) -> int:
         """Call a C function on the equations and return its outcome code, unchecked.
 
-        ``loop`` is a function from the kernel; its first argument is the table. Pass the code to
-        :meth:`has_found_solution`.
+        ``loop`` is a function in the kernel, called with ``function_table`` and ``arguments``. Pass
+        the code to :meth:`has_found_solution`.
         """
         self._last_linearisation_reference = None
         return int(loop(self.function_table, *arguments))
@@ -244,7 +246,7 @@ def equations_of(system: System, shape: tuple[int, ...]) -> Equations:
 
 
 class _PythonEquations(Equations):
-    """Equations for the kernel whose C functions call back a system in Python.
+    """Equations of a Python system, for the kernel: the C functions call back into Python.
 
     A Python exception is kept during the C loop and raised by :meth:`has_found_solution`.
     """
@@ -301,8 +303,11 @@ def _python_callback(failure_value: Any) -> Callable[[Callable[..., Any]], Calla
     """
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        """Register a function of (state, ...) as C callback, and return the callback."""
+
         @wraps(function)
         def call(table: Any, *arguments: Any) -> Any:
+            """Call the function with the table's state; store an exception in the state."""
             state: _PythonCallbackState = ffi.from_handle(table.context)
             try:
                 return failure_value if state.failure else function(state, *arguments)
@@ -318,32 +323,38 @@ def _python_callback(failure_value: Any) -> Callable[[Callable[..., Any]], Calla
 
 @_python_callback(kernel.FAILED)
 def _evaluate(state: _PythonCallbackState, unknown: Any, parameter: float) -> int:
+    """Linearise the system at a point for the other callbacks; return ``kernel.FOUND``."""
     state.linearisation = state.system.linearise(state.as_array(unknown).copy(), parameter)
     return int(kernel.FOUND)
 
 
 @_python_callback(None)
 def _residual(state: _PythonCallbackState, residual_out: Any) -> None:
+    """Write the residual F at the current point to ``residual_out``."""
     state.as_array(residual_out)[...] = state.linearisation.residual
 
 
 @_python_callback(None)
 def _solve(state: _PythonCallbackState, vector: Any) -> None:
+    """Replace r in ``vector`` by J^-1 r, with the Jacobian J at the current point."""
     solution = state.as_array(vector)
     solution[...] = state.linearisation.solve(solution.copy())
 
 
 @_python_callback(None)
 def _by_parameter(state: _PythonCallbackState, derivative_out: Any) -> None:
+    """Write dF/dp at the current point to ``derivative_out``."""
     state.as_array(derivative_out)[...] = state.linearisation.by_parameter
 
 
 @_python_callback(None)
 def _record(state: _PythonCallbackState, record_out: Any) -> None:
+    """Write the current point's :attr:`Linearisation.record` to ``record_out``."""
     record = state.linearisation.record.ravel()
     np.frombuffer(ffi.buffer(record_out, record.nbytes))[:] = record
 
 
 @_python_callback(np.nan)
 def _sign(state: _PythonCallbackState) -> float:
+    """Return the sign of det J at the current point."""
     return state.linearisation.sign

@@ -4,7 +4,7 @@ Around each sample that may be the largest, a function is evaluated at nine inst
 polynomial through the nine values predicts instant and value of the maximum, and the function is
 evaluated at the predicted instant. If the prediction is wrong, as next to a kink, nine closer
 instants around the largest value follow, and so on. No derivative is used. For a smooth maximum
-the error is the last distance squared.
+the error is proportional to the square of the last distance between instants.
 
 Instants are fractions of the period, from 0 to 1.
 """
@@ -18,20 +18,20 @@ import numpy as np
 PeriodicFunctions = Callable[[np.ndarray], np.ndarray]
 """Callable from instants (n,), fractions of the period, to values (n, m) of m functions."""
 RecordFunction = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
-"""Callable from instants, fractions of the period, to a motion [m], gaps [m] and contact forces [N]
-of all gap rows."""
+"""Callable from instants (n,), fractions of the period, to m observed displacements (n, m), gaps
+(n, n_rows) [m] and contact forces (n, n_rows) [N]."""
 SAMPLE_OFFSETS = np.linspace(-1.0, 1.0, 9)
 """Nine offsets from a sample, -1 to 1, in units of the samples' spacing."""
 MAX_GRID_REFINEMENTS = 10
-"""Maximum grid refinements. Each divides the spacing by four: 256 samples end at 4e-9 of the
-period. The square of 4e-9 is rounding error, for up to 100 harmonics."""
+"""Maximum number of grid refinements. Each divides the spacing by four: 256 samples per period end
+at 4e-9 periods. The square of 4e-9 is rounding error, for up to 100 harmonics."""
 OFFSET_EXPONENTS = np.arange(len(SAMPLE_OFFSETS))
 """Exponents 0 to 8 of the polynomial through nine values."""
 COEFFICIENTS_FROM_VALUES = np.linalg.inv(SAMPLE_OFFSETS[:, None] ** OFFSET_EXPONENTS)
 """Matrix from nine values at ``SAMPLE_OFFSETS`` to the coefficients of their polynomial."""
 MAX_POLYNOMIAL_ERROR = 1e-6
-"""Maximum error of a polynomial's predicted maximum, relative to the nine values' range. If the
-error is larger, the grid is refined."""
+"""Maximum error of a maximum predicted by a polynomial, relative to the range of the nine values.
+With a larger error the grid is refined."""
 
 
 def find_maximum_values(
@@ -97,21 +97,21 @@ def find_maximum_values(
 def _maximise_polynomial(
     nine_values: np.ndarray, start_offset_in_half_windows: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Maximise n polynomials of degree 8, through nine values each, by three Newton steps.
+    """Maximise n polynomials, each through nine values, by three Newton steps.
 
     Parameters
     ----------
     nine_values : (n, 9)
-        Values at ``SAMPLE_OFFSETS``, equally spaced from -1 to 1.
+        Values at the offsets ``SAMPLE_OFFSETS``, equally spaced from -1 to 1.
     start_offset_in_half_windows : (n,)
-        First guess of each offset, from -1 to 1.
+        First guess for the offset of each maximum, from -1 to 1.
 
     Returns
     -------
     offset_in_half_windows : (n,)
-        Offsets of the maxima, from -1 to 1.
+        Offset of each maximum, from -1 to 1.
     maximum : (n,)
-        Values of the polynomials there.
+        Value of each polynomial at this offset.
     """
     coefficients = nine_values @ COEFFICIENTS_FROM_VALUES.T
     offset_in_half_windows = start_offset_in_half_windows

@@ -17,9 +17,9 @@ if TYPE_CHECKING:  # importing it takes a tenth of NumPy's own time
     from numpy.typing import ArrayLike
 
 MAX_MATRIX_ENTRIES = 45_000
-"""Maximum entries (2H+1) n_instants of a Fourier basis to multiply with; beyond, an FFT is
-used. Measured for 1 to 100 columns and H = 20 to 100: up to this size a product takes about the
-time of an FFT, and SciPy's FFT need not be loaded."""
+"""Maximum size (2H+1) n_instants of the matrix between coefficients and samples. A larger transform
+uses an FFT. Measured for 1 to 100 columns and H = 20 to 100: up to this size a matrix product takes
+about as long as an FFT, and SciPy's FFT need not be loaded."""
 
 
 def to_complex(coefficients: np.ndarray) -> np.ndarray:

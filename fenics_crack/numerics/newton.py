@@ -51,10 +51,11 @@ from fenics_crack.kernel import NULL, Struct, kernel, pointer, require_shape
 from fenics_crack.numerics.equations import MACHINE_EPSILON, Linearisation, System, equations_of
 
 COMM_SELF = PETSc.COMM_SELF
+"""MPI communicator with this rank alone: all ranks solve the same equations."""
 GMRES_RESTART: int = kernel.MAX_KRYLOV_VECTORS
 """Maximum number of Krylov vectors in GMRES before a restart."""
 OPTIONS_PREFIX = "crack_hb_"
-"""Prefix of PETSc options for SNES."""
+"""Prefix of users' PETSc options for SNES."""
 FORCING_TERM = 1e-2
 """Relative residual |A x - r| / |r| of GMRES in shooting and in the first Newton step by SNES. For
 later steps SNES chooses the residual, at most this value (Eisenstat and Walker, SIAM Journal on
@@ -80,6 +81,7 @@ def gmres(
     """
 
     def multiply(_: Any, factor_vector: Any, product_vector: Any) -> None:
+        """Write the product with A to ``product_vector``; PETSc calls this function."""
         product_vector.array_w[:] = apply(factor_vector.array_r.reshape(right_side.shape)).ravel()
 
     matrix = PETSc.Mat().createPython(
@@ -125,18 +127,18 @@ def can_solve_in_kernel(system: SnesSystem) -> bool:
 
 
 class Snes(ABC):
-    """Newton solver by PETSc's SNES, used again for all solutions of a system F(x) = 0.
+    """Newton solver by PETSc's SNES for a system F(x) = 0, for any number of solutions.
 
-    Converged: |F| <= tolerance |x|. As a context manager the object frees the PETSc objects. Newton
-    steps are full, unless a PETSc option sets a line search: sampled contact makes line searches
-    stall.
+    A solution has converged if |F| <= tolerance |x|. As a context manager the object frees the
+    PETSc objects. Newton steps are full, unless a PETSc option sets a line search: with sampled
+    contact forces line searches stall.
     """
 
     def __init__(self, matrix: Any, residual_norms: list[float] | None = None) -> None:
         """Create the PETSc solver for a Jacobian matrix.
 
-        ``matrix`` is the PETSc matrix for the Jacobian, freed by this object. |F| of every
-        iteration is appended to ``residual_norms``, if given.
+        ``matrix`` is the PETSc matrix for the Jacobian, freed by this object. After every
+        iteration, |F| is appended to ``residual_norms``, if given.
         """
         self.matrix, self._residual_norms = matrix, [] if residual_norms is None else residual_norms
         self._tolerance = 0.0
@@ -160,7 +162,7 @@ class Snes(ABC):
 
     @abstractmethod
     def _set_linear_solver_type(self, linear_solver: Any) -> None:
-        """Set defaults of the linear solver, a PETSc KSP. PETSc options come later and win."""
+        """Set defaults of the linear solver, a PETSc KSP. PETSc options have priority."""
 
     @abstractmethod
     def write_residual(self, unknown_vector: Any, residual_vector: Any) -> None:
@@ -214,6 +216,7 @@ class Snes(ABC):
         return int(PETSc.SNES.ConvergedReason.ITERATING)
 
     def _set_residual(self, snes: Any, unknown_vector: Any, residual_vector: Any) -> None:
+        """Write the residual for SNES; keep a ConvergenceError, as PETSc may hide errors."""
         try:
             self.write_residual(unknown_vector, residual_vector)
         except ConvergenceError as error:
@@ -314,7 +317,8 @@ MIN_DAMPING = 0.05
 MAX_FULL_STEPS = 20
 """Maximum Newton iterations from a guess at a given parameter."""
 MAX_STALLED_STEPS = 8
-"""Maximum successive Newton steps without halving the residual; then the method fails."""
+"""Maximum number of successive Newton steps without halving the residual; after more, the method
+fails."""
 MAX_PARAMETER_CHANGE_IN_STEPS = 3.0
 """Maximum distance between corrected and predicted parameter, in step lengths."""
 
@@ -343,7 +347,10 @@ class Tangent:
         return replace(self, x=-self.x, p=-self.p)
 
     def inner_product(self, system: System, vector: np.ndarray, other_vector: np.ndarray) -> float:
-        """Return w <x, y>, the inner product of two vectors of unknowns in the tangent's norm."""
+        """Return w <x, y>, the inner product of two vectors of unknowns in the tangent's norm.
+
+        Products of means over time count with the factor ``time_mean_weight``.
+        """
         if self.time_mean_weight == 1.0:
             return self.unknowns_weight * float(np.vdot(vector, other_vector))
         flat_vector = vector.ravel()
@@ -384,11 +391,11 @@ class PathPoint:
     crosses_branch: bool = False
     """True if another branch crosses between the previous point and this point."""
     linearisation: Linearisation | None = field(default=None, repr=False, compare=False)
-    """F and Jacobian at the point, if at hand."""
+    """F and Jacobian at the point; None if not kept."""
     chord_length_from_previous: float = float("nan")
     """Distance from the previous point, in the previous point's norm; nan if unknown."""
     record: np.ndarray | None = field(default=None, repr=False, compare=False)
-    """Numbers from the linearisation for a step control; None without a step control."""
+    """:attr:`Linearisation.record` for a step control; None without a step control."""
     step_control_values: np.ndarray | None = field(default=None, repr=False, compare=False)
     """Values computed from ``record`` for a step control; None without a step control."""
 
@@ -421,10 +428,10 @@ def motion_size_squared(oscillation_norm_squared: float, mean_norm_squared: floa
 
 
 def motion_size(motion_samples: np.ndarray) -> float:
-    """Return the size of k sampled motions (n_instants, k): a root sum of squares.
+    """Return the size of k sampled motions (n_instants, k): the root of a sum of squares.
 
-    The mean over time contributes at most as much as the oscillation
-    (:func:`motion_size_squared`).
+    In the sum over all instants and motions, the means over time contribute at most as much as the
+    oscillations (:func:`motion_size_squared`).
     """
     time_mean = motion_samples.sum(axis=0) / len(motion_samples)
     oscillation_samples = motion_samples - time_mean
@@ -439,8 +446,9 @@ def motion_size(motion_samples: np.ndarray) -> float:
 def change_relative_to_motion(change_samples: np.ndarray, motion_samples: np.ndarray) -> float:
     """Return the norm of a change over the size of a motion.
 
-    Both are samples (n_instants, k). In the motion's size the mean over time counts at most as much
-    as the oscillation: a steady load does not make relative errors small. A zero motion gives 0.
+    Both are samples (n_instants, k). In the motion's size (:func:`motion_size`) the mean over time
+    counts at most as much as the oscillation: a steady load does not make relative errors small.
+    The result is 0 if the motion is zero.
     """
     return (
         float(np.linalg.norm(change_samples)) / motion_size(motion_samples)
@@ -454,8 +462,8 @@ def norm_weights_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
 
     In |x| the means over time contribute at most as much as the oscillation. A clearance or a
     steady load may make means large, but steps must be relative to the oscillation to resolve a
-    resonance. Changes of large means are measured relative to the means, through a factor below 1:
-    a crack's mean opening grows with a rotor's speed by far more than the oscillation.
+    resonance. Changes of large means are divided by the means, not by the oscillation: a crack's
+    mean opening grows with a rotor's speed by far more than the oscillation.
 
     Returns
     -------

@@ -1,11 +1,12 @@
 """Pseudo-arc-length continuation of solutions F(x, p) = 0 along a parameter p, through folds.
 
-A step of length h
+A step of length h from the point (x, p) with the tangent (t_x, t_p):
 
-1. predicts (x, p) + h (t_x, t_p), plus cubic terms from the previous point and its tangent.
-2. Newton's method corrects it in the plane orthogonal to the tangent (:mod:`newton`).
+1. The next point is predicted: (x, p) + h (t_x, t_p), plus cubic terms from the previous point and
+   tangent.
+2. Newton's method corrects the prediction in the plane orthogonal to the tangent (:mod:`newton`).
 3. The next step is longer after few iterations. If the iterations fail or leave the path, the step
-   is halved.
+   is repeated with half the length.
 
 A large angle between the new and the old tangent shows that the path was left. A point has two
 tangents, of opposite directions. The correct tangent keeps the sign of t_p det J, since that sign
@@ -66,7 +67,8 @@ from fenics_crack.numerics.newton import (
 MIN_EQUAL_DIRECTION_COSINE = 0.9
 """Minimum cosine of the angle between two equal directions, for the closed-loop test."""
 POINTS_PER_CALL_AFTER_HALVING = 3
-"""Maximum points per kernel call after a step control halved a step. The number doubles later."""
+"""Maximum points per kernel call after a step control halved a step. Once steps have their full
+length again, the number doubles from call to call."""
 MIN_RESOLVED_DISTANCE = math.sqrt(MACHINE_EPSILON)
 """Distance on a path below which two points count as equal, and default minimum step: 1.5e-8. At a
 fold the parameter is then accurate to the square, machine epsilon."""
@@ -80,7 +82,9 @@ class PathOptions:
     """
 
     initial_step: float
+    """Length of the first step."""
     max_step: float
+    """Maximum step length."""
     min_step: float = MIN_RESOLVED_DISTANCE
     """Minimum step length. If a step would be shorter, the path ends."""
     max_steps: int = 1000
@@ -98,12 +102,16 @@ class PathOptions:
 
 
 HOMOTOPY_OPTIONS = PathOptions(0.3, 0.3, min_cosine=0.5, parameter_range=(0.0, 2.0))
-"""Options for homotopy paths with a parameter from 0 to 1. A path ends if the parameter leaves 0 to
-2."""
+"""Options for homotopy paths with a parameter from 0 to 1. A path ends if the parameter leaves the
+range from 0 to 2."""
 
 
 class EndReason(Enum):
-    """Reason for the end of a path. The values are texts for messages."""
+    """Reason for the end of a path. The values are texts for messages.
+
+    REACHED: at a terminal event. END_LOST: an event with ``must_be_located`` was not located.
+    RANGE_LEFT: the parameter left its range.
+    """
 
     REACHED = "reached the end"
     END_LOST = "no solution at the very end"
@@ -196,8 +204,8 @@ class PathSegment(Sequence[PathPoint]):
     def struct(self, n_known: int, **scalars: float) -> Struct:
         """Return the kernel's struct ``path`` with pointers to the arrays.
 
-        The first ``n_known`` points are given; the kernel adds points. ``scalars`` are further
-        fields, as ``step`` and ``orientation``.
+        The first ``n_known`` points are given; the kernel adds points. ``scalars`` are the fields
+        ``step``, the length of the first step, and ``orientation``, the sign of t_p det J.
         """
         array_by_name = {
             name: array
@@ -210,7 +218,7 @@ class PathSegment(Sequence[PathPoint]):
         return len(self.parameters)
 
     def yield_one_point_segments(self) -> Iterator[PathSegment]:
-        """Yield each point as a segment of length 1. The last segment keeps the events."""
+        """Yield each point as a segment of length 1. The last segment keeps the located events."""
         for point_index in range(len(self)):
             segment = self[point_index : point_index + 1]
             segment.located_events = self.located_events if point_index == len(self) - 1 else []
@@ -252,7 +260,7 @@ SegmentEnds = tuple[PathPoint, PathPoint]
 
 
 class Event(ABC):
-    """Kind of special point, to be located between neighbouring points of a path.
+    """Base class for kinds of special points, located between neighbouring points of a path.
 
     Attributes
     ----------
@@ -375,6 +383,7 @@ def find_zero_point_and_function_value(
     }
 
     def function_value_at(fraction: float) -> float:
+        """Return f at a fraction along the chord, with the corrected point kept."""
         if fraction not in points_and_values_by_fraction:
             scale = fraction * (1.0 - fraction) * full_chord_length
             tangent_weights = scale * np.array([1.0 - fraction, -fraction])
@@ -553,7 +562,8 @@ class StepControl(ABC):
     def mark_rejected_steps(self, segment: PathSegment, first_index: int = 0) -> np.ndarray:
         """Return True for each step that is too long: (n-1-first_index,) bool.
 
-        ``segment`` has n points. The first judged step begins at the point ``first_index``.
+        ``segment`` has n points, with n-1 steps between them. Steps before the point
+        ``first_index`` are not judged.
         """
 
 
@@ -596,7 +606,7 @@ class Path:
     end_reason : EndReason or None
         None until the path has ended.
     terminal_event : Event or None
-        Terminal event at the end.
+        Terminal event at the path's end; None before, or without a terminal event.
     """
 
     def __init__(
@@ -759,7 +769,10 @@ class Path:
         )
 
     def _restart(self, point: PathPoint, step_length: float) -> None:
-        """Continue the path from a point with a given step length."""
+        """Let the next kernel call start at a point with a given step length.
+
+        The sign of t_p det J is forgotten.
+        """
         self._start_points, self._next_step_length, self._orientation = [point], step_length, 0.0
 
     def _cut_at_rejected_step(
@@ -767,10 +780,14 @@ class Path:
     ) -> PathSegment | None:
         """Cut a segment before the step control's first rejected step, and halve the step.
 
+        Without a rejected step, step length and points per kernel call may grow again.
+
         Parameters
         ----------
+        segment : PathSegment
+            Points from earlier kernel calls, then the new points.
         n_known_points : int
-            Number of points at the beginning of ``segment`` from earlier kernel calls.
+            Number of points from earlier kernel calls.
         first_step_length : float
             Length requested for the first new step.
 
@@ -816,7 +833,7 @@ class Path:
         )
 
     def _follow_in_one_kernel_call(self, n_remaining_points: int) -> PathSegment | None:
-        """Follow the path in one kernel call.
+        """Add points to the path in a single kernel call.
 
         Parameters
         ----------

@@ -593,9 +593,9 @@ def _round_to_three_digits(value: float, round_function: Callable[[float], int])
 def is_response_proportional_to_load(scene: Scene) -> bool:
     """Return True if the response is proportional to the load.
 
-    This requires contact that begins at the gap g = 0 without smoothing or a layer, no
-    clearance and no rotation. If all forces and displacements are then multiplied by the same positive number, the
-    equations still hold. With rotation, the centrifugal load stays unchanged.
+    This requires contact that begins at the gap g = 0 without smoothing or a layer, no clearance
+    and no rotation. If all forces and displacements are then multiplied by the same positive
+    number, the equations still hold. With rotation, the centrifugal load stays unchanged.
     """
     contact_table = scene.contact
     if contact_table is not None and (

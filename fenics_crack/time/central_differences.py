@@ -12,15 +12,15 @@ integrated in increments d_n = u_n - u_{n-1} with r = f - K u - B lambda and A =
 
 Modal damping C = M Phi diag(c) Phi^T M is inverted exactly: a step costs a product with K and one
 with M, a solution with M and three products with Phi. Small structures are integrated in the
-coordinates of all their modes instead, by the kernel. The scheme is second order. Steps beyond dt =
-2 / omega_max, omega_max the largest natural frequency with every pair closed, are unstable and
-refused. Shorter steps conserve energy as long as no pair opens or closes. A contact from step a to
-step b creates
+coordinates of all their modes instead, by the kernel. The scheme is second order. Steps longer than
+dt = 2 / omega_max are unstable and refused. omega_max is the largest natural frequency, under the
+penalty law with every pair closed. Shorter steps conserve energy as long as no pair opens or
+closes. A contact from step a to step b, with contact stiffness k and gap g, creates the energy
 
     1/2 k (g_b |g_{b+1}| - g_a |g_{a-1}|),
 
-of either sign. Close to the limit this energy can exceed the damping's loss. It is summed up and
-reported, and more than twice the energy put in is an error.
+of either sign. Close to the limit this energy can exceed the damping's loss. The created energy is
+summed up and reported. More than twice the energy from load and initial state is an error.
 
 Without penetration (:class:`UnilateralConstraint`) the forces at instant n keep the gaps of the
 next instant from penetrating. With the increment d* without forces,
@@ -65,6 +65,7 @@ from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.time.march import MarchRequest, PeriodWindow, Scheme, TimeHistory, march
 
 SCHEME_NAME, MORE_STEPS_REMEDY = "central differences", "take more steps per period"
+"""Name of the scheme, and advice if contact creates energy, for messages."""
 
 
 def stable_steps_per_period(structure: Structure, omega: float, contact: ContactLaw) -> int:
@@ -185,7 +186,7 @@ def integrate_central_difference(
 
 
 class _EnergyAccount:
-    """Sum the energy created by contact, and the energy from load and initial state.
+    """Sums over time: energy created by contact, and energy from load and initial state.
 
     Contact creates energy if a pair opens or closes between two steps. The work of a force at step
     n is f_n (u_{n+1} - u_{n-1}) / 2: with this rule the scheme balances kinetic and elastic energy
@@ -208,7 +209,7 @@ class _EnergyAccount:
         created_energy : float [J]
             Energy created by contact; negative if lost.
         energy_input : float [J]
-            Initial energy plus the absolute work of the load in each period.
+            Initial energy, plus the absolute value of the load's work in every period.
         """
         period_arrays = (
             self._request.load_samples,
@@ -258,7 +259,8 @@ def _last_velocity(
     """Return the velocity at the end of a time integration from its last increment.
 
     The last increment u_n - u_{n-1} (n,) over the step size is the velocity half a step before the
-    end. ``acceleration_function`` returns the acceleration at the end for a velocity (n,).
+    end. The result adds the acceleration over half a step. ``acceleration_function`` takes a
+    velocity (n,) and returns the acceleration at the end.
     """
     mean_velocity = velocity = last_increment / step_size
     for _ in range(3):  # the acceleration depends on the velocity a little
@@ -272,8 +274,8 @@ def _last_velocity(
 class _ModalDifferences(Scheme):
     """Integrate a small structure in the coordinates of all modes, by the compiled kernel.
 
-    Damping and inverse damped mass of the n modes are arrays (n,) if damping leaves modes
-    uncoupled, otherwise matrices (n, n).
+    Modal damping and A^-1 are diagonals (n,) if damping leaves the n modes uncoupled, otherwise
+    matrices (n, n). A is mass plus dt / 2 times damping.
     """
 
     name, remedy = SCHEME_NAME, MORE_STEPS_REMEDY
@@ -556,7 +558,7 @@ class _CentralDifferences(Scheme):
     def _gap_change(self, displacement: np.ndarray) -> np.ndarray:
         """Return B^T u, the change of the gaps by a displacement u: (n_rows,) [m].
 
-        u (n_local,) is this rank's part; ranks are summed up.
+        u (n_local,) is this rank's part of the displacement; the result is summed over ranks.
         """
         return self.structure.sum_over_ranks(
             displacement[self._contact_dofs] @ self._contact_dof_gap_matrix
@@ -604,8 +606,9 @@ class _CentralDifferences(Scheme):
     def _acceleration_at_phase_zero(self, velocity: np.ndarray) -> np.ndarray:
         """Return the acceleration at phase zero of the load: (n_local,) [m/s^2].
 
-        The equation is M^-1 (f - K u - B lambda - C v), with load f, current displacement u,
-        contact forces lambda and ``velocity`` v (n_local,).
+        The acceleration is M^-1 (f - K u - B lambda - C v), with load f, current displacement u,
+        contact forces lambda and ``velocity`` v (n_local,). Under UnilateralConstraint lambda is 0
+        here: the next step finds the forces.
         """
         force = self._load_minus_elastic_and_contact_force(0) - self._damping_force(velocity)
         with Factor(self.structure.mass, definite=True) as factored_mass:
@@ -627,8 +630,8 @@ class _CentralDifferences(Scheme):
     def _nearest_admissible_displacement(self, displacement: np.ndarray) -> np.ndarray:
         """Return the nearest displacement without penetration: (n_local,) [m].
 
-        Distances are in the norm of the mass matrix. Under a penalty law, or without penetration,
-        the displacement comes back unchanged.
+        The distance to the given ``displacement`` is minimum, in the norm by the mass matrix. Under
+        a penalty law, or without penetration, ``displacement`` is returned.
         """
         gap = self._gap_of(displacement)
         if not self.is_rigid or not np.any(gap > 0.0):

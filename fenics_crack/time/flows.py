@@ -2,8 +2,8 @@
 
 :func:`integrate_events` follows the exact flow from one switching instant to the next
 (:mod:`fenics_crack.motion.flow`). :func:`integrate_exponential` takes exponential steps of equal
-length. Its state z = (q, q') holds modal displacements and velocities less the steady response to
-the load, which has a closed form. With the modal forces P lambda of the contact forces lambda:
+length. The state z = (q, q') has modal displacements and velocities less the steady response to the
+load, a closed form. With the contact forces lambda and modal forces P lambda:
 
     z' = A z - [0, P]^T lambda(t).
 
@@ -18,10 +18,11 @@ R_inf is the residual flexibility. The gap at the end of the step is linear in t
     g_{n+1} = s_free - (R_inf + Q Gamma) lambda_{n+1},
 
 so that 0 <= lambda and (R_inf + I/kappa + Q Gamma) lambda - s_free >= 0, complementary. Here kappa
-is the stiffness of the pairs, and s_free the gap without forces at the end of the step. As long as
-the set of closed pairs does not change, this is one product with a stored matrix. Modes that
-damping leaves uncoupled advance one by one, so a step costs little more than 2 n_modes n_pairs
-products (``kernel/march.c``). The scheme is of second order in h, and exact without contact.
+is the stiffness of the pairs, and s_free the gap at the end of the step with lambda_{n+1} = 0. As
+long as the set of closed pairs does not change, lambda_{n+1} is the product of a stored matrix with
+s_free. Modes that damping leaves uncoupled advance one by one, so a step costs little more than
+2 n_modes n_pairs multiplications (``kernel/march.c``). The scheme is of second order in h, and
+exact without contact.
 
 The work of a constant force is known exactly. So a step between equal sets of closed pairs creates
 no energy, however long it is. A step in which a pair opens creates 1/2 lambda_n times the opening,
@@ -64,9 +65,9 @@ def integrate_events(
     steps_per_period: int = 256,
     **options: Any,
 ) -> TimeHistory:
-    """Integrate exactly from one switching instant to the next.
+    """Integrate exactly, without time steps, from one contact event to the next.
 
-    A switching instant is the time at which a contact pair opens, closes, sticks or slips.
+    At an event a contact pair opens, closes, sticks or slips.
 
     Parameters
     ----------
@@ -90,7 +91,8 @@ def integrate_events(
         The structure is too large, its crack faces have mass under rigid contact, or an argument
         cannot be used.
     ConvergenceError
-        The flow does not get past an instant: pairs open and close there without end.
+        Pairs open and close without end at an instant. Or the highest modes are too fast: a load
+        period needs more than 100,000 Taylor series.
 
     Examples
     --------
@@ -158,10 +160,11 @@ def integrate_exponential(
 
 
 def _loaded_coordinate_scales(request: MarchRequest) -> np.ndarray:
-    """Return a factor for each loaded coordinate, to make motions comparable: (n_loaded,).
+    """Return a factor for each loaded coordinate: (n_loaded,).
 
-    With massless crack faces the coordinates are modal. The factor is then the norm of the load's
-    Fourier coefficients on the coordinate; for displacements the factor is 1.
+    Coordinates times factors are compared from period to period. With massless crack faces the
+    coordinates are modal: the factor is then the norm over the load's Fourier coefficients. For
+    displacements the factor is 1.
     """
     if not request.structure.light_lips:
         return np.ones(len(request.loaded_dofs))
@@ -184,7 +187,7 @@ def _displacement_and_velocity(
 
 
 class _EventScheme(Scheme):
-    """Integrate by the exact flow between switching instants, one load period at a time."""
+    """Integrate by the exact flow between contact events, one load period at a time."""
 
     name = "events"
 
@@ -295,17 +298,17 @@ class ExponentialFlow(Flow):
     ) -> np.ndarray:
         """Return the structure's displacement at n successive instants: (n, n_dofs) [m].
 
-        The first instant has phase 0, and a step lies between two instants. ``states`` (n, 2
-        n_modes) are modal displacements and velocities, ``force`` (n, n_rows) [N] contact forces;
-        ``dofs`` selects columns.
+        The first instant has the load's phase 0, and instants are a step apart. ``states`` (n, 2
+        n_modes) are modal displacements and velocities, ``force`` (n, n_rows) [N] contact forces.
+        ``dofs`` are the dofs to return; default: all.
         """
         phases = 2.0 * np.pi * np.arange(len(states)) / self.steps_per_period
         return self.displacement(states, force, phases, dofs)
 
     def advance(self, state: np.ndarray, periods: int = 1) -> ExponentialSteps:
-        """Integrate whole load periods from a state at phase 0.
+        """Integrate whole load periods from a state at the load's phase 0.
 
-        ``state`` (state_size,) holds modal displacements, modal velocities and, with friction, the
+        ``state`` (state_size,) has modal displacements, modal velocities and, with friction, the
         tangential gaps at which pairs stick.
 
         Raises
@@ -393,7 +396,8 @@ class ExponentialSteps:
     def friction_loss(self) -> float:
         """Energy dissipated by friction over all steps [J]; 0 without friction.
 
-        In each step the mean friction force works on the change of the sticking place.
+        In each step, mean friction force times the sticking place's change. A sticking place is the
+        tangential gap less the tangential spring's deformation.
         """
         flow, n_pairs = self.flow, self.flow.structure.n_pairs
         if not flow.friction_law:

@@ -80,8 +80,9 @@ class MarchRequest:
         tangential gaps at time 0 without contact forces.
     settle : float
         Stop early if the motion's relative change from one period to the next falls below this
-        limit. 0: never. The change is the larger one of gaps and displacement at the load, relative
-        to their oscillation. ``TimeHistory.distance`` estimates the remaining distance.
+        limit. 0: never. Changes in gaps and in the displacement at the load, relative to the
+        oscillation, are compared, and the larger change counts. ``TimeHistory.distance`` estimates
+        the remaining distance.
     record_periods : int, optional
         Number of last periods to keep. Default: all.
     dofs : sequence of int, optional
@@ -127,10 +128,11 @@ class MarchRequest:
     def from_call(
         cls, function: Callable[..., Any], options: Mapping[str, Any], *arguments: Any
     ) -> MarchRequest:
-        """Check the parameters of a call to a public integration function.
+        """Return the checked parameters in a call to a public integration function.
 
-        ``options`` are the further keywords given to ``function``. ``arguments`` are the values of
-        this class's first fields. An unknown keyword is an InputError with the allowed names.
+        ``arguments`` are the values for this class's first fields, in order. ``options`` are the
+        further keywords given to ``function``. An unknown keyword is an InputError with the allowed
+        names.
         """
         parameters = signature(function).parameters.values()
         option_names = [
@@ -218,10 +220,10 @@ class TimeHistory(ObservedMotion, Tabular):
     gap : (n, n_pairs) [m]
         g = B^T u - g0; g > 0: penetration.
     settled : float
-        Relative change from the last period but one to the last, the larger one of gaps and
-        displacement at the load. A small number says: the motion repeats with the load. The
-        reference is the root sum of squares; a mean over the period counts at most as much as the
-        oscillation. Infinite after a single period.
+        Relative change from the last period but one to the last: the larger of the changes in the
+        gaps and in the displacement at the load. A small number means: the motion repeats with the
+        load. The reference is the root sum of squares over the period; the mean counts at most as
+        much as the oscillation. Infinite after a single period.
     created_energy : float
         Net energy created by the scheme, relative to the energy from the load and the initial
         state. Central differences create energy at contact changes between steps; the error
@@ -295,10 +297,10 @@ class TimeHistory(ObservedMotion, Tabular):
 
     @property
     def distance(self) -> float:
-        """Estimate the relative distance from the last period to the steady motion.
+        """Estimate the relative distance from the last period to the steady motion (collective).
 
-        The larger distance is returned, of the gaps or, if recorded, of the watched displacement,
-        relative to the oscillation. nan if fewer than three periods are kept (collective).
+        Distances in the gaps and, if recorded, in the watched displacement are relative to the
+        oscillation; the larger distance is returned. nan: fewer than three periods are kept.
 
         The steady motion is extrapolated from the last four periods. This is exact if two Floquet
         multipliers still decay (minimal polynomial extrapolation; Sidi, Vector Extrapolation
@@ -337,8 +339,8 @@ class TimeHistory(ObservedMotion, Tabular):
     def change(self, periods: int = 1) -> float:
         """Return the motion's relative change from ``periods`` before to the last (collective).
 
-        The larger change is returned, of the gaps or, if recorded, of the watched displacement,
-        relative to the oscillation.
+        Changes in the gaps and, if recorded, in the watched displacement are relative to the
+        oscillation; the larger change is returned.
 
         Raises
         ------
@@ -397,11 +399,11 @@ class TimeHistory(ObservedMotion, Tabular):
         )
 
     def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[Record]:
-        """Yield a single record for evaluation: m observed motions, gaps and contact forces.
+        """Yield a single :class:`Record`: observed displacements, gaps and forces (collective).
 
-        A motion is a row of ``rows`` (m, n_local) times the displacement (n_local,). Fourier
-        coefficients are of the last period, up to harmonic 10 or (steps_per_period - 1) // 2
-        (collective).
+        An observed displacement is a row in ``rows`` (m, n_local) times the displacement
+        (n_local,). Fourier coefficients are for the last period, up to harmonic 10, or
+        (steps_per_period - 1) // 2 if less.
 
         Raises
         ------
@@ -447,7 +449,7 @@ class PeriodWindow(NamedTuple):
     recorded_displacement: np.ndarray
     """Displacement of the recorded dofs: (N, n_recorded) [m]."""
     displacement_at_load: np.ndarray
-    """Displacement of the loaded dofs: (N, n_loaded) [m]."""
+    """Displacement of the loaded dofs: (N, n_loaded) [m]; modal coordinates are times the load."""
 
 
 class Scheme(ABC):
@@ -584,9 +586,9 @@ def _largest_relative_change(newest: Sequence[np.ndarray], previous: Sequence[np
 def _moving_part_sizes(period_arrays: Sequence[np.ndarray]) -> list[float]:
     """Return a reference size for the changes of each array (N, m) over a period.
 
-    The size is the root sum of squares, in which the mean over time counts at most as much as the
-    oscillation: a steady load must not hide changes. The size is infinite, and changes do not
-    count, if the array is below ``NEGLIGIBLE`` times the largest size. An example are the gaps of
+    The size is the root sum of squares; the mean over time counts at most as much as the
+    oscillation: a steady load must not hide changes. If the size is below ``NEGLIGIBLE`` times the
+    largest size, inf is returned, and changes in this array do not count. An example: gaps between
     rigid crack faces in permanent contact.
     """
     motion_sizes = [motion_size(period_array) for period_array in period_arrays]
