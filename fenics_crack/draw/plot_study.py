@@ -55,8 +55,9 @@ def draw_posterior(
     """Draw the posterior probability of one or two unknowns.
 
     For two unknowns, contours enclose 50, 95 and 99.9 % of the probability. For one unknown, a line
-    shows the density, and a band the 95 % interval. All other unknowns are integrated out. If an
-    unknown is a word, such as the crack's edge, each word has its own colour.
+    shows the density, and a band the interval with the probability ``identify.confidence``. All
+    other unknowns are integrated out. If an unknown is a word, such as the crack's edge, each word
+    has its own colour.
 
     Parameters
     ----------
@@ -179,7 +180,7 @@ def _draw_density(panel: Axes, identification: Identification, key: str) -> None
             color=colour,
             alpha=0.2,
             lw=0.0,
-            label="95 %",
+            label=f"{100.0 * identification.priors['confidence']:g} %",
         )
     panel.axvline(identification.estimate[key], color="black", ls="--", label="estimate")
     panel.set_ylim(bottom=0.0)
