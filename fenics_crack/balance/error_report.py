@@ -56,7 +56,7 @@ MIN_HARMONICS_FOR_MODAL_CHANGE = SearchOptions.guess_harmonic_counts[-1]
 On 14 plates next to a resonance, the change between solutions with 40 harmonics is 0.3 to 3 times
 the change between exact orbits; with 20 harmonics the ratio begins at a hundredth.
 """
-NOT_CONFIRMED_TEXT = "not confirmed by an orbit"
+NOT_CONFIRMED_TEXT = "a prediction that no exact orbit confirms"
 """Words printed with an error report if no exact orbit was found for the truncation error."""
 PART_NAMES_OF_TOTAL_ERROR = ("truncation", "reduction", "sampling", "residual")
 """Names of the parts of a total error; of equal parts the first is reported."""
