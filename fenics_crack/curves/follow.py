@@ -323,7 +323,7 @@ def follow_branch(
     """
     branching_kinds = ("period_doubling", "branch_point")
     if bifurcation.kind not in branching_kinds:
-        requirement = "a Bifurcation of kind " + " or ".join(branching_kinds)
+        requirement = "one of curve.bifurcations of kind " + " or ".join(branching_kinds)
         raise InputError("bifurcation", bifurcation.kind, requirement)
     check_options("follow_branch", options, CurveOptions.__annotations__)
     for key in ("harmonics", "samples", "subharmonic", "initial", "tolerance"):

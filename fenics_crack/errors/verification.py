@@ -468,7 +468,8 @@ class Verification(SavedResult):
         sentences += self.incomplete_error_notes
         sentences += [f"a run failed, with {failure_text}" for failure_text in self.failures]
         sentences += [
-            f"the orbit with {run_name} is {verdict}" for run_name, verdict in self.verdicts.items()
+            f"the orbit with {run_name} is {verdict}; fenics-crack curve shows other vibrations"
+            for run_name, verdict in self.verdicts.items()
         ]
         for cause, convergence_by_quantity in self.parts.items():
             for behaviour, doubt_text in DOUBT_TEXT_BY_BEHAVIOUR.items():
