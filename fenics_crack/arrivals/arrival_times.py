@@ -222,11 +222,15 @@ class ArrivalTimes(Tabular):
             far_probe_text = (
                 f"arrivals at {np.degrees(self.probes[far_probe_indices[0]]):g} degrees"
             )
+            is_early = angle_shifts[far_probe_indices[0]] > 0.0
             problem_text = (
                 f"{far_probe_text} belong to the revolution "
-                f"{'before' if angle_shifts[far_probe_indices[0]] > 0.0 else 'after'} their row"
+                f"{'before' if is_early else 'after'} their row"
             )
-            requirement_text = "arrivals in the row of their revolution; move this probe's column"
+            requirement_text = (
+                "arrivals in the row of their revolution; move this probe's column "
+                f"{'up' if is_early else 'down'} by one row"
+            )
             raise InputError("time", problem_text, requirement_text)
         angle_distances = np.abs(
             self.probes - angle_shifts - self.probes[:, None]
@@ -248,7 +252,8 @@ class ArrivalTimes(Tabular):
                 f"fit the angle of the probe at {passed_degrees:g} degrees"
             )
             requirement_text = (
-                "the angles of the arrivals; correct swapped probes, or take a finer clock"
+                "in the order of the arrivals' columns: swap these two angles; if they are right, "
+                "record the arrivals with a finer clock"
             )
             raise InputError("probes", problem_text, requirement_text)
 
@@ -311,12 +316,14 @@ class ArrivalTimes(Tabular):
             raise InputError(
                 "path",
                 str(path),
-                "a file with all revolutions; the cell of a missed arrival is empty",
+                "a file with all revolutions; add the missing rows, with an empty arrival cell",
             )
         if len(revolution_numbers) * len(probe_angles) > MAX_ALLOWED_PASSAGES:
             size_text = f"{len(revolution_numbers)} revolutions, {len(probe_angles)} probes"
             raise InputError(
-                "path", f"{path}: {size_text}", f"at most {MAX_ALLOWED_PASSAGES:.0e} passages"
+                "path",
+                f"{path}: {size_text}",
+                f"at most {MAX_ALLOWED_PASSAGES:.0e} passages; split the file into shorter records",
             )
         begin_times = passage_marks[first_row_indices]
         end_times = passage_next_marks[first_row_indices]
@@ -678,7 +685,12 @@ def read_record(
         arrival_angles = np.full((len(marks) - 1, len(heading_by_probe)), np.nan)
         for probe_index, (_, heading) in enumerate(sorted(heading_by_probe.items())):
             if not np.any(np.isfinite(column_by_heading[heading])):
-                raise InputError("path", f"{path}: {heading}", "a column with at least one number")
+                raise InputError(
+                    "path",
+                    f"{path}: {heading}",
+                    "a column with at least one number; remove the column of a probe without "
+                    "arrivals",
+                )
             arrival_angles[revolution_numbers - revolution_numbers[0], probe_index] = (
                 _read_arrival_angles(
                     path, heading, column_by_heading[heading], revolution_numbers, marks

@@ -99,8 +99,12 @@ class HarmonicFit(Tabular):
     def _doubt_texts(self) -> list[str]:
         """Text of the gravest doubt about the fit, in a list; empty without a doubt."""
         if self.does_not_fit:
-            return ["DOES NOT FIT"]
-        return ["harmonics that are not fitted may be folded onto these"] * self.may_be_folded
+            return ["DOES NOT FIT: fit more harmonics, or try other orders"]
+        folding_text = (
+            "harmonics that are not fitted may be aliased onto these: fit more harmonics, or use "
+            "more probes"
+        )
+        return [folding_text] * self.may_be_folded
 
 
 @dataclass(frozen=True, repr=False)
@@ -296,9 +300,14 @@ class TipFit(HarmonicFit):
         ]
         title_parts += self._doubt_texts
         if self.spare < 1:
-            title_parts.append("not tested: as many unknowns as probes")
+            title_parts.append(
+                "not tested, as there are as many unknowns as probes: use more probes, or fit "
+                "fewer harmonics"
+            )
         elif self.seen_once:
-            title_parts.append("not tested: each probe sees the vibration once")
+            title_parts.append(
+                "not tested, as each probe measures the vibration once: record more revolutions"
+            )
         title_parts += [f"beside {line_fit.omega:.6g} rad/s" for line_fit in self.asynchronous]
         for orders_label, listed_orders in (
             ("as well", self.ambiguous),

@@ -81,11 +81,10 @@ def fit_passage(
     if not runs:
         speed_ends = arrivals.speed.min(), arrivals.speed.max()
         allowed_speed_text = (
-            f"a speed that {MIN_REQUIRED_REVOLUTIONS} revolutions or more pass through, from "
+            f"inside the recorded range, {speed_ends[0]:.6g} to {speed_ends[1]:.6g} rad/s, with "
+            f"{MIN_REQUIRED_REVOLUTIONS} revolutions or more near it"
         )
-        raise InputError(
-            "speed", speed, f"{allowed_speed_text}{speed_ends[0]:.6g} to {speed_ends[1]:.6g} rad/s"
-        )
+        raise InputError("speed", speed, allowed_speed_text)
     resonance = Resonance(runs, speed, candidate_orders)
     if len(blind_probe_indices := resonance.best_fit.blind_probe_indices):
         reliable_arrivals = arrivals.without(blind_probe_indices)

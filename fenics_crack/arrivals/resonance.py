@@ -173,7 +173,7 @@ class PassageFit(Tabular):
         """Text on how the passages :attr:`disagree`; "" if they agree."""
         difference_texts = []
         if _differ_significantly(self.omegas, self.omega_errors):
-            difference_texts.append(f"by {self.apart:.2%} in frequency")
+            difference_texts.append(f"by {self.apart:.2%} in frequency, which the error covers")
         if _differ_significantly(self.dampings, self.damping_errors):
             difference_texts.append(
                 f"in damping, {self.dampings.min():.2g} to {self.dampings.max():.2g}"

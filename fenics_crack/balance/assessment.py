@@ -387,7 +387,10 @@ class Assessment:
             cause_text = f"the load is so slow that the highest modes have {cycles_text}"
             return f"{cause_text}, too many for exact time integration; keep fewer modes"
         if self.flow is None:
-            return "no exact orbits can be computed for this contact law or structure"
+            return (
+                "no exact orbit can be computed: use the contact law 'penalty' or 'unilateral', "
+                "and a reduction with method = 'massless'"
+            )
         if self.orbit_prediction is None:
             return (
                 "the crack opens and closes too often for an exact orbit; "
@@ -402,15 +405,15 @@ class Assessment:
         if self.nearest_orbit is None:
             change_text = f"the truncated harmonics change the solution by {error_text}"
             last_failure_reasons = self._failure_reasons[-1:] or [
-                "no exact orbit was found near the solution"
+                "no exact orbit was found near the solution; use more harmonics"
             ]
             return f"{change_text}, and {last_failure_reasons[0]}"
         stability_text = "stable" if self.nearest_orbit.is_stable else "unstable"
         orbit_text = (
             f"the nearest exact orbit, which is {stability_text}, "
-            f"is {format_percent(self.relative_orbit_distance)} away"
+            f"differs from the solution by {format_percent(self.relative_orbit_distance)}"
         )
-        return f"{orbit_text}, but {error_text} was predicted: it may be another motion"
+        return f"{orbit_text} and may be another motion; use more harmonics"
 
 
 def stated_error(predicted_error: float) -> float:

@@ -244,7 +244,9 @@ class ModalCompliance:
     def __init__(self, structure: Structure, base_omega: float, load_rows: np.ndarray) -> None:
         if not is_small(structure):
             raise InputError(
-                "structure", f"{structure.n_dofs} dofs", "a reduced structure, on one rank"
+                "structure",
+                f"{structure.n_dofs} dofs",
+                "a reduced structure, as reduce_structure returns, in a program of one rank",
             )
         self._pair_clearances = structure.clearance
         self._all_modes = all_modes(structure)

@@ -110,7 +110,9 @@ def default_projection_weight(compliance_model: ComplianceModel) -> float:
     max_row_sum = float(np.abs(compliance_model.matrices[0]).sum(axis=1).max())
     if not max_row_sum > 0.0:
         raise InputError(
-            "structure", "static compliance 0", "a structure whose contact forces move its pairs"
+            "structure",
+            "static compliance 0",
+            "a structure whose contact pairs can move: do not clamp all nodes of the crack faces",
         )
     return 1.0 / max_row_sum
 

@@ -63,7 +63,7 @@ The two solutions differ in the number of modes. Measured on 14 plates next to a
 harmonics the difference is 0.3 to 3 times the difference between the exact orbits. With 20
 harmonics it may be a hundredth.
 """
-NOT_CONFIRMED_TEXT = "not confirmed by an orbit"
+NOT_CONFIRMED_TEXT = "a prediction that no exact orbit confirms"
 """Words printed with an error report if no exact orbit was found for the truncation error."""
 PART_NAMES_OF_TOTAL_ERROR = ("truncation", "reduction", "sampling", "residual")
 """Names of the errors in the total. If the largest are equal, the first name is reported."""

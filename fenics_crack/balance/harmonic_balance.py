@@ -492,7 +492,10 @@ def solve_from_neighbour(
         error_text = (
             f"the estimated truncation error, {truncation_error:.1e} with H = {solution.harmonics},"
         )
-        message = f"{error_text} stays above {tolerance:g}; {solution.status}"
+        message = (
+            f"{error_text} stays above {tolerance:g}: use a larger tolerance, or more damping; "
+            f"{solution.status}"
+        )
         raise ConvergenceError(f"harmonic balance at {problem.omega:g} rad/s: {message}")
     return solution
 
@@ -597,8 +600,8 @@ def _solve_with_present_modes(
         for load_harmonics in SearchOptions.guess_harmonic_counts
     )
     status = (
-        f"no exact orbit was found from H = {harmonics_text}; {search.outcome_text}; "
-        f"{solution.status}"
+        f"no exact orbit was found from H = {harmonics_text}, so harmonic balance alone gives the "
+        f"solution; {search.outcome_text}; {solution.status}"
     )
     return replace(solution, status=status)
 

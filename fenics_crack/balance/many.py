@@ -312,7 +312,7 @@ def _find_orbit_of_case(
     flow = ContactFlow(problem.structure, problem.contact)
     if not is_orbit_search_affordable(flow, problem.omega):
         raise ConvergenceError(
-            "an exact orbit takes too long: the load is too slow, or there are too many modes"
+            "the search for an exact orbit would take too long: raise omega, or keep fewer modes"
         )
     is_usable_neighbour = (orbit_table.verdict[neighbour_indices] != "") & (
         orbit_table.load[neighbour_indices] != 0.0

@@ -112,8 +112,8 @@ MAX_UNKNOWNS_TIMES_POINTS_PER_CALL = 15_000
 Ctrl-C waits until the call ends, a second or two.
 """
 REMEDY_IF_SINGULAR = (
-    "'penalty' with a stiffness, as rigid contact is singular here: a strip beside a crack is too "
-    "thin, or all modes are kept; or place cracks farther apart"
+    "'penalty' with a stiffness, as rigid contact is singular here: all modes are kept (keep "
+    "fewer), or a strip beside a crack is too thin (place cracks farther apart)"
 )
 """Remedies, for an error message, if the residual flexibility is singular to rounding.
 

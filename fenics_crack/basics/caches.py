@@ -48,14 +48,12 @@ def replace_unusable_caches() -> None:
     """
     home_folder = os.path.expanduser("~")
     if not (os.path.isdir(home_folder) and os.access(home_folder, os.X_OK)):
-        _set_private_folder("HOME", Path(home_folder), "not a folder that this user can open")
+        _set_private_folder("HOME", Path(home_folder), "it is no folder that this user can open")
     cache_folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     try:
         check_private_folder(cache_folder / "fenics", makes_folder=False)
     except OSError as error:
-        _set_private_folder(
-            "XDG_CACHE_HOME", cache_folder, f"not {PRIVATE_FOLDER_REQUIREMENT}, {error.strerror}"
-        )
+        _set_private_folder("XDG_CACHE_HOME", cache_folder, f"{error.strerror}")
         os.environ.setdefault("MPLCONFIGDIR", os.environ["XDG_CACHE_HOME"])
 
 
@@ -73,7 +71,12 @@ def _set_private_folder(variable_name: str, unusable_path: Path, reason: str) ->
     os.environ[variable_name] = str(private_path)
     # Python prints a warning without a handler.
     LOGGER.warning(
-        "the cache %s is %s; the program uses %s instead", unusable_path, reason, private_path
+        "%s cannot be used for caches (%s), and %s is used instead; nothing needs to be done, "
+        "unless you prefer another folder: set %s",
+        unusable_path,
+        reason,
+        private_path,
+        variable_name,
     )
 
 

@@ -107,7 +107,7 @@ def regular_file_size(
     except ValueError as error:  # no name of a file
         raise OSError(str(error)) from None
     if not stat.S_ISREG(file_status.st_mode):
-        raise OSError("it is not a regular file")
+        raise OSError("it is no file, but a folder or a device")
     if max_bytes is not None and file_status.st_size > max_bytes:
         raise OSError(f"it has more than {max_bytes} bytes")
     return file_status.st_size
@@ -386,15 +386,21 @@ def run_reader_for_arrays(
             reader_file, json.dumps(request_entries).encode(), array_file.fileno()
         )
         if exit_status in (-signal.SIGXCPU, -signal.SIGALRM):
-            return f"reading it takes more than {max_seconds} s"
+            return (
+                f"reading it takes more than {max_seconds} s: the file is damaged, or too large; "
+                "write it again, or smaller"
+            )
         if exit_status:
-            return "the program that reads it crashed: the file is damaged, or too large"
+            return (
+                "the program that reads it crashed: the file is damaged, or too large; write it "
+                "again, or smaller"
+            )
         array_file.seek(0)
         try:
             with np.load(array_file, allow_pickle=False) as npz_arrays:
                 array_by_name = dict(npz_arrays)
         except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
-            return "the program that reads it returned nothing: the file is damaged"
+            return "the program that reads it returned nothing: the file is damaged; write it again"
     return str(array_by_name["error"]) if "error" in array_by_name else array_by_name
 
 

@@ -252,7 +252,9 @@ def list_friction_line_notes_and_warnings(run: Run[Any]) -> tuple[list[str], lis
         "at each contact pair friction acts along one direction; sliding across it has no "
         f"friction, and is {sliding_ratio:.2g} of the sliding along it"
     )
-    return [note_text], [warning_text] if sliding_ratio > MAX_TRUSTED_TRANSVERSE_SLIDING else []
+    if sliding_ratio > MAX_TRUSTED_TRANSVERSE_SLIDING:
+        return [note_text], [warning_text]
+    return [f"{note_text}; up to {MAX_TRUSTED_TRANSVERSE_SLIDING:g} nothing needs to be done"], []
 
 
 def yield_nonunique_contact_force_warning(solution: PeriodicSolution) -> Iterator[str]:
@@ -430,7 +432,7 @@ def _yield_node_distance_note(run: Run[Any]) -> Iterator[str]:
     if distances_text:
         yield (
             "each output point is observed at its nearest node, at a distance of: "
-            f"{distances_text}{exclusion_text}"
+            f"{distances_text}{exclusion_text}; if this is too far, use smaller elements there"
         )
 
 

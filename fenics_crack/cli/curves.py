@@ -93,7 +93,8 @@ def _yield_curve_notes(run: Run[ResponseCurve], n_hidden_points: int) -> Iterato
         yield (
             f"at {place_text} the largest harmonic above harmonic 1 is harmonic "
             f"{indicators.largest_order[peak_index]:.0f}, with "
-            f"{indicators.ratio_largest[peak_index]:.2g} of harmonic 1"
+            f"{indicators.ratio_largest[peak_index]:.2g} of harmonic 1: look for it in a spectrum, "
+            "rather than for harmonics 2 and 3"
         )
     if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
         status_detail = curve.status.partition("; ")[2] if curve.complete else ""
@@ -102,7 +103,10 @@ def _yield_curve_notes(run: Run[ResponseCurve], n_hidden_points: int) -> Iterato
         width_text = format_in_unit(
             axis_factor_name_and_unit(curve.parameter, True), curve.resolution
         )
-        yield f"unstable ranges narrower than {width_text} may lie between the points of the curve"
+        yield (
+            f"unstable ranges narrower than {width_text} may lie between the points of the curve; "
+            "a curve over a shorter range has closer points"
+        )
 
 
 def _describe_unstable_peak(run: Run[ResponseCurve]) -> str:
@@ -118,7 +122,7 @@ def _describe_unstable_peak(run: Run[ResponseCurve]) -> str:
     if verdict not in ("unstable", "irregular"):
         return ""
     motion_text = account.describe_departing_motions(curve.solution(peak_index), run.watched_dof)
-    return f"the largest response is {verdict}{motion_text}"
+    return f"the largest response is {verdict}: a test shows another motion{motion_text}"
 
 
 def _is_before_early_end(curve: ResponseCurve, point_index: int) -> bool:

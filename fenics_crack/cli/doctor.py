@@ -270,7 +270,8 @@ def _describe_error_or_raise(quantity_name: str, relative_error: float, toleranc
     error_text = f"{quantity_name}: relative error {relative_error:.0e}"
     if not relative_error <= tolerance:
         raise ArithmeticError(
-            f"{error_text}, at most {tolerance:g} is allowed; this installation has wrong results"
+            f"{error_text}, at most {tolerance:g} is allowed; this installation computes wrong "
+            "results: install the libraries again (docs/install.md)"
         )
     return error_text
 

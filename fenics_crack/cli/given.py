@@ -565,7 +565,8 @@ def keep_previous_files_with_note(
                 return ""
         except OSError as error:
             return (
-                f"{previous_folder}: the previous result could not be kept here ({error.strerror})"
+                f"{previous_folder}: the previous result could not be kept here "
+                f"({error.strerror}) and is overwritten; use another --output to keep results"
             )
         return f"{previous_folder}: the previous result, now replaced, is kept here"
 

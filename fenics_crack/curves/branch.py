@@ -178,7 +178,9 @@ def find_branch_start_point(
         f"branch from {bifurcation_kind} at {system.parameter_name}"
         f" = {system.value(bifurcation_parameter):g}"
     )
-    raise ConvergenceError(f"{branch_text}: no point of the other branch was found nearby")
+    raise ConvergenceError(
+        f"{branch_text}: no point of the other branch was found nearby; use a smaller longest_step"
+    )
 
 
 def _branch_tangent(

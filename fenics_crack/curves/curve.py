@@ -41,7 +41,7 @@ from fenics_crack.curves.peak import (
     interpolate_peak_and_damping,
 )
 from fenics_crack.curves.stability import floquet
-from fenics_crack.model.contact import ContactLaw
+from fenics_crack.model.contact import ContactLaw, is_unilateral
 from fenics_crack.model.rotation import RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import ContactFlow, exact_flow_or_none
@@ -510,8 +510,14 @@ class ResponseCurve(ObservedMotion, Tabular):
             return ""
         if self.exact:
             return NEUTRAL_MULTIPLIER_TEXT
+        if not is_unilateral(self.contact):
+            solution = self.solution(index, search=False)
+            return floquet(solution.structure, solution).reason
         if self.undecided.all():
-            return "no exact orbit was found that is close enough to any point of the curve"
+            return (
+                "no exact orbit was found that is close enough to any point of the curve; use more "
+                "harmonics, or a tolerance"
+            )
         return self.assessment(index).rejection_reason or NEUTRAL_MULTIPLIER_TEXT
 
     @property

@@ -271,7 +271,9 @@ def _find_other_curve(
             curve = growing_curve.unjudged_curve
             start_solution = curve.orbit(-1) if curve.exact else curve.solution(-1)
         else:
-            growing_curve.status += ", not by the first solution found at the start"
+            growing_curve.status += (
+                ", from a solution at the start that a search from the end found"
+            )
             return growing_curve
     return None
 
@@ -323,7 +325,7 @@ def follow_branch(
     """
     branching_kinds = ("period_doubling", "branch_point")
     if bifurcation.kind not in branching_kinds:
-        requirement = "a Bifurcation of kind " + " or ".join(branching_kinds)
+        requirement = "one of curve.bifurcations of kind " + " or ".join(branching_kinds)
         raise InputError("bifurcation", bifurcation.kind, requirement)
     check_options("follow_branch", options, CurveOptions.__annotations__)
     for key in ("harmonics", "samples", "subharmonic", "initial", "tolerance"):
@@ -385,7 +387,9 @@ def run_to_end(
             if find_other_curve is not None and growing_curve.has_returned:
                 other_growing_curve = find_other_curve(growing_curve)
                 if other_growing_curve is None and not growing_curve.complete:
-                    growing_curve.status += " (no other curve was found from the end on)"
+                    growing_curve.status += (
+                        " (no other curve was found from the end either: use another start or end)"
+                    )
                 growing_curve = other_growing_curve or growing_curve
         except ConvergenceError as error:
             growing_curve.status = str(error)

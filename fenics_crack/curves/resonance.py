@@ -189,7 +189,8 @@ def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
     ).find_terminal_point_or_none()
     if resonance_path_point is None:
         raise ConvergenceError(
-            f"no resonance was found on the curve from {from_omega:.6g} rad/s on"
+            f"no resonance was found on the curve from {from_omega:.6g} rad/s on; begin at a load "
+            "frequency nearer to the resonance"
         )
     problem = replace(
         frequency_equations.problem, omega=frequency_equations.value(resonance_path_point.parameter)
@@ -317,7 +318,10 @@ def _find_order_crossing_and_resonance_rate(
             (resonance_point.omega - resonance_omega) / engine_order / (next_speed - speed)
         )
         speed, resonance_omega = next_speed, resonance_point.omega
-    raise ConvergenceError(f"the engine order meets no resonance near the speed {speed:.6g} rad/s")
+    raise ConvergenceError(
+        f"the engine order meets no resonance near the speed {speed:.6g} rad/s; begin at a speed "
+        "nearer to the crossing, which fenics-crack campbell shows"
+    )
 
 
 def _small_problem_and_start_omega(
@@ -513,7 +517,7 @@ def follow_resonance(
     if n_multimode_points:
         remark_text = (
             f"at {n_multimode_points} of {format_count(len(curve), 'point')} several modes answer "
-            "together: another response may be larger"
+            "together: another response may be larger, which a curve over omega at this load shows"
         )
         curve = replace(curve, status=f"{curve.status}; {remark_text}")
     return curve

@@ -138,7 +138,8 @@ def monodromy_of_linear_flow(
         )
     if not np.all(np.isfinite(extrapolated_matrix)):
         raise ConvergenceError(
-            "linear flow: the time steps are too long for the growth of disturbances"
+            "linear flow: disturbances grow too fast for the time steps, so the stability is "
+            "unknown; try fewer modes, or a softer contact"
         )
     return extrapolated_matrix
 
@@ -326,9 +327,13 @@ def shoot(
         )
         orbit = reconverged_orbit or orbit
     if orbit is None or not orbit.residual <= tolerance:
-        residual_text = "" if orbit is None else f"; the smallest residual is {orbit.residual:.1e}"
+        remedy_text = (
+            "begin at a solution with more harmonics, or give settle, a number of periods"
+            if orbit is None
+            else f"the smallest residual is {orbit.residual:.1e}; raise tolerance above it"
+        )
         raise ConvergenceError(
-            f"shooting: no periodic orbit was found near the solution{residual_text}"
+            f"shooting: no periodic orbit was found near the solution; {remedy_text}"
         )
     return orbit
 
@@ -562,7 +567,7 @@ def _stability_by_linear_flow(
         "",
     )
     if solution_error >= ERROR_IF_UNKNOWN or not np.isfinite(multiplier_uncertainty):
-        undecided_reason = "the error of the solution is unknown"
+        undecided_reason = "the error of the solution is unknown; use more harmonics"
     elif solution_error > LARGE_ERROR:
         undecided_reason = (
             f"the truncated harmonics change the solution by {format_percent(solution_error)}; "

@@ -71,7 +71,11 @@ def wheel_of(structure: Structure) -> Wheel:
         The structure does not belong to a scene with [disk].
     """
     if not isinstance(structure, Structure) or not isinstance(structure.whole, Wheel):
-        raise InputError("structure", repr(structure), "the structure of a scene with [disk]")
+        raise InputError(
+            "structure",
+            repr(structure),
+            "the structure of a scene with [disk], as fc.build_structure(scene) returns",
+        )
     return structure.whole
 
 
@@ -167,7 +171,7 @@ def blades(found: Any, dof: int | None = None) -> Blades:
         raise InputError(
             "found",
             type(found).__name__,
-            "a PeriodicSolution, a ResponseCurve, or a Run with one of them",
+            "a PeriodicSolution, a ResponseCurve, or a Run, as fc.solve or fc.curve returns",
         )
     structure = solution_or_curve.structure
     wheel = wheel_of(structure)

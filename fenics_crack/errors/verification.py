@@ -36,11 +36,20 @@ from fenics_crack.files.store import SavedResult, StoredFile
 from fenics_crack.scene.scene import Scene
 
 DOUBT_TEXT_BY_BEHAVIOUR = {
-    "outside": "runs do not converge with the order of theory: a factor of 3 is stated",
-    "two sizes": "two runs show no order: that of theory and a factor of 3 are stated",
-    "irregular": "runs do not converge: 3 times their spread are stated; refine further",
+    "outside": "the runs converge with another order than theory, so the error has a safety factor "
+    "of 3; refine further for a smaller one",
+    "two sizes": "two runs cannot show the order of convergence, so the error has the order of "
+    "theory and a safety factor of 3",
+    "irregular": "the runs do not converge, so 3 times their spread is the error; refine further",
 }
 """Clause for each doubtful behaviour in :class:`GridConvergence`, printed in warnings."""
+REMEDY_BY_CAUSE = {
+    "mesh": "; use a finer mesh",
+    "modes": "; use more modes",
+    "harmonics": "; use more harmonics",
+    "samples": "; use more samples",
+}
+"""Clause by cause: remedy for an error as large as the value."""
 ORDER_TEXT_BY_BEHAVIOUR = {
     "two sizes": "by the order of theory",
     "two coefficients": "by runs with and without friction",
@@ -269,8 +278,8 @@ class Verification(SavedResult):
                 return self.unknown[cause]
         error, cause = self.stated(quantity)
         if math.isinf(error):
-            mesh_remark = "; use a finer mesh" if cause == "mesh" else ""
-            return f"the estimate is as large as the value, mostly due to the {cause}{mesh_remark}"
+            remedy_text = REMEDY_BY_CAUSE.get(cause, "")
+            return f"the estimate is as large as the value, mostly due to the {cause}{remedy_text}"
         return ""
 
     @property
@@ -461,7 +470,8 @@ class Verification(SavedResult):
         sentences += self.incomplete_error_notes
         sentences += [f"a run failed, with {failure_text}" for failure_text in self.failures]
         sentences += [
-            f"the orbit with {run_name} is {verdict}" for run_name, verdict in self.verdicts.items()
+            f"the orbit with {run_name} is {verdict}; fenics-crack curve shows other vibrations"
+            for run_name, verdict in self.verdicts.items()
         ]
         for cause, convergence_by_quantity in self.parts.items():
             for behaviour, doubt_text in DOUBT_TEXT_BY_BEHAVIOUR.items():

@@ -375,6 +375,6 @@ def list_failed_ellipse_remarks(
     case_index, failure_text = sweep_result.failed_indices_and_reasons[0]
     count_text = format_count(len(sweep_result.failed_indices_and_reasons), "shape")
     return [
-        f"{count_text} not solved, but away from the growth, such as "
-        f"{_ellipse_in_words(sweep_result, case_index)}: {failure_text}"
+        f"{count_text} not solved, but away from the growth, so that the life hardly changes; one "
+        f"is {_ellipse_in_words(sweep_result, case_index)}: {failure_text}"
     ]

@@ -758,7 +758,8 @@ def _collect_growth_remarks(
             "curve shows them"
         )
     remark_texts += [
-        f"a crack of {doubtful_length:.4g} m was not solved: {failure_text}"
+        f"a crack of {doubtful_length:.4g} m was not solved, and the growth there is interpolated "
+        f"between other lengths: {failure_text}"
         for doubtful_length, failure_text in list_failed_lengths_and_reasons(
             length_path.sweep_results
         )

@@ -352,7 +352,8 @@ def _read_ansys(path: Path, nodes: NodePositions, cells: CellLabels) -> None:
     if other_type_numbers and not cells:
         types_text = ", ".join(map(str, sorted(other_type_numbers)))
         raise ValueError(
-            f"none of its elements (types {types_text}) is a solid element that is read"
+            f"none of its elements (types {types_text}) is a solid element that is read; use "
+            "tetrahedra or bricks"
         )
 
 

@@ -513,7 +513,7 @@ def test_a_second_harmonic_that_is_left_out(
         fit = fc.fit_order(arrivals, [order], angle_deviation=deviation)
         misses.append(abs(fit.amplitudes[0] - 1e-3) > 3.0 * fit.amplitude_errors[0])
         doubts.append(fit.in_doubt)
-        assert fit.does_not_fit or fit.may_be_folded == ("may be folded" in repr(fit))
+        assert fit.does_not_fit or fit.may_be_folded == ("may be aliased" in repr(fit))
     assert not np.any(np.array(misses) & ~np.array(doubts))
     assert any(misses) == bool(second) if draws == 40 else second or not any(misses)
     assert doubt_range[0] <= sum(doubts) <= doubt_range[1]
@@ -547,7 +547,7 @@ def test_a_run_up_whose_fifth_harmonic_is_folded() -> None:
     clean_track = fc.track_order(record(0.0), 10, harmonics=2, revolutions=5)
     assert clean_track.amplitudes[:, 1].max() < 3e-6 and not clean_track.does_not_fit
     assert (
-        clean_track.in_doubt == clean_track.may_be_folded == ("may be folded" in repr(clean_track))
+        clean_track.in_doubt == clean_track.may_be_folded == ("may be aliased" in repr(clean_track))
     )
     assert not fc.track_order(record(0.0, TWELVE), 10, harmonics=2, revolutions=5).in_doubt
     assert fc.track_order(record(0.0), 10, harmonics=3).in_doubt

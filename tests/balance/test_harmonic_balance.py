@@ -338,5 +338,6 @@ def test_no_orbit_judges_where_no_flow_is_exact(law: ContactLaw) -> None:
     assert assessment.nearest_orbit is None and assessment.predicted_error == np.inf
     assert not assessment.is_accepted and np.isnan(assessment.relative_orbit_distance)
     assert assessment.rejection_reason == (
-        "no exact orbits can be computed for this contact law or structure"
+        "no exact orbit can be computed: use the contact law 'penalty' or 'unilateral', and a "
+        "reduction with method = 'massless'"
     )

@@ -111,7 +111,7 @@ def test_one_revolution_is_no_sure_fit(tmp_path: Path, timing: RunCommand) -> No
         arrivals = fc.ArrivalTimes.from_csv(few_path)
         fit = fc.fit_order(arrivals, [5], harmonics=2, subharmonic=subharmonic)
         assert fit.spare > 0 and fit.seen_once == is_one_period == (
-            "each probe sees the vibration once" in repr(fit)
+            "each probe measures the vibration once" in repr(fit)
         )
         assert fit.in_doubt or not is_one_period
 

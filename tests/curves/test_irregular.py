@@ -64,7 +64,7 @@ def test_error_without_an_orbit_is_three_times_a_small_prediction() -> None:
     solution = fc.solve_harmonic_balance(plate(), OMEGA, LAW, harmonics=5)
     report = solution.report
     assert report.truncation == stated_error(solution.assessment.predicted_error)
-    assert not report.confirmed and "not confirmed by an orbit" in str(report)
+    assert not report.confirmed and "a prediction that no exact orbit confirms" in str(report)
 
 
 def test_stable_motion_is_not_irregular() -> None:
@@ -104,7 +104,7 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     messages = capsys.readouterr().err
     assert "no orbit was found, and the exact motion is irregular" in messages
     assert "; --set harmonic_balance.tolerance=1e-2 may find a periodic orbit" in messages
-    assert "(not confirmed by an orbit)" in messages and "unknown" not in messages
+    assert "(a prediction that no exact orbit confirms)" in messages and "unknown" not in messages
     rows = json.loads((tmp_path / "solution.json").read_text())
     assert {row["name"]: row["value"] for row in rows}["verdict"] == "irregular"
     solution = fc.load(tmp_path / "solution.h5", plate(), LAW)

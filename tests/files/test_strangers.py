@@ -334,18 +334,22 @@ def test_readers_know_no_rank_and_end(home: Path, monkeypatch: pytest.MonkeyPatc
     assert isinstance(names, dict) and "HOME" in names["names"].tolist()
     assert not any(name.startswith(("OMPI_", "PMI")) for name in names["names"].tolist())
     program.write_text(f"{start}while True: pass")
-    assert run_reader_for_arrays(program, program, 1) == "reading it takes more than 1 s"
+    assert run_reader_for_arrays(program, program, 1) == (
+        "reading it takes more than 1 s: the file is damaged, or too large; write it again, or "
+        "smaller"
+    )
     program.write_text(f"{start}return {{'zeros': np.ones(2**33)}}")
     assert "allocate" in str(run_reader_for_arrays(program, program, int(LIMIT)))
     program.write_text(f"{start}np.ones(2**25)")
     assert "allocate" in str(run_reader_for_arrays(program, program, int(LIMIT), 2**28))
     program.write_text(f"{start}os._exit(0)")
     assert run_reader_for_arrays(program, program, int(LIMIT)) == (
-        "the program that reads it returned nothing: the file is damaged"
+        "the program that reads it returned nothing: the file is damaged; write it again"
     )
     program.write_text(f"{start}os.abort()")
     assert run_reader_for_arrays(program, program, int(LIMIT)) == (
-        "the program that reads it crashed: the file is damaged, or too large"
+        "the program that reads it crashed: the file is damaged, or too large; write it again, or "
+        "smaller"
     )
 
 

@@ -476,7 +476,8 @@ def test_modes_of_resonances(
         ({"whiteness": 0.0}, 3.0, "another vibration is near this resonance"),
         (
             {"omegas": np.array([1500.0, 1501.0]), "omega_errors": np.full(2, 0.05)},
-            0.5, "its passages differ by more than their errors: by 0.07% in frequency",
+            0.5, "its passages differ by more than their errors: by 0.07% in frequency, "
+            "which the error covers",
         ),
         (
             {"dampings": np.array([2e-3, 3e-3]), "damping_errors": np.full(2, 1e-4)},
