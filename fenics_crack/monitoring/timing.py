@@ -49,7 +49,7 @@ UNCLEAR_HARMONIC_FORMAT = (
 )
 CORRELATED_RESIDUALS_TEXT = (
     "the residuals are correlated, due to drift or another vibration nearby: the order and the "
-    "standard errors may be wrong"
+    "standard errors may be wrong; compare with another run-up"
 )
 UNTESTED_ORDER_FORMAT = (
     "cannot test an order: order {:g} fits, but others may fit as well; give the possible ones "
@@ -471,5 +471,10 @@ def _list_fit_notes_and_doubts(fit: TipFit) -> tuple[list[str], list[str]]:
     if fit.ambiguous:
         doubt_texts.append(_describe_orders(OTHER_ORDERS_TEXT, fit.ambiguous))
     if fit.hidden:
-        doubt_texts.append(_describe_orders("probes at these angles cannot measure", fit.hidden))
+        doubt_texts.append(
+            _describe_orders(
+                "probes at these angles cannot measure (if these are possible, use other angles)",
+                fit.hidden,
+            )
+        )
     return note_texts, doubt_texts

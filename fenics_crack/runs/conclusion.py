@@ -351,12 +351,15 @@ def _make_conclusion_of_history(run: StudyWithResult) -> Conclusion:
         f"at {frequency_text} the {displacement_description} is {amplitude_text} half peak-to-peak"
     )
     change_text = (
-        f"{history.periods} of {integration_table.periods} periods: two are needed to see a change"
+        f"{history.periods} of {integration_table.periods} periods: two are needed to see a change "
+        "(integration.periods)"
     )
     if np.isfinite(history.settled):
         change_text = (
             f"{history.periods} periods: relative change over the last period {history.settled:.2g}"
         )
+        if not has_settled:
+            change_text += f", above integration.settle = {integration_table.settle:g}"
     if (distance_from_settled := history.distance) < 1.0:
         change_text += f", estimated distance from the settled motion {distance_from_settled:.2g}"
     outcome_text = "settled" if has_settled else "the motion has not settled"

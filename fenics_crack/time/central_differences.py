@@ -390,7 +390,7 @@ class _ModalDifferences(Scheme):
             if n_steps_made < len(modal_displacement):
                 raise ConvergenceError(
                     f"central differences: no contact forces were found at step"
-                    f" {first_step + n_steps_made}"
+                    f" {first_step + n_steps_made}; {self.remedy}"
                 )
             window.recorded_displacement[step_slice] = (
                 modal_displacement @ modes.shapes[request.recorded_dofs].T

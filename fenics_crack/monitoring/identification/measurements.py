@@ -407,7 +407,11 @@ class Measurements(Tabular):
         if noise is not None:
             check_number("noise", noise, 0.0, excludes_bound=True)
         if not arrivals.steady:
-            raise InputError("arrivals", repr(arrivals), "recorded at constant speed")
+            raise InputError(
+                "arrivals",
+                repr(arrivals),
+                "recorded at constant speed; for a run-up use find_passages and from_passages",
+            )
         arrivals.check_places(angle_deviation)
         n_arrivals_of_probes = np.isfinite(arrivals.time).sum(axis=0)
         n_arrivals_of_probes = n_arrivals_of_probes[n_arrivals_of_probes > 0]

@@ -605,7 +605,8 @@ class Identification(Tabular):
             ) + conditions_text
         return (
             undecided_verdict,
-            f"{bayes_factor_text}; if there is a crack, it has {_describe_intervals(self)}"
+            f"{bayes_factor_text}, within ±{required_log_bayes_factor:.3g}, which decides nothing: "
+            f"measure more; if there is a crack, it has {_describe_intervals(self)}"
             f"{conditions_text}",
         )
 
@@ -829,7 +830,10 @@ class Identification(Tabular):
                 + f" ({part_probability:.0%})"
                 for value_by_key, part_probability in alternatives
             ]
-            warning_texts.append(f"these cracks cannot be distinguished: {'; '.join(crack_texts)}")
+            warning_texts.append(
+                f"these cracks cannot be distinguished: {'; '.join(crack_texts)}; where_to_measure "
+                "lists measurements that help most"
+            )
         warning_texts += _list_misfit_warnings(self)
         for unknown_index, side_text, bound_value in self.posterior.iterate_reached_bounds(
             self._identify_table.confidence
