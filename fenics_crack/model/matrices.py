@@ -395,7 +395,9 @@ def _check_semidefinite(name: str, matrix: Any, mass: Any) -> None:
         n_negative_pivots = factored_matrix.n_negative_pivots
     if n_negative_pivots:
         raise InputError(
-            name, format_count(n_negative_pivots, "negative eigenvalue"), "positive semidefinite"
+            name,
+            format_count(n_negative_pivots, "negative eigenvalue"),
+            "positive semidefinite; check its sign, and that no entries are missing",
         )
 
 

@@ -115,7 +115,9 @@ def _exact_flow_input_error_or_none(structure: Structure, contact: ContactLaw) -
         return InputError("contact", contact, "UnilateralPenalty or UnilateralConstraint")
     if not is_small(structure):
         return InputError(
-            "structure", f"{structure.n_dofs} dofs", "a reduced structure, on one rank"
+            "structure",
+            f"{structure.n_dofs} dofs",
+            "a reduced structure on one rank, as fc.reduce_structure(structure) returns",
         )
     softness = spring_compliances(contact, structure.n_pairs)
     if np.all(softness):

@@ -64,7 +64,8 @@ from fenics_crack.model.reduced import MASS_REMEDY, check_faces_have_mass
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.time.march import MarchRequest, PeriodWindow, Scheme, TimeHistory, march
 
-SCHEME_NAME, MORE_STEPS_REMEDY = "central differences", "take more steps per period"
+SCHEME_NAME = "central differences"
+MORE_STEPS_REMEDY = "take more steps per period (steps_per_period)"
 
 
 def stable_steps_per_period(structure: Structure, omega: float, contact: ContactLaw) -> int:
@@ -120,7 +121,10 @@ def _contact_stiffnesses(structure: Structure, contact: ContactLaw) -> np.ndarra
     """
     softness = spring_compliances(contact, structure.n_pairs)
     if friction_of(contact) is not None and not np.all(softness):
-        requirement = "a friction law with normal and tangential springs, as crack faces have mass"
+        requirement = (
+            "a friction law with normal and tangential springs, as crack faces have mass: "
+            "CoulombFriction(UnilateralPenalty(...), coefficient, tangential_stiffness)"
+        )
         raise InputError("contact", contact, requirement)
     return np.divide(1.0, softness, out=np.zeros_like(softness), where=softness > 0.0)
 

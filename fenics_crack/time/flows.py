@@ -55,7 +55,8 @@ from fenics_crack.numerics.fourier import differentiate, fourier_basis_for, from
 from fenics_crack.time.march import MarchRequest, PeriodWindow, Scheme, TimeHistory, march
 
 EXPONENTIAL_REMEDY = (
-    "take more steps per period, or keep fewer modes, which makes the contact softer"
+    "take more steps per period (steps_per_period), or keep fewer modes (reduction.modes), which "
+    "makes the contact softer"
 )
 """Remedy in errors of equal exponential steps."""
 

@@ -250,8 +250,8 @@ class Measurement:
             and get_crack_removal_changes_or_none(scene) is None
         ):
             allowed_text = (
-                "left out, since the crack cannot be removed from this scene; of mesh files "
-                "name that without a crack in identify.uncracked"
+                "left out, since the crack cannot be removed from this scene; with mesh files, "
+                "give that of the part without a crack as identify.uncracked"
             )
             raise InputError("measurements.quantity", self.quantity, allowed_text)
         highest_order = max(self.harmonic_orders, default=0)

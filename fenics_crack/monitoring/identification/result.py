@@ -1045,7 +1045,8 @@ def _describe_warming_condition_or_empty(identification: Identification) -> str:
         return ""
     return (
         "; the crack explains the measurements only with "
-        f"{_describe_modulus_change(identification, identification.posterior)}"
+        f"{_describe_modulus_change(identification, identification.posterior)}: measure the "
+        "temperature, too"
     )
 
 
