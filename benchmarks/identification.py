@@ -28,11 +28,8 @@ import numpy as np
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.monitoring.identification.identify import (
-    SolvedForwardModels,
-    infer_unknowns,
-    solve_forward,
-)
+from fenics_crack.monitoring.identification.identify import infer_unknowns
+from fenics_crack.monitoring.identification.sweeps import SolvedForwardModels, solve_forward
 
 WIDTH, HEIGHT = 0.1, 0.3
 LOADS = (150.0, 500.0, 1100.0)

@@ -93,6 +93,7 @@ from fenics_crack.files.results import load as load
 from fenics_crack.files.results import save as save
 from fenics_crack.model.contact import ContactLaw as ContactLaw
 from fenics_crack.model.contact import CoulombFriction as CoulombFriction
+from fenics_crack.model.contact import LayeredPenalty as LayeredPenalty
 from fenics_crack.model.contact import SmoothedPenalty as SmoothedPenalty
 from fenics_crack.model.contact import UnilateralConstraint as UnilateralConstraint
 from fenics_crack.model.contact import UnilateralPenalty as UnilateralPenalty
@@ -113,7 +114,7 @@ from fenics_crack.monitoring.identification.identify import identify as identify
 from fenics_crack.monitoring.identification.measurements import Measurement as Measurement
 from fenics_crack.monitoring.identification.measurements import Measurements as Measurements
 from fenics_crack.monitoring.identification.result import Identification as Identification
-from fenics_crack.monitoring.identification.result import Worth as Worth
+from fenics_crack.monitoring.identification.worth import Worth as Worth
 from fenics_crack.monitoring.scene_timing import arrivals_of_blades as arrivals_of_blades
 from fenics_crack.monitoring.simulate import tip_timing as tip_timing
 from fenics_crack.monitoring.timing import Timing as Timing

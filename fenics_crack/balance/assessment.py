@@ -454,7 +454,7 @@ def relative_gap_distance(wave: Wave, orbit: PeriodicOrbit) -> float:
     orbit_samples = orbit.period_samples
     if are_crack_faces_still(orbit_samples):
         return 0.0
-    gap_plus_clearance = orbit_samples.gaps + wave.structure_with_row_pairs.clearance
+    gap_plus_clearance = orbit_samples.gaps + orbit.flow.clearance
     return change_relative_to_motion(
         orbit_samples.gaps - wave.basis_gaps_and_forces_over_period(len(gap_plus_clearance))[1],
         gap_plus_clearance,

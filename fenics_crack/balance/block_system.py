@@ -41,6 +41,7 @@ from fenics_crack.balance.solution import PeriodicSolution, Solver
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.machine import machine_memory
 from fenics_crack.basics.progress import begin_stage
+from fenics_crack.model.contact import split_rows_of_pairs
 from fenics_crack.model.factor import estimate_factor_bytes, local_rows, make_matrix_from_local_rows
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import count_damped_modes, damped_modes
@@ -81,7 +82,7 @@ class BlockSystem(Snes):
     def __init__(
         self, problem: Problem, linear_displacement: np.ndarray, history: list[float] | None = None
     ) -> None:
-        structure = self.structure = problem.structure
+        structure = self.structure = problem.structure_with_row_pairs
         self.integrals: Any = problem.integrals()
         self._shape, self._load = linear_displacement.shape, problem.load
         square_sums = np.array([np.sum(waves**2) for waves in (linear_displacement, self._load)])
@@ -400,6 +401,7 @@ class BlockSolver(Solver):
             initial_force = resize_harmonics(
                 stretch_period(initial.force_coefficients, n_periods), problem.harmonics
             )
+            initial_force = split_rows_of_pairs(problem.contact, initial_force, initial_force)[1]
             displacements_and_factors.insert(0, (compliance_model.displacement(initial_force), 1.0))
         begin_stage("block system")
         with BlockSystem(problem, linear_displacement, search.snes_residual_norms) as block:

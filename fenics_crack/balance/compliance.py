@@ -42,10 +42,12 @@ from petsc4py import PETSc
 from fenics_crack.basics.errors import ConvergenceError, InputError, check_number
 from fenics_crack.basics.ranks import collect_garbage
 from fenics_crack.kernel import require_shape
+from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import damped_modes, project_damping_on_columns, solve_modes
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.equations import COARSE_TOLERANCE, MACHINE_EPSILON, residual_rounding
 from fenics_crack.numerics.fourier import from_complex, resize_harmonics, stretch_period, to_complex
 
 DEFLATION_BAND = 1e-2
@@ -710,3 +712,23 @@ def _omegas_damping_rates_and_gap_shapes(
         modal_damping_rates[is_elastic],
         structure.apply_bt(available_modes.shapes.T)[is_elastic],
     )
+
+
+def relative_residual_rounding(compliance_model: ComplianceModel, law: ContactLaw) -> float:
+    """Return the rounding error |F| / |x| of the residual F for uncoupled pairs.
+
+    x are the unknowns. The error is machine epsilon times the largest contact stiffness times
+    compliance. Raises InputError if rounding leaves nothing of the contact force.
+    """
+    max_contact_stiffness = float(np.max(law.stiffness))
+    row_sums = np.abs(compliance_model.matrices).sum(axis=2)
+    max_allowed_stiffness = COARSE_TOLERANCE / (
+        MACHINE_EPSILON * float(row_sums[0].max(initial=1e-300))
+    )
+    if not max_contact_stiffness < max_allowed_stiffness:
+        requirement = (
+            f"at most {max_allowed_stiffness:.2g} N/m on this structure, else rounding hides "
+        )
+        requirement += "the contact force; for rigid contact use UnilateralConstraint"
+        raise InputError("contact stiffness", max_contact_stiffness, requirement)
+    return residual_rounding(max_contact_stiffness * float(row_sums.max(initial=0.0)))

@@ -55,9 +55,13 @@ from fenics_crack.basics.tables import hertz_property
 from fenics_crack.kernel import Struct, attach_destructor, kernel, pointer, require_shape
 from fenics_crack.model.contact import (
     ContactLaw,
-    add_friction_pairs,
+    add_contact_rows,
+    count_rows_per_pair,
     friction_of,
     is_rigid,
+    law_of_rows,
+    merge_rows_of_pairs,
+    split_rows_of_pairs,
     spring_compliances,
 )
 from fenics_crack.model.modal import all_modes
@@ -215,7 +219,7 @@ class ContactSystem:
         The compliance is 1 over the contact stiffness, and 0 for a rigid law. With friction, normal
         gaps come first, then tangential ones.
         """
-        return spring_compliances(law, self.shape[1] // (1 if friction_of(law) is None else 2))
+        return spring_compliances(law, self.shape[1] // count_rows_per_pair(law))
 
     @cached_property
     def dynamic_less_static_compliance_in_basis(self) -> np.ndarray:
@@ -525,8 +529,9 @@ class Wave:
     def residual_compliance(self) -> np.ndarray | None:
         """Residual flexibility: (n_rows, n_rows) [m/N], or None without quasi-static modes.
 
-        The flexibility is the gaps' quasi-static response to contact forces. Rows are the pairs'
-        normal gaps; with friction their tangential gaps follow.
+        The flexibility is the quasi-static response of gaps to contact forces. Rows are the normal
+        gaps of pairs; with friction their tangential gaps follow, and under the layered law the
+        normal gaps come twice.
         """
         if self.static_above is None:
             return None
@@ -534,17 +539,17 @@ class Wave:
 
     @cached_property
     def structure_with_row_pairs(self) -> Structure:
-        """Structure with a pair for each normal gap and, with friction, each tangential gap."""
-        return add_friction_pairs(self.contact, self.structure)
+        """Structure with a pair for each contact row: with friction or layers two for each pair."""
+        return add_contact_rows(self.contact, self.structure)
 
     @property
     def row_gap_coefficients(self) -> np.ndarray:
-        """Coefficients of normal gaps, then of tangential ones: (2H+1, n_rows) [m]."""
+        """Coefficients of normal gaps, then of tangential ones: (2H+1, n_columns) [m]."""
         return _join_columns(self.gap_coefficients, self.tangential_gap_coefficients)
 
     @property
     def row_force_coefficients(self) -> np.ndarray:
-        """Coefficients of normal forces, then of friction forces: (2H+1, n_rows) [N]."""
+        """Coefficients of normal forces, then of friction forces: (2H+1, n_columns) [N]."""
         return _join_columns(self.force_coefficients, self.tangential_force_coefficients)
 
     @cached_property
@@ -561,7 +566,8 @@ class Wave:
             if residual_compliance_or_none is None
             else residual_compliance_or_none
         )
-        return integrals_with_coupled_pairs(self.contact, self.harmonics, residual_compliance)
+        row_law = law_of_rows(self.contact, self.structure.n_pairs)
+        return integrals_with_coupled_pairs(row_law, self.harmonics, residual_compliance)
 
     @cached_property
     def slow_gap_coefficients(self) -> np.ndarray:
@@ -570,9 +576,12 @@ class Wave:
         Slow gap: gap plus residual flexibility times contact force, that is, without the
         quasi-static response. Without a residual flexibility, it is the gap.
         """
+        row_gaps, row_forces = split_rows_of_pairs(
+            self.contact, self.row_gap_coefficients, self.row_force_coefficients
+        )
         if self.residual_compliance is None:
-            return self.row_gap_coefficients
-        return self.row_gap_coefficients + self.row_force_coefficients @ self.residual_compliance
+            return row_gaps
+        return row_gaps + row_forces @ self.residual_compliance
 
     def basis_gaps_and_forces_at_phases(
         self, phase: np.ndarray
@@ -585,7 +594,7 @@ class Wave:
         -------
         basis : (n, 2H+1)
             1, cos, sin, ..., the factors of coefficients.
-        gap, force : (n, n_rows) [m], [N]
+        gap, force : (n, n_columns) [m], [N]
             Normal columns; with friction, tangential ones follow.
         """
         return self._gaps_and_forces_with_basis_at(
@@ -610,7 +619,7 @@ class Wave:
         """Return the given Fourier basis with gaps [m] and contact forces [N].
 
         ``basis_at_phases`` (n, 2H+1) has a row for each response phase in ``phases`` (n,) [rad].
-        Gaps and forces are (n, n_rows).
+        Gaps and forces are (n, n_columns).
         """
         contact_law = self.contact
         slow_gap_at_phases = basis_at_phases @ self.slow_gap_coefficients
@@ -624,23 +633,23 @@ class Wave:
         elif self.residual_compliance is not None:
             force_at_phases = self._integrals.forces_at_gap_samples(slow_gap_at_phases)
         elif not is_rigid(contact_law):
-            force_at_phases = contact_law.force(slow_gap_at_phases)
+            row_law = law_of_rows(contact_law, self.structure.n_pairs)
+            force_at_phases = row_law.force(slow_gap_at_phases)
         else:
             assert contact_law.weight is not None
             force_at_phases = np.maximum(
                 0.0,
                 contact_law.weight * slow_gap_at_phases + basis_at_phases @ self.force_coefficients,
             )
-        return (
-            basis_at_phases,
-            slow_gap_at_phases
-            if self.residual_compliance is None
-            else slow_gap_at_phases - force_at_phases @ self.residual_compliance,
-            force_at_phases,
+        gap_at_phases = slow_gap_at_phases
+        if self.residual_compliance is not None:
+            gap_at_phases = slow_gap_at_phases - force_at_phases @ self.residual_compliance
+        return basis_at_phases, *merge_rows_of_pairs(
+            contact_law, self.structure.n_pairs, gap_at_phases, force_at_phases
         )
 
     def gaps_and_forces(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return gaps [m] and contact forces [N] at times [s]: (len(time), n_rows) each.
+        """Return gaps [m] and contact forces [N] at times [s]: (len(time), n_columns) each.
 
         Columns are normal; with friction, tangential ones follow.
         """
@@ -710,13 +719,22 @@ class Wave:
         displacement_at_times = basis_at_times @ self.displacement_coefficients
         if self.static_above is not None:
             # The quasi-static part follows the forces in time, with their kinks.
-            static_displacement_per_force = all_modes(
-                self.structure_with_row_pairs
-            ).static_pair_responses(self.static_above)
             displacement_at_times -= (
                 force_at_times - basis_at_times @ self.row_force_coefficients
-            ) @ static_displacement_per_force.T
+            ) @ self._static_displacement_per_force.T
         return displacement_at_times
+
+    @property
+    def _static_displacement_per_force(self) -> np.ndarray:
+        """Quasi-static displacement by unit contact forces: (n_local, n_columns) [m/N].
+
+        Columns are those of :attr:`row_force_coefficients`. Only with quasi-static modes.
+        """
+        assert self.static_above is not None
+        responses = all_modes(self.structure_with_row_pairs).static_pair_responses(
+            self.static_above
+        )
+        return responses[:, : self.row_force_coefficients.shape[1]]
 
 
 def _join_columns(normal_columns: np.ndarray, tangential_columns: np.ndarray | None) -> np.ndarray:

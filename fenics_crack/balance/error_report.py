@@ -38,7 +38,13 @@ from fenics_crack.balance.more_modes import (
 )
 from fenics_crack.balance.problem import Problem
 from fenics_crack.basics.tables import Described
-from fenics_crack.model.contact import REGULAR_EIGENVALUE_RATIO, is_regular, is_rigid, with_penalty
+from fenics_crack.model.contact import (
+    REGULAR_EIGENVALUE_RATIO,
+    is_layered,
+    is_regular,
+    is_rigid,
+    with_penalty,
+)
 from fenics_crack.model.modal import MAX_DENSE_SIZE, all_modes
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.model.reduced import ReducedStructure
@@ -444,16 +450,20 @@ def _reduction_errors(
 def _rms_penetration_of_each_pair(point: ContactPoint, problem: Problem) -> np.ndarray:
     """Return the root mean square penetration of each pair over the period: (1, n_pairs) [m].
 
-    Penetration is the positive gap.
+    Penetration is the positive gap. Under the layered law each pair comes twice.
     """
     integrals, n_instants = point.system.integrals, max(512, 8 * len(point.gap))
     if integrals.has_coupled_pairs:  # g has more than H harmonics
         penetration = (point.force * integrals.spring_compliance)[:, : problem.structure.n_pairs]
-        return np.sqrt(
+        rms_penetration = np.sqrt(
             penetration[:1] ** 2 + 0.5 * np.sum(penetration[1:] ** 2, axis=0, keepdims=True)
         )
-    penetration = np.maximum(sample_period(point.gap, n_instants), 0.0)
-    return np.sqrt(np.mean(penetration**2, axis=0, keepdims=True))
+    else:
+        penetration = np.maximum(sample_period(point.gap, n_instants), 0.0)
+        rms_penetration = np.sqrt(np.mean(penetration**2, axis=0, keepdims=True))
+    if is_layered(problem.contact):  # both rows of a pair count alike
+        return np.tile(rms_penetration[:, : problem.structure.n_pairs], 2)
+    return rms_penetration
 
 
 def mean_square(coefficients: np.ndarray) -> float:

@@ -378,7 +378,7 @@ def _table_entries_of_orbit(
         0.0
         if are_crack_faces_still(orbit_samples)
         else change_relative_to_motion(
-            gap_error_samples, displacement_gaps_forces[1] + wave.structure_with_row_pairs.clearance
+            gap_error_samples, displacement_gaps_forces[1] + orbit.flow.clearance
         )
     )
     largest_multiplier_modulus = abs(orbit.multipliers[0])
@@ -390,7 +390,7 @@ def _table_entries_of_orbit(
             + _interpolated_overall_maximum(-watched_displacement)
         ),
         "opening": max(0.0, _interpolated_overall_maximum(-orbit_samples.gap)),
-        "closed_share": contact_track.mean_time_share(contact_track.sets > 0),
+        "closed_share": contact_track.closed_share,
         "multiplier": largest_multiplier_modulus,
         "truncation": truncation_error,
         "states": orbit.state,

@@ -151,7 +151,9 @@ class MoreModes:
             fourier_basis_for(flow.modal_load, self.wave.omega * orbit_samples.time)
             @ flow.modal_load[:, n_kept:]
         )
-        modal_loads = modal_loads - orbit_samples.forces @ flow.modal_model.gaps_by_mode[n_kept:].T
+        modal_loads = (
+            modal_loads - orbit_samples.row_forces @ flow.modal_model.gaps_by_mode[n_kept:].T
+        )
         static_coordinates = modal_loads / flow.modal_model.squares[n_kept:]
         static_rates = (
             np.roll(static_coordinates, -1, axis=0) - np.roll(static_coordinates, 1, axis=0)
@@ -257,7 +259,7 @@ class MoreModes:
         samples_with_more_modes = self.orbit_or_corrected_motion.period_samples
         gap_error = change_relative_to_motion(
             samples_with_more_modes.gaps - orbit_samples.gaps,
-            orbit_samples.gaps + self.wave.structure_with_row_pairs.clearance,
+            orbit_samples.gaps + self.nearest_orbit.flow.clearance,
         )
         orbit_motion, motion_with_more_modes = (
             motion_along_load(samples.flow.structure, samples.displacement)

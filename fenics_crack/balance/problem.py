@@ -36,6 +36,7 @@ from fenics_crack.balance.compliance import (
     ComplianceModel,
     load_coefficients,
     make_compliance_model,
+    relative_residual_rounding,
     resized_compliance_model,
 )
 from fenics_crack.balance.contact_integrals import (
@@ -64,12 +65,15 @@ from fenics_crack.basics.suggestions import with_old_names
 from fenics_crack.kernel import kernel
 from fenics_crack.model.contact import (
     ContactLaw,
-    add_friction_pairs,
+    add_contact_rows,
     check_law,
     friction_of,
     is_regular,
     is_rigid,
+    law_of_rows,
+    merge_rows_of_pairs,
     normal_law,
+    split_rows_of_pairs,
     spring_compliances,
 )
 from fenics_crack.model.modal import all_modes, is_small
@@ -86,13 +90,7 @@ from fenics_crack.motion.search import (
     search_orbit,
     series_states_at_period_parts,
 )
-from fenics_crack.numerics.equations import (
-    COARSE_TOLERANCE,
-    MACHINE_EPSILON,
-    ROUNDING,
-    Linearisation,
-    residual_rounding,
-)
+from fenics_crack.numerics.equations import COARSE_TOLERANCE, ROUNDING, Linearisation
 from fenics_crack.numerics.fourier import resize_harmonics
 from fenics_crack.numerics.newton import (
     MAX_FULL_STEPS,
@@ -247,11 +245,16 @@ class Problem:
 
     @cached_property
     def structure_with_row_pairs(self) -> Structure:
-        """Structure with a pair for each normal gap and, with friction, each tangential gap.
+        """Structure with a pair for each contact row: with friction or layers two for each pair.
 
-        Without friction it is the structure itself.
+        Otherwise it is the structure itself.
         """
-        return add_friction_pairs(self.contact, self.structure)
+        return add_contact_rows(self.contact, self.structure)
+
+    @cached_property
+    def row_law(self) -> ContactLaw:
+        """Law for the rows of :attr:`structure_with_row_pairs`."""
+        return law_of_rows(self.contact, self.structure.n_pairs)
 
     @property
     def has_friction(self) -> bool:
@@ -285,7 +288,7 @@ class Problem:
             # A penalty k is stiff from k R_inf = 100 on.
             if (
                 not is_static_part_requested
-                and not float(np.max(contact_law.stiffness * np.diag(residual_compliance))) > 100.0
+                and not float(np.max(self.row_law.stiffness * np.diag(residual_compliance))) > 100.0
             ):
                 return None
         if has_rigid_law and not is_regular(residual_compliance):
@@ -371,9 +374,11 @@ class Problem:
         ----------
         displacement : (2H+1, n_local) [m]
         gap, force : (2H+1, n_rows) [m], [N]
-            With friction, normal columns and then tangential ones.
+            With friction, normal columns and then tangential ones. Under the layered law, rows or
+            pairs.
         """
         n_pairs = self.structure.n_pairs
+        gap, force = merge_rows_of_pairs(self.contact, n_pairs, gap, force)
         tangential_gap_and_force = (
             (gap[:, n_pairs:], force[:, n_pairs:]) if self.has_friction else (None, None)
         )
@@ -387,7 +392,7 @@ class Problem:
 
         A rigid law that is solved pair by pair uses its weight as the contact stiffness.
         """
-        contact_law, harmonics = self.contact, self.harmonics
+        contact_law, harmonics = self.row_law, self.harmonics
         if self.residual_compliance is not None:
             return integrals_with_coupled_pairs(
                 contact_law, harmonics, self.residual_compliance, self.samples
@@ -840,7 +845,11 @@ class Search:
             yield from self._yield_guess_and_damped_newton_point(
                 self.system,
                 self.system.slow_gap(
-                    gap_and_force_coefficients.gap, gap_and_force_coefficients.force
+                    *split_rows_of_pairs(
+                        problem.contact,
+                        gap_and_force_coefficients.gap,
+                        gap_and_force_coefficients.force,
+                    )
                 ),
             )
         self.orbit = None
@@ -893,26 +902,6 @@ def halved_harmonic_counts(harmonics: int, min_harmonics: int) -> list[int]:
     while harmonic_counts[0] > min_harmonics:
         harmonic_counts.insert(0, max((harmonic_counts[0] + 1) // 2, min_harmonics))
     return harmonic_counts
-
-
-def relative_residual_rounding(compliance_model: ComplianceModel, law: ContactLaw) -> float:
-    """Return the rounding error |F| / |x| of the residual F for uncoupled pairs.
-
-    x are the unknowns. The error is machine epsilon times the largest contact stiffness times
-    compliance. Raises InputError if rounding leaves nothing of the contact force.
-    """
-    max_contact_stiffness = float(np.max(law.stiffness))
-    row_sums = np.abs(compliance_model.matrices).sum(axis=2)
-    max_allowed_stiffness = COARSE_TOLERANCE / (
-        MACHINE_EPSILON * float(row_sums[0].max(initial=1e-300))
-    )
-    if not max_contact_stiffness < max_allowed_stiffness:
-        requirement = (
-            f"at most {max_allowed_stiffness:.2g} N/m on this structure, else rounding hides "
-        )
-        requirement += "the contact force; for rigid contact use UnilateralConstraint"
-        raise InputError("contact stiffness", max_contact_stiffness, requirement)
-    return residual_rounding(max_contact_stiffness * float(row_sums.max(initial=0.0)))
 
 
 def _allowed_search_iterations(system: ContactSystem) -> float:

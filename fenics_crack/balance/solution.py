@@ -24,8 +24,13 @@ from fenics_crack.basics.tables import (
     format_count,
     format_quantity,
 )
-from fenics_crack.model.contact import check_slope, friction_coefficient_of, is_unilateral
-from fenics_crack.model.modal import all_modes, is_small
+from fenics_crack.model.contact import (
+    check_slope,
+    friction_coefficient_of,
+    is_unilateral,
+    split_rows_of_pairs,
+)
+from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import NEGLIGIBLE
 from fenics_crack.motion.motions import ObservedMotion, Record
 from fenics_crack.motion.orbit import PeriodicOrbit
@@ -214,9 +219,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         """
         friction_coefficient, static_motion_per_force = friction_coefficient_of(self.contact), None
         if self.static_above is not None and not self.still:
-            static_motion_per_force = rows @ all_modes(
-                self.structure_with_row_pairs
-            ).static_pair_responses(self.static_above)
+            static_motion_per_force = rows @ self._static_displacement_per_force
         motion_coefficients = self.structure.sum_over_ranks(
             self._displacement_rows_mean_if_still @ rows.T
         )
@@ -505,7 +508,9 @@ class Solver:
         system, start_slow_gaps = problem.system(compliance_model), []
         if initial is not None:
             n_periods = problem.subharmonic // initial.subharmonic
-            gap_and_force_rows = initial.row_gap_coefficients, initial.row_force_coefficients
+            gap_and_force_rows = split_rows_of_pairs(
+                problem.contact, initial.row_gap_coefficients, initial.row_force_coefficients
+            )
             if (
                 gap_and_force_rows[0].shape[1] == system.shape[1]
             ):  # False: the initial solution has no friction

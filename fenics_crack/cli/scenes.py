@@ -287,6 +287,8 @@ def _crack_and_contact_values_by_label(study: Study, key_figures: KeyFigures) ->
     faces_text = word_for_crack_faces(study.scene)
     return values_by_label | {
         "contact law": contact_table.law,
+        "depth of the contact layer [m]": contact_table.layer_depth,
+        "contact layer, share of the stiffness": contact_table.layer_share,
         "coefficient of friction": contact_table.friction or None,
         "contact stiffness, softest pair [N/m]": (
             None if is_rigid_law else float(np.min(contact_law.stiffness))

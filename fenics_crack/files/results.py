@@ -22,10 +22,11 @@ from fenics_crack.files.store import StoredFile, check_shapes, read_result_file,
 from fenics_crack.model.contact import (
     ContactLaw,
     UnilateralConstraint,
-    add_friction_pairs,
+    add_contact_rows,
     friction_of,
     is_rigid,
     is_unilateral,
+    split_rows_of_pairs,
 )
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import NEGLIGIBLE, Modes
@@ -355,11 +356,14 @@ def rebuild_solution(
         if tangential_force_coefficients is None
         else np.hstack([force_coefficients, tangential_force_coefficients])
     )
-    structure_with_friction = add_friction_pairs(contact, structure)
+    structure_with_rows = add_contact_rows(contact, structure)
     compliance_model = make_compliance_model(
-        structure_with_friction, omega / subharmonic, len(gap_coefficients) // 2, subharmonic
+        structure_with_rows, omega / subharmonic, len(gap_coefficients) // 2, subharmonic
     )
-    displacement_coefficients = compliance_model.displacement(all_force_coefficients)
+    row_force_coefficients = split_rows_of_pairs(contact, gap_coefficients, all_force_coefficients)[
+        1
+    ]
+    displacement_coefficients = compliance_model.displacement(row_force_coefficients)
     compliance_model.destroy()
     solution = unpack_dataclass(
         PeriodicSolution,
@@ -597,7 +601,7 @@ def _unpack_balance_points(
     """
     special_dataset_names = [f"bifurcation_{index}" for index in range(len(datasets["kinds"]))]
     unknowns = datasets["unknowns"]
-    n_pairs = add_friction_pairs(contact, structure).n_pairs
+    n_pairs = add_contact_rows(contact, structure).n_pairs
     _check_n_pairs(n_pairs, unknowns)
     shape_by_name["unknowns"] = count_by_prefix[""], unknowns.shape[1] | 1, n_pairs
     shape_by_name |= {name: (len(datasets[name]) | 1, n_pairs) for name in special_dataset_names}
@@ -737,7 +741,8 @@ def _law_datasets(contact: OptionalLaw, structure: Structure) -> Datasets:
     stored instead.
     """
     attribute_names = (
-        "stiffness", "sharpness", "coefficient", "tangential_stiffness", "direction", "turning",
+        "stiffness", "sharpness", "layer_depth", "layer_share", "coefficient",
+        "tangential_stiffness", "direction", "turning",
     )  # fmt: skip
     datasets = {
         f"law_{attribute_name}": attribute_value

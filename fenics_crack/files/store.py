@@ -609,6 +609,8 @@ UNIT_AND_MEANING_BY_NAME: dict[str, tuple[str, str]] = {
     "weight": ("N/m", "of the constraint"),
     "law_stiffness": ("N/m", "of all pairs, or of each"),
     "law_sharpness": ("1/m", ""),
+    "law_layer_depth": ("m", "of the layer on the crack faces"),
+    "law_layer_share": ("1", ""),
     "law_coefficient": ("1", "of friction, of all pairs, or of each"),
     "law_direction": ("rad", "angle of the line along which each pair of a solid slides"),
     "law_turning": ("1", "sliding across these lines over sliding along them"),

@@ -27,6 +27,11 @@ least-squares problem with bounds gives the minimum of lambda^T D lambda / 2 - l
 >= 0; Lawson and Hanson's method for it is finite. A law that is not piecewise linear is solved by
 Newton's method at all instants together.
 
+A convex piecewise-linear law is a sum of penalties with clearances of their own. Each penalty is a
+row: the layered law has the gap rows B twice, with the clearances g0 and g0 + p and the stiffnesses
+a k and (1 - a) k. With friction, tangential gaps are rows. :func:`add_contact_rows` makes the rows,
+and :func:`merge_rows_of_pairs` returns from rows to pairs.
+
 A step of time integration solves the same problem. D is then the compliance of the step, and s the
 gap that the step would reach without contact forces.
 
@@ -112,6 +117,57 @@ class UnilateralPenalty(_PenaltyBase):
     def tangent(self, gap: np.ndarray) -> np.ndarray:
         """Return the slopes d lambda / d g [N/m] for gaps g (..., n_pairs) [m]: k or 0."""
         return self.stiffness * (gap > 0.0)
+
+
+@dataclass(frozen=True)
+class LayeredPenalty(_PenaltyBase):
+    """Bilinear penalty: a soft layer on the crack faces, and a stiffer contact below it.
+
+        lambda = a k max(0, g) + (1 - a) k max(0, g - p)
+
+    The contact force lambda of a gap g has the slope a k in the layer, and k beyond its depth p.
+
+    Attributes
+    ----------
+    stiffness : float or (n_pairs,) [N/m]
+        k, for all pairs or pair by pair.
+    layer_depth : float [m]
+        p, the penetration at which the layer is compressed.
+    layer_share : float
+        a, the layer's share of the stiffness, between 0 and 1.
+
+    Raises
+    ------
+    InputError
+        The stiffness or the depth is not positive and finite, or the share not between 0 and 1.
+    """
+
+    layer_depth: float
+    layer_share: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("layer_depth", "layer_share"):
+            number = _checked_positive_number(f"contact {name}", getattr(self, name))
+            object.__setattr__(self, name, number)
+        if self.layer_share >= 1.0:
+            raise InputError("contact layer_share", self.layer_share, "a number between 0 and 1")
+
+    @property
+    def row_stiffnesses(self) -> tuple[float | np.ndarray, ...]:
+        """Stiffnesses a k of the layer and (1 - a) k below it: numbers or (n_pairs,) [N/m]."""
+        return self.layer_share * self.stiffness, (1.0 - self.layer_share) * self.stiffness
+
+    def force(self, gap: np.ndarray) -> np.ndarray:
+        """Return the contact forces [N] for gaps g (..., n_pairs) [m]: the same shape."""
+        layer_stiffness, deep_stiffness = self.row_stiffnesses
+        layer_force = layer_stiffness * np.maximum(gap, 0.0)
+        return layer_force + deep_stiffness * np.maximum(gap - self.layer_depth, 0.0)
+
+    def tangent(self, gap: np.ndarray) -> np.ndarray:
+        """Return the slopes d lambda / d g [N/m] for gaps g (..., n_pairs) [m]: 0, a k or k."""
+        layer_stiffness, deep_stiffness = self.row_stiffnesses
+        return layer_stiffness * (gap > 0.0) + deep_stiffness * (gap > self.layer_depth)
 
 
 @dataclass(frozen=True)
@@ -250,7 +306,7 @@ class CoulombFriction:
     turning: float | None = None
 
     def __post_init__(self) -> None:
-        if not is_unilateral(self.law):
+        if not is_unilateral(self.law) or is_layered(self.law):
             raise InputError("law", self.law, "UnilateralPenalty or UnilateralConstraint")
         mu = _checked_positive_number("friction coefficient", self.coefficient, allows_array=True)
         object.__setattr__(self, "coefficient", mu)
@@ -314,31 +370,99 @@ def with_penalty(contact: ContactLaw, stiffness: float) -> ContactLaw:
     return replace(contact, law=penalty) if isinstance(contact, CoulombFriction) else penalty
 
 
-def add_friction_pairs(contact: object, structure: Structure) -> Structure:
-    """Add tangential gaps as further pairs if a contact law has friction.
+def add_contact_rows(contact: object, structure: Structure) -> Structure:
+    """Return a structure with a pair for each row on which a contact law acts.
 
-    The tangential gaps then follow the normal ones. Without friction, the structure itself is
-    returned.
+    With friction tangential gaps follow the normal ones. Under the layered law the normal gaps come
+    twice, the second time with the layer's depth as a further clearance. Otherwise the structure
+    itself is returned.
     """
+    if is_layered(contact):
+        return structure.with_doubled_pairs(contact.layer_depth)
     friction = friction_of(contact)
     return structure if friction is None else structure.with_tangential_pairs(friction.direction)
 
 
+def law_of_rows(contact: ContactLaw, n_pairs: int) -> ContactLaw:
+    """Return the law that acts on the rows of :func:`add_contact_rows`.
+
+    This is a penalty for each row of the layered law; otherwise the law itself.
+    """
+    if not is_layered(contact):
+        return contact
+    return UnilateralPenalty(1.0 / spring_compliances(contact, n_pairs))
+
+
 def spring_compliances(contact: ContactLaw, n_pairs: int) -> np.ndarray:
-    """Return the compliances 1/k of the contact springs, pair by pair.
+    """Return the compliances 1/k of the contact springs, row by row.
 
     Returns
     -------
     (n_pairs,) or (2 n_pairs,) [m/N]
-        1/k; with friction followed by 1/k_t of the tangential springs.
+        1/k; with friction followed by 1/k_t of the tangential springs. Under the layered law those
+        of the layer, followed by those below it.
     """
-    friction, ones_per_pair = friction_of(contact), np.ones(n_pairs)
-    normal_compliances = ones_per_pair / np.asarray(contact.stiffness, dtype=float)
-    if friction is None:
-        return normal_compliances
+    friction = friction_of(contact)
+    row_stiffnesses: tuple[float | np.ndarray, ...] = (contact.stiffness,)
+    if is_layered(contact):
+        row_stiffnesses = contact.row_stiffnesses
+    elif friction is not None:
+        row_stiffnesses = contact.stiffness, friction.tangential_stiffness
+    ones_per_pair = np.ones(n_pairs)
     return np.concatenate(
-        [normal_compliances, ones_per_pair / np.asarray(friction.tangential_stiffness, dtype=float)]
+        [ones_per_pair / np.asarray(stiffness, dtype=float) for stiffness in row_stiffnesses]
     )
+
+
+def count_rows_per_pair(contact: object) -> int:
+    """Return the number of rows of each pair on which a law acts (:func:`add_contact_rows`)."""
+    return 2 if is_layered(contact) or friction_of(contact) is not None else 1
+
+
+def merge_rows_of_pairs(
+    contact: object, n_pairs: int, gaps: np.ndarray, forces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Merge the two rows of each pair under the layered law: its gap, and its total force.
+
+    Under other laws, and without such rows, gaps and forces are returned unchanged.
+
+    Parameters
+    ----------
+    gaps, forces : (n, n_rows) [m], [N]
+        Values at n instants, or n Fourier coefficients, of the rows of :func:`add_contact_rows`.
+
+    Returns
+    -------
+    gaps, forces : (n, n_pairs) [m], [N]
+        With friction normal columns, then tangential ones: (n, 2 n_pairs).
+    """
+    if not is_layered(contact):
+        return gaps, forces
+    return gaps[:, :n_pairs], forces.reshape(len(forces), -1, n_pairs).sum(axis=1)
+
+
+def split_rows_of_pairs(
+    contact: object, gaps: np.ndarray, forces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return Fourier coefficients of the two rows of each pair under the layered law.
+
+    The total force of a pair stands in its first row: both rows act on the structure alike. Under
+    other laws gaps and forces are returned unchanged.
+
+    Parameters
+    ----------
+    gaps, forces : (2H+1, n_pairs) [m], [N]
+        Coefficients of gaps and total forces.
+
+    Returns
+    -------
+    gaps, forces : (2H+1, n_rows) [m], [N]
+    """
+    if not is_layered(contact):
+        return gaps, forces
+    deep_gaps = gaps.copy()
+    deep_gaps[:1] -= contact.layer_depth
+    return np.hstack([gaps, deep_gaps]), np.hstack([forces, np.zeros_like(forces)])
 
 
 @lru_cache
@@ -369,15 +493,21 @@ def is_rigid(contact: object) -> TypeGuard[UnilateralConstraint]:
     return isinstance(getattr(contact, "law", contact), UnilateralConstraint)
 
 
-def is_piecewise_linear(contact: object) -> TypeGuard[UnilateralPenalty]:
-    """Return True if normal contact follows the penalty law, lambda = k max(0, g)."""
-    return isinstance(getattr(contact, "law", contact), UnilateralPenalty)
+def is_layered(contact: object) -> TypeGuard[LayeredPenalty]:
+    """Return True for the layered law, with two rows for each pair."""
+    return isinstance(contact, LayeredPenalty)
+
+
+def is_piecewise_linear(contact: object) -> TypeGuard[UnilateralPenalty | LayeredPenalty]:
+    """Return True if normal contact follows the penalty law, or the layered one."""
+    return isinstance(getattr(contact, "law", contact), UnilateralPenalty | LayeredPenalty)
 
 
 def is_unilateral(contact: object) -> bool:
-    """Return True for the penalty law and for rigid contact, also with friction.
+    """Return True for the penalty law, the layered law and rigid contact, also with friction.
 
-    Every pair is then either open or closed; exact integrals and exact flows require this.
+    Every row (:func:`add_contact_rows`) is then either open or closed; exact integrals and exact
+    flows require this.
     """
     return is_piecewise_linear(contact) or is_rigid(contact)
 

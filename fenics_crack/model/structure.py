@@ -666,6 +666,19 @@ class Structure(Coordinates):
             ]
         return direction_and_structure_cache[0][1]._in_setting(self.setting)
 
+    def with_doubled_pairs(self, clearance: float) -> Structure:
+        """Return this structure with every pair twice: B = [B, B] (n_local, 2 n_pairs).
+
+        The second of two equal pairs has a further clearance [m].
+        """
+        clearances = np.add.outer(
+            (0.0, clearance),
+            expand_to_pairs("clearance", self.setting.added_clearance, self.n_pairs),
+        )
+        return self.compute_once(_double_pairs)._in_setting(
+            replace(self.setting, added_clearance=clearances.ravel())
+        )
+
     def with_places(self, nodes: Nodes | None, pairs: Pairs) -> Structure:
         """Return this structure with given positions and other mesh data of nodes and pairs."""
         return self._plain_structure_with_changes(nodes=nodes, pairs=pairs)
@@ -868,6 +881,16 @@ def _add_tangential_pairs(structure: Structure, direction: np.ndarray | None) ->
     clearance = np.concatenate([structure.clearance, np.zeros(structure.n_pairs)])
     return structure._in_setting(
         structure.setting, gap=joint_gap_matrix, tangential=None, clearance=clearance
+    )
+
+
+def _double_pairs(structure: Structure) -> Structure:
+    """Return a structure with every pair twice, with the same clearances."""
+    return structure._in_setting(
+        structure.setting,
+        gap=sparse.hstack([structure.gap, structure.gap]),
+        tangential=None,
+        clearance=np.tile(structure.clearance, 2),
     )
 
 

@@ -100,9 +100,8 @@ def arrivals_of_blades(
         return dict(source), None
     timing_table = scene.given("tip_timing")
     run, arrivals_by_blade = _load_or_solve_run(scene, source, comm), {}
-    n_blades = run.structure.whole.n_sectors
     for blade_number, probe_angles in find_probe_angles_by_blade(
-        np.radians(timing_table.probes), n_blades
+        np.radians(timing_table.probes), run.structure.whole.n_sectors
     ).items():
         begin_stage(f"arrivals of blade {blade_number}")
         arrivals_by_blade[blade_number] = _compute_arrivals(
@@ -176,17 +175,15 @@ def _compute_arrivals(
             if unstable_index is None or len(passed_indices) < 2
             else curve.part(passed_indices)
         )
-    timing_argument_by_name = {
-        key: getattr(timing_table, key) for key in ("tip_radius", "revolutions", "noise", "clock")
-    }
-    timing_argument_by_name |= {
-        "probes": probe_angles,
-        "seed": timing_table.seed + blade_number - 1,
-    }
     return tip_timing(
         result,
         find_tip_factor_by_dof(timing_table, run, blade_number),
-        **timing_argument_by_name,
+        probes=probe_angles,
+        tip_radius=timing_table.tip_radius,
+        revolutions=timing_table.revolutions,
+        noise=timing_table.noise,
+        clock=timing_table.clock,
+        seed=timing_table.seed + blade_number - 1,
         **_choose_speed_or_order_argument(timing_table, run, source_path),
     )
 
@@ -216,10 +213,9 @@ def describe_scene_difference_or_empty(scene: Scene, run: Run[Any]) -> str:
 
     Tables :data:`IGNORED_SCENE_TABLE_NAMES` do not count. Return "" if nothing differs.
     """
-    scene_pair = with_crack_length(scene, run.structure.comm), run.scene
     compared_scenes = [
         scene_with_full_paths(scene).replace(dict.fromkeys(IGNORED_SCENE_TABLE_NAMES))
-        for scene in scene_pair
+        for scene in (with_crack_length(scene, run.structure.comm), run.scene)
     ]
     scene_text, result_text = describe_differences(compared_scenes)
     sentence_start_text = (
@@ -297,8 +293,10 @@ def fit_vibration_or_passages(
         or a key of the table does not belong to this fit.
     """
     load_order = timing_table.order or (None if scene is None else scene.excitation.order)
-    fit_argument_by_name: dict[str, Any] = {"harmonics": timing_table.fitted_harmonics}
-    fit_argument_by_name["angle_deviation"] = np.radians(timing_table.angle_deviation)
+    fit_argument_by_name: dict[str, Any] = {
+        "harmonics": timing_table.fitted_harmonics,
+        "angle_deviation": np.radians(timing_table.angle_deviation),
+    }
     passage_keys_and_owner_text = (
         ("stiffening",),
         "arrivals at constant speed, or of one tracked order: only a search for the resonances of "
@@ -324,11 +322,13 @@ def fit_vibration_or_passages(
         timing_table.forbid_keys(
             ("orders",), f"a computed run-up: the order of its load, {load_order}, is tracked"
         )
-        fit_argument_by_name |= {
-            "subharmonic": timing_table.subharmonic,
-            "revolutions": timing_table.fitted_revolutions,
-        }
-        return track_order(arrivals, load_order, **fit_argument_by_name)
+        return track_order(
+            arrivals,
+            load_order,
+            subharmonic=timing_table.subharmonic,
+            revolutions=timing_table.fitted_revolutions,
+            **fit_argument_by_name,
+        )
     timing_table.forbid_keys(*passage_keys_and_owner_text)
     if timing_table.frequencies is not None:
         lower_omega, upper_omega = (
@@ -364,10 +364,9 @@ def find_passages_and_modes(
         )
         raise InputError("arrivals", repr(arrivals), requirement_text)
     diagram = _compute_campbell_diagram(scene, arrivals)
-    passage_fits = _fit_passages(scene.given("tip_timing"), arrivals, diagram)
     return [
         (passage_fit, *match_mode_or_give_reason(passage_fit, diagram))
-        for passage_fit in passage_fits
+        for passage_fit in _fit_passages(scene.given("tip_timing"), arrivals, diagram)
     ]
 
 
@@ -509,9 +508,10 @@ def find_tip_factor_by_dof(
             tip_direction /= np.linalg.norm(tip_direction)
         else:
             tip_direction = _find_circumferential_direction(run.scene, node_points[node_index])
-        dofs_and_factors = zip(dofs[node_index].tolist(), tip_direction.tolist(), strict=True)
         factor_by_dof = {
-            dof: factor for dof, factor in dofs_and_factors if dof >= 0 and factor != 0.0
+            dof: factor
+            for dof, factor in zip(dofs[node_index].tolist(), tip_direction.tolist(), strict=True)
+            if dof >= 0 and factor != 0.0
         }
     return {
         structure.dof_of(blade_number or structure.watched_sector_index + 1, dof): factor
@@ -525,9 +525,9 @@ def describe_probed_tip_displacement(timing_table: TipTiming, run: Run) -> str:
     An example is "the probes measure 1 times the y displacement at (0.1, 0.1) m".
     """
     structure = run.structure.whole
-    dofs_and_factors = find_tip_factor_by_dof(timing_table, run).items()
     term_texts = [
-        f"{factor:.4g} times the {structure.dof_name(dof)}" for dof, factor in dofs_and_factors
+        f"{factor:.4g} times the {structure.dof_name(dof)}"
+        for dof, factor in find_tip_factor_by_dof(timing_table, run).items()
     ]
     return f"the probes measure {' and '.join(term_texts)}"
 
@@ -559,9 +559,7 @@ def find_probed_displacement_and_reversal(scene: Scene) -> tuple[str, bool]:
     direction = _find_circumferential_direction(scene, np.array(tip_point.values))
     axis_index = int(np.abs(direction).argmax())
     if abs(direction[axis_index]) < 0.999:  # 2.6 degrees, an error of a thousandth
-        components_text = ", ".join(
-            f"{direction_component:.3g}" for direction_component in direction
-        )
+        components_text = ", ".join(f"{component:.3g}" for component in direction)
         requirement_text = (
             f"given, since the tip moves along ({components_text}), not along x, y or z: its "
             "displacement in this direction over the first displacement of [output.points]"

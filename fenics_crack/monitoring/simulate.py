@@ -247,15 +247,12 @@ def _build_motion(
     tip_fourier_coefficients = result.coefficients_at(list(factor_by_dof)) @ np.array(
         list(factor_by_dof.values()), dtype=float
     )
-    speeds_with_harmonics = np.array([rotor_speed, 2.0 * rotor_speed])
-    tip_harmonics = np.tile(to_complex(tip_fourier_coefficients), (2, 1))
-    periods_per_revolution = result.base_omega / rotor_speed
     return _TipMotion(
-        (rotor_speed, rotor_speed),
-        n_revolutions,
-        speeds_with_harmonics,
-        tip_harmonics,
-        periods_per_revolution,
+        end_speeds=(rotor_speed, rotor_speed),
+        n_revolutions=n_revolutions,
+        rotor_speeds=np.array([rotor_speed, 2.0 * rotor_speed]),
+        tip_harmonics=np.tile(to_complex(tip_fourier_coefficients), (2, 1)),
+        periods_per_revolution=result.base_omega / rotor_speed,
     )
 
 
@@ -287,13 +284,14 @@ def _build_run_up_motion(
     tip_fourier_coefficients = sum(
         float(factor) * curve.coefficients_at(dof) for dof, factor in factor_by_dof.items()
     )
-    speeds_with_harmonics = curve.omega[passed_indices] / order
     tip_harmonics = to_complex(np.asarray(tip_fourier_coefficients)[passed_indices].T).T
-    if last_omega < first_omega:
-        speeds_with_harmonics, tip_harmonics = speeds_with_harmonics[::-1], tip_harmonics[::-1]
-    end_speeds = first_omega / order, float(curve.omega[passed_indices][-1]) / order
+    rising_order = slice(None, None, -1 if last_omega < first_omega else 1)
     return _TipMotion(
-        end_speeds, n_revolutions, speeds_with_harmonics, tip_harmonics, order / curve.subharmonic
+        end_speeds=(first_omega / order, float(curve.omega[passed_indices][-1]) / order),
+        n_revolutions=n_revolutions,
+        rotor_speeds=(curve.omega[passed_indices] / order)[rising_order],
+        tip_harmonics=tip_harmonics[rising_order],
+        periods_per_revolution=order / curve.subharmonic,
     )
 
 

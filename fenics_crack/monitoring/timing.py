@@ -39,17 +39,9 @@ FOLDED_HARMONICS_TEXT = (
     "harmonics that are not fitted may be aliased onto the fitted ones: raise "
     "tip_timing.fitted_harmonics, or use more probes"
 )
-NO_REPETITION_TEXT = (
-    "each probe measures the vibration only once, which cannot test the fit and its standard "
-    "errors: record more revolutions"
-)
 UNCLEAR_HARMONIC_FORMAT = (
     "its amplitude exceeds its error at no speed, and is at most {}; more fitted revolutions give "
     "a smaller error (tip_timing.fitted_revolutions)"
-)
-CORRELATED_RESIDUALS_TEXT = (
-    "the residuals are correlated, due to drift or another vibration nearby: the order and the "
-    "standard errors may be wrong; compare with another run-up"
 )
 UNTESTED_ORDER_FORMAT = (
     "cannot test an order: order {:g} fits, but others may fit as well; give the possible ones "
@@ -58,6 +50,9 @@ UNTESTED_ORDER_FORMAT = (
 BLIND_PROBE_TEXT = (
     "excluded, since it does not measure the vibration that the other probes measure: check that "
     "its pulses are of this blade"
+)
+HIDDEN_ORDERS_TEXT = (
+    "probes at these angles cannot measure (if these are possible, use other angles)"
 )
 OTHER_ORDERS_TEXT = "explain the arrivals equally well (more probes distinguish them)"
 CONSTANT_FREQUENCY_TEXT = (
@@ -120,15 +115,11 @@ class Timing(SavedResult):
                 {"blade": blade} | _make_fit_row_by_column(fit, have_harmonic_ratios)
                 for blade, fit in fit_by_blade.items()
             ]
-        column_names = (
-            [column_name for column_name in table_rows[0] if column_name != "speed"]
-            if table_rows
-            else []
-        )
         return {
             column_name: [table_row[column_name] for table_row in table_rows]
-            for column_name in column_names
-        } or EMPTY_COLUMN_BY_NAME
+            for column_name in (table_rows or [EMPTY_COLUMN_BY_NAME])[0]
+            if column_name != "speed"
+        }
 
     @property
     def _first_fit(self) -> Any:
@@ -236,40 +227,40 @@ def _conclude_from_passages(
     blades_and_clearest_fits = [
         (blade, fits[0]) for blade, fits in passages_by_blade.items() if fits
     ]
-    blades_and_probe_angles = [
-        (blade, np.degrees(probe_angle))
+    warning_texts += [
+        f"blade {blade}, probe at {np.degrees(probe_angle):.5g} degrees: {BLIND_PROBE_TEXT}"
         for blade, fit in blades_and_clearest_fits
         for probe_angle in fit.blind
     ]
-    warning_texts += [
-        f"blade {blade}, probe at {probe_angle:.5g} degrees: {BLIND_PROBE_TEXT}"
-        for blade, probe_angle in blades_and_probe_angles
-    ]
     for blade, fit in blades_and_resonances:
-        resonance_prefix = f"blade {blade}, {fit.speed / RAD_PER_S_PER_RPM:.5g} rpm"
-        if fit.untested:
-            probes_text = format_count(fit.probes, "probe")
-            warning_texts.append(
-                f"{resonance_prefix}: {probes_text} {UNTESTED_ORDER_FORMAT.format(fit.order)}"
-            )
-        elif fit.ambiguous:
-            orders_text = _describe_orders(OTHER_ORDERS_TEXT, fit.ambiguous)
-            warning_texts.append(f"{resonance_prefix}: {orders_text}")
-        if fit.disagree:
-            warning_texts.append(f"{resonance_prefix}: {fit.disagreement_in_words}")
-        if fit.in_doubt:
-            warning_texts.append(f"{resonance_prefix}: {CORRELATED_RESIDUALS_TEXT}")
+        untested_text = (
+            f"{format_count(fit.probes, 'probe')} {UNTESTED_ORDER_FORMAT.format(fit.order)}"
+        )
+        doubts_and_texts = (
+            (fit.untested, untested_text),
+            (
+                fit.ambiguous and not fit.untested,
+                _describe_orders(OTHER_ORDERS_TEXT, fit.ambiguous),
+            ),
+            (fit.disagree, fit.disagreement_in_words),
+            (
+                fit.in_doubt,
+                "the residuals are correlated, due to drift or another vibration nearby: the order "
+                "and the standard errors may be wrong; compare with another run-up",
+            ),
+        )
+        warning_texts += [
+            f"blade {blade}, {fit.speed / RAD_PER_S_PER_RPM:.5g} rpm: {doubt_text}"
+            for is_doubtful, doubt_text in doubts_and_texts
+            if is_doubtful
+        ]
     note_texts = [CONSTANT_FREQUENCY_TEXT] * any(
         fit.stiffening == 0.0 for _, fit in blades_and_resonances[:1]
     )
-    blades_and_lines = [
-        (blade, line_fit)
-        for blade, fit in blades_and_clearest_fits
-        for line_fit in fit.asynchronous
-    ]
     note_texts += [
         f"blade {blade}: {_describe_constant_frequency_fit(line_fit)}"
-        for blade, line_fit in blades_and_lines
+        for blade, fit in blades_and_clearest_fits
+        for line_fit in fit.asynchronous
     ]
     conclusion = Conclusion("no resonance found")
     if blades_and_resonances:
@@ -357,22 +348,17 @@ def _conclude_from_track(track: TipTrack) -> tuple[Conclusion, Table, list[str],
             )
             if len(peak_rows) == 1:
                 peak_frequency = track.omega[peak_row_index] / RAD_PER_TURN
-                peak_frequency_text = f"{peak_frequency:.6g} Hz, engine order {track.order:g}"
                 peak_text = (
-                    f"{peak_frequency_text}, with {_format_amplitude_with_error(*peak_and_error)}"
+                    f"{peak_frequency:.6g} Hz, engine order {track.order:g}, "
+                    f"with {_format_amplitude_with_error(*peak_and_error)}"
                 )
                 answer_text = f"harmonic {harmonic_multiple:g} is largest at {peak_text}"
                 conclusion = Conclusion("run-up tracked", answer_text)
         elif not np.all(np.isnan(amplitudes)):
-            upper_bound_text = format_quantity(
-                float(
-                    np.nanmax(
-                        amplitudes + CONFIDENCE_LEVELS.allowed_standard_errors * amplitude_errors
-                    )
-                ),
-                "m",
+            upper_bounds = amplitudes + CONFIDENCE_LEVELS.allowed_standard_errors * amplitude_errors
+            unclear_harmonic_text = UNCLEAR_HARMONIC_FORMAT.format(
+                format_quantity(float(np.nanmax(upper_bounds)), "m")
             )
-            unclear_harmonic_text = UNCLEAR_HARMONIC_FORMAT.format(upper_bound_text)
             note_texts.append(f"harmonic {harmonic_multiple:g}: {unclear_harmonic_text}")
     peak_column_names = [
         "multiple, where it is largest",
@@ -450,31 +436,27 @@ def _list_fit_notes_and_doubts(fit: TipFit) -> tuple[list[str], list[str]]:
         f"in addition, {_describe_constant_frequency_fit(line_fit)}"
         for line_fit in fit.asynchronous
     ]
-    doubt_texts = []
     if _is_second_harmonic_fitted(fit):
         harmonic_ratio, ratio_error = fit.ratio()
         note_texts.append(
             f"ratio of second to first harmonic: {harmonic_ratio:.4g} ± {ratio_error:.2g}"
         )
-    if fit.does_not_fit:
-        doubt_texts.append(
-            "residuals differ between the probes by more than their scatter: "
-            f"{MISSING_HARMONICS_TEXT}, probes are misplaced (tip_timing.angle_deviation), or its "
-            "order is not among tip_timing.orders"
-        )
-    elif fit.may_be_folded and fit.spare > 0:
-        doubt_texts.append(FOLDED_HARMONICS_TEXT)
-    if fit.spare < 1:
-        doubt_texts.append(NO_SPARE_PROBE_TEXT)
-    elif fit.seen_once:
-        doubt_texts.append(NO_REPETITION_TEXT)
-    if fit.ambiguous:
-        doubt_texts.append(_describe_orders(OTHER_ORDERS_TEXT, fit.ambiguous))
-    if fit.hidden:
-        doubt_texts.append(
-            _describe_orders(
-                "probes at these angles cannot measure (if these are possible, use other angles)",
-                fit.hidden,
-            )
-        )
-    return note_texts, doubt_texts
+    misfit_text = (
+        "residuals differ between the probes by more than their scatter: "
+        f"{MISSING_HARMONICS_TEXT}, probes are misplaced (tip_timing.angle_deviation), or its "
+        "order is not among tip_timing.orders"
+    )
+    has_spare_probes = fit.spare > 0
+    doubts_and_texts = (
+        (fit.does_not_fit, misfit_text),
+        (fit.may_be_folded and has_spare_probes and not fit.does_not_fit, FOLDED_HARMONICS_TEXT),
+        (not has_spare_probes, NO_SPARE_PROBE_TEXT),
+        (
+            fit.seen_once and has_spare_probes,
+            "each probe measures the vibration only once, which cannot test the fit and its "
+            "standard errors: record more revolutions",
+        ),
+        (fit.ambiguous, _describe_orders(OTHER_ORDERS_TEXT, fit.ambiguous)),
+        (fit.hidden, _describe_orders(HIDDEN_ORDERS_TEXT, fit.hidden)),
+    )
+    return note_texts, [doubt_text for is_doubtful, doubt_text in doubts_and_texts if is_doubtful]

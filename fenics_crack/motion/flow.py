@@ -35,11 +35,12 @@ from fenics_crack.kernel import NULL, Struct, attach_destructor, kernel, pointer
 from fenics_crack.model.contact import (
     SETS_MEMORY_FRACTION,
     ContactLaw,
-    add_friction_pairs,
+    add_contact_rows,
     check_law,
     friction_of,
     is_regular,
     is_unilateral,
+    merge_rows_of_pairs,
     spring_compliances,
 )
 from fenics_crack.model.modal import all_modes, is_small
@@ -122,7 +123,7 @@ def _exact_flow_input_error_or_none(structure: Structure, contact: ContactLaw) -
     softness = spring_compliances(contact, structure.n_pairs)
     if np.all(softness):
         return None
-    static_flexibility = all_modes(add_friction_pairs(contact, structure)).static_pair_compliance()
+    static_flexibility = all_modes(add_contact_rows(contact, structure)).static_pair_compliance()
     if not is_regular(static_flexibility + np.diag(softness)):
         allowed_text = (
             "a structure whose crack faces have no mass: "
@@ -138,7 +139,8 @@ class Flow:
     A state has ``state_size`` entries: modal displacements q and velocities q', with friction also
     the slider position h of each pair. h is the tangential gap less the tangential spring's
     deformation, constant while a pair sticks. Contact rows are the pairs' normal gaps; with
-    friction tangential gaps follow (n_rows = 2 n_pairs, else n_pairs).
+    friction tangential gaps follow (n_rows = 2 n_pairs, else n_pairs). Under the layered law the
+    normal gaps come twice, as rows of the layer and below it.
 
     Attributes
     ----------
@@ -148,8 +150,10 @@ class Flow:
         Law of all its pairs.
     friction_law : CoulombFriction or None
         The contact law if it has friction, else None.
-    clearance : (n_rows,) [m]
-        Clearance of each contact row; 0 for tangential rows.
+    n_normal_rows : int
+        Number of rows that open and close.
+    clearance : (n_pairs,) [m]
+        Clearance of each pair; with friction followed by zeros for the tangential gaps.
     modal_model : AllModes
         Modes with mass; ``modal_model.gaps_by_mode`` has a column for each contact row.
     n_modes, state_size : int
@@ -169,9 +173,10 @@ class Flow:
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
         self.structure, self.contact = structure, contact
         self.friction_law = friction_of(contact)
-        structure_with_friction_rows = add_friction_pairs(contact, structure)
-        self.clearance = structure_with_friction_rows.clearance
-        self.modal_model = modal_model = all_modes(structure_with_friction_rows)
+        structure_with_rows = add_contact_rows(contact, structure)
+        self.n_normal_rows = structure_with_rows.n_pairs // (2 if self.friction_law else 1)
+        self.clearance = (structure_with_rows if self.friction_law else structure).clearance
+        self.modal_model = modal_model = all_modes(structure_with_rows)
         self.n_modes = len(modal_model.squares)
         self.state_size = 2 * self.n_modes + (structure.n_pairs if self.friction_law else 0)
         self.residual_flexibility = modal_model.static_pair_compliance()
@@ -180,10 +185,10 @@ class Flow:
         self.modal_load = np.ascontiguousarray(structure.force @ modal_model.shapes)
         self.load_gap = np.zeros((len(self.modal_load), len(self.softness)))
         if modal_model.massless_flexibility is not None:
-            self.load_gap += structure_with_friction_rows.apply_bt(
+            self.load_gap += structure_with_rows.apply_bt(
                 structure.force @ modal_model.massless_flexibility
             )
-        self.load_gap[0] -= self.clearance
+        self.load_gap[0] -= structure_with_rows.clearance
 
     def state(
         self,
@@ -221,8 +226,8 @@ class Flow:
         ----------
         states : (n, state_size)
             States of the flow at n instants.
-        force : (n, n_rows) [N]
-            Contact forces at these instants, normal and with friction then tangential.
+        force : (n, n_rows) or (n, n_pairs) [N]
+            Contact forces at these instants: of rows, or under the layered law of pairs.
         phase : (n,) [rad]
             Phases of the load at these instants.
         dofs : array or slice
@@ -248,8 +253,9 @@ class Flow:
         ----------
         modal_displacement : (n, n_modes)
             Amplitudes of the modes with mass.
-        force : (n, n_rows) [N]
-            Contact forces, normal and with friction then tangential.
+        force : (n, n_rows) or (n, n_pairs) [N]
+            Contact forces, normal and with friction then tangential. Under the layered law they may
+            be the total forces of pairs, since both rows of a pair act alike.
         load_basis : (n, 2K+1)
             Basis functions of the load: 1, cosine and sine of each order.
         dofs : array or slice
@@ -272,7 +278,8 @@ class Flow:
                 load_basis
                 @ select_rows((self.structure.force @ modal_model.massless_flexibility).T).T
             )
-            displacement -= force @ select_rows(modal_model.massless_pair_responses).T
+            responses = modal_model.massless_pair_responses[:, : force.shape[1]]
+            displacement -= force @ select_rows(responses).T
         return displacement
 
 
@@ -284,7 +291,7 @@ class ContactFlow(Flow):
 
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
         super().__init__(structure, contact)
-        modal_model, n_pairs = self.modal_model, structure.n_pairs
+        modal_model, n_pairs = self.modal_model, self.n_normal_rows
         closed_pair_forces_of_modes = np.linalg.solve(self.compliance, modal_model.gaps_by_mode.T)
         closed_stiffness_matrix = (
             np.diag(modal_model.squares) + modal_model.gaps_by_mode @ closed_pair_forces_of_modes
@@ -357,7 +364,7 @@ class ContactFlow(Flow):
         Normal contact forces are in equilibrium. Rigid-body displacement and tangential forces are
         zero.
         """
-        modal_model, n_pairs = self.modal_model, self.structure.n_pairs
+        modal_model, n_pairs = self.modal_model, self.n_normal_rows
         mode_flexibilities = np.zeros_like(modal_model.squares)
         np.divide(1.0, modal_model.squares, out=mode_flexibilities, where=modal_model.squares > 0.0)
         normal_gaps_of_modes = modal_model.gaps_by_mode[:, :n_pairs]
@@ -459,7 +466,7 @@ class ContactFlow(Flow):
         instants = np.zeros(0) if instants is None else as_doubles(instants)
         n_instants = len(instants)
         n_contact_rows = len(self.softness)
-        n_pairs = self.structure.n_pairs
+        n_pairs = self.n_normal_rows
         state_samples = np.empty((n_instants, 2 * self.n_modes))
         forces_and_openings = np.empty(
             (n_instants, 2 * n_contact_rows if self.friction_law else n_contact_rows)
@@ -527,7 +534,7 @@ class ContactFlow(Flow):
         budget = budget or Budget()
         if self._track_buffer_length < budget.allowed_event_intervals:
             self._track_buffer_length = max_intervals = budget.allowed_event_intervals
-            pair_state_buffer = np.empty((max_intervals, self.structure.n_pairs), np.int8)
+            pair_state_buffer = np.empty((max_intervals, self.n_normal_rows), np.int8)
             self._track_array_by_name = {
                 "sets": pair_state_buffer,
                 "lengths": np.empty(max_intervals),
@@ -563,8 +570,9 @@ class Track:
     flow : ContactFlow
     omega, start : float
         Load frequency [rad/s] and start of the motion [s].
-    sets : (n, n_pairs) int
-        States of the pairs: 0 open, 1 closed; with friction 1 sticking, 2 and 3 slipping.
+    sets : (n, flow.n_normal_rows) int
+        States of the pairs: 0 open, 1 closed; with friction 1 sticking, 2 and 3 slipping. Under the
+        layered law states of the layers, then of the contact below them.
     lengths : (n,) [s]
         Durations of the intervals.
     causes, is_first, ratios : (n,) or None
@@ -589,6 +597,11 @@ class Track:
         mean over the pairs.
         """
         return float(self.lengths @ is_selected.mean(axis=1) / self.lengths.sum())
+
+    @property
+    def closed_share(self) -> float:
+        """Return the fraction of time in contact, as a mean over the pairs."""
+        return self.mean_time_share(self.sets[:, : self.flow.structure.n_pairs] > 0)
 
     @cached_property
     def _struct(self) -> Struct:
@@ -685,8 +698,9 @@ class Samples:
         Instants; the phase of the load is ``omega`` times time.
     states : (n, 2 n_modes)
         Modal displacements q and velocities q'.
-    pair_states : (n, n_pairs) int
-        States of the pairs: 0 open, 1 closed; with friction 1 sticking, 2 and 3 slipping.
+    pair_states : (n, flow.n_normal_rows) int
+        States of the pairs: 0 open, 1 closed; with friction 1 sticking, 2 and 3 slipping. Under the
+        layered law states of the layers, then of the contact below them.
     """
 
     flow: ContactFlow
@@ -694,35 +708,53 @@ class Samples:
     time: np.ndarray
     states: np.ndarray
     forces_and_openings: np.ndarray
-    """(n, n_pairs): closed pairs' forces [N], open pairs' openings [m]. With friction (n, 4
+    """(n, n_rows): closed rows' forces [N], open rows' openings [m]. With friction (n, 4
     n_pairs): forces on all rows, then gaps less the deformation of the contact springs."""
     pair_states: np.ndarray
 
     @property
     def is_closed(self) -> np.ndarray:
-        """Return True for closed pairs at each instant: (n, n_pairs) bool."""
+        """Return True for closed rows at each instant: (n, flow.n_normal_rows) bool."""
         return self.pair_states > 0
 
     @cached_property
-    def forces(self) -> np.ndarray:
-        """Return contact forces: (n, n_rows) [N].
-
-        Normal forces come first. With friction, friction forces follow (n_rows = 2 n_pairs).
-        """
+    def row_forces(self) -> np.ndarray:
+        """Return contact forces of the flow's rows: (n, n_rows) [N]."""
         if self.flow.friction_law:
             return self.forces_and_openings[:, : len(self.flow.softness)]
         return np.where(self.is_closed, np.maximum(self.forces_and_openings, 0.0), 0.0)
 
     @cached_property
-    def gaps(self) -> np.ndarray:
-        """Return gaps, positive for penetration: (n, n_rows) [m].
-
-        Normal gaps come first. With friction, tangential gaps follow (n_rows = 2 n_pairs).
-        """
-        spring_gaps = self.forces * self.flow.softness
+    def row_gaps(self) -> np.ndarray:
+        """Return gaps of the flow's rows, positive for penetration: (n, n_rows) [m]."""
+        spring_gaps = self.row_forces * self.flow.softness
         if self.flow.friction_law:
             return self.forces_and_openings[:, len(self.flow.softness) :] + spring_gaps
         return np.where(self.is_closed, spring_gaps, -self.forces_and_openings)
+
+    @cached_property
+    def _gaps_and_forces(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return gaps [m] and contact forces [N] of the pairs."""
+        flow = self.flow
+        return merge_rows_of_pairs(
+            flow.contact, flow.structure.n_pairs, self.row_gaps, self.row_forces
+        )
+
+    @property
+    def forces(self) -> np.ndarray:
+        """Return contact forces of the pairs: (n, n_pairs) [N].
+
+        With friction, friction forces follow the normal forces: (n, 2 n_pairs).
+        """
+        return self._gaps_and_forces[1]
+
+    @property
+    def gaps(self) -> np.ndarray:
+        """Return gaps of the pairs, positive for penetration: (n, n_pairs) [m].
+
+        With friction, tangential gaps follow the normal ones: (n, 2 n_pairs).
+        """
+        return self._gaps_and_forces[0]
 
     @property
     def sticking_places(self) -> np.ndarray:

@@ -174,7 +174,10 @@ class PeriodicOrbit(ObservedMotion, Described):
 
     @property
     def n_events(self) -> int:
-        """Return how often pairs open, close, stick or slip in a period."""
+        """Return how often pairs open, close, stick or slip in a period.
+
+        Under the layered law it counts, too, when a layer is compressed to its depth or relaxes.
+        """
         return self.motion.n_events
 
     @property
@@ -327,9 +330,7 @@ class PeriodicOrbit(ObservedMotion, Described):
         row_products, row_gaps, row_forces = interpolate_at(period_fractions)
         if instants is None:
             track, exact_number_by_name = self.motion.track, dict(self.friction_number_by_name)
-            exact_number_by_name |= (
-                {"closed_share": track.mean_time_share(track.sets > 0)} if row_gaps.size else {}
-            )
+            exact_number_by_name |= {"closed_share": track.closed_share} if row_gaps.size else {}
         yield Record(
             self.omega, self.subharmonic, self.period * period_fractions,
             fourier_coefficients(row_products, OBSERVED_HARMONICS),
@@ -591,9 +592,9 @@ class RealFourierCoefficients(NamedTuple):
 
     Attributes
     ----------
-    gap : (2H+1, n_rows) [m]
-        Gaps of all rows; with friction tangential gaps follow the normal gaps.
-    force : (2H+1, n_rows) [N]
+    gap : (2H+1, n_columns) [m]
+        Gaps of all pairs; with friction tangential gaps follow the normal gaps.
+    force : (2H+1, n_columns) [N]
         Contact forces in the same order.
     displacement : (2H+1, n_dofs) [m]
         Displacement at all dofs.

@@ -114,7 +114,7 @@ class ShootingEquations(Equations):
         self._struct = Struct(
             "shooting_equations", flow=flow.handle, modes=flow.n_modes,
             harmonics=len(flow.modal_load) // 2,
-            pairs=flow.structure.n_pairs, friction=flow.friction_law is not None,
+            pairs=flow.n_normal_rows, friction=flow.friction_law is not None,
             base=omega[0], rate=omega[1],
             turns=2.0 * np.pi * subharmonic, scale=scale, max_pieces=Budget.allowed_pieces,
             max_intervals=Budget.allowed_event_intervals, **arrays,

@@ -716,8 +716,12 @@ class Contact(Table):
     """Settings for contact between the crack faces, at pairs of opposite nodes."""
 
     _RULES = (
-        Rule("contact.law = 'unilateral'", ("stiffness", "stiffness_per_area", "sharpness")),
+        Rule(
+            "contact.law = 'unilateral'",
+            ("stiffness", "stiffness_per_area", "sharpness", "layer_depth", "layer_share"),
+        ),
         Rule("contact.law = 'penalty'", ("sharpness",)),
+        Rule("contact.law = 'smoothed'", ("layer_depth", "layer_share")),
         Rule("without contact.friction", ("tangential_stiffness_per_area",), " > 0"),
     )
 
@@ -732,6 +736,16 @@ class Contact(Table):
     """
     sharpness: float | None = positive_field(None, unit="1/m")
     """s in the smoothed law lambda = k g (1/2 + arctan(s g) / pi)."""
+    layer_depth: float | None = positive_field(None, unit="m")
+    """Depth p of a soft layer on the crack faces, in the law "penalty".
+
+    The contact force is lambda = a k max(0, g) + (1 - a) k max(0, g - p), with the total stiffness
+    k and the share a = ``layer_share``. Left out: no layer.
+    """
+    layer_share: float | None = value_field(
+        "a number between 0 and 1", lambda share: 0.0 < share < 1.0, None
+    )
+    """Share a of the stiffness that acts from the first contact on; the rest beyond the depth p."""
     friction: float | None = nonnegative_field(None)
     """Coefficient of Coulomb friction between crack faces, static and kinetic.
 
@@ -767,6 +781,10 @@ class Contact(Table):
         )
         if self.law == "smoothed":
             self.given("sharpness", "given: a finite number > 0 [1/m], for the smoothed law")
+        if self.layer_depth is not None or self.layer_share is not None:
+            self.given("layer_depth", "given: a finite number > 0 [m], with contact.layer_share")
+            self.given("layer_share", "given: a number between 0 and 1, with contact.layer_depth")
+            self.require(not self.friction, "friction", "0, or left out, with contact.layer_depth")
         self.require(
             self.is_unilateral or not self.friction, "friction", f"0, or left out, with {law_text}"
         )

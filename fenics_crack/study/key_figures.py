@@ -591,11 +591,16 @@ def _round_to_three_digits(value: float, round_function: Callable[[float], int])
 def is_response_proportional_to_load(scene: Scene) -> bool:
     """Return True if the response is proportional to the load.
 
-    This requires contact that begins at g = 0 without smoothing, no clearance and no rotation. A
-    positive factor of all forces and gaps then is a factor of the whole equations. The centrifugal
-    load does not scale.
+    This requires contact that begins at g = 0 without smoothing or a layer, no clearance and no
+    rotation. A positive factor of all forces and gaps then is a factor of the whole equations. The
+    centrifugal load does not scale.
     """
-    if scene.speed > 0.0 or (scene.contact is not None and not scene.contact.is_unilateral):
+    contact_table = scene.contact
+    if contact_table is not None and (
+        not contact_table.is_unilateral or contact_table.layer_depth is not None
+    ):
+        return False
+    if scene.speed > 0.0:
         return False
     tables_with_clearance = (
         scene.crack_by_name.values() if scene.structure is None else (scene.structure,)

@@ -21,6 +21,7 @@ from fenics_crack.disk.wheel import Wheel, count_basis_families, reduce_wheel
 from fenics_crack.model.contact import (
     ContactLaw,
     CoulombFriction,
+    LayeredPenalty,
     SmoothedPenalty,
     UnilateralConstraint,
     UnilateralPenalty,
@@ -585,6 +586,9 @@ def _make_normal_contact_law(contact_table: Contact, structure: Structure | None
     if (stiffness_per_area := contact_table.stiffness_per_area) is not None:
         pair_stiffness = _stiffness_of_pairs("stiffness_per_area", stiffness_per_area, structure)
     assert pair_stiffness is not None
+    if contact_table.layer_depth is not None:
+        assert contact_table.layer_share is not None
+        return LayeredPenalty(pair_stiffness, contact_table.layer_depth, contact_table.layer_share)
     if contact_table.law == "smoothed":
         assert contact_table.sharpness is not None
         return SmoothedPenalty(pair_stiffness, contact_table.sharpness)

@@ -31,7 +31,7 @@ from fenics_crack.basics.tables import (
     format_quantity,
 )
 from fenics_crack.curves.stability import floquet
-from fenics_crack.model.contact import ContactLaw, friction_of
+from fenics_crack.model.contact import ContactLaw, friction_of, is_layered
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.rotation import RitzProjection, RunUpStructure
@@ -292,8 +292,9 @@ def find_load_resonance(
         )
         if with_small_load_resonance:
             small_load_value = resonance.value
-            # Only a mean load or a clearance holds pairs under a small load.
-            if np.any(structure.force[0]) or np.any(structure.clearance):
+            # A mean load or a clearance holds pairs under a small load, which compresses no layer.
+            is_held = np.any(structure.force[0]) or np.any(structure.clearance)
+            if is_held or is_layered(law):
                 small_problem = problem_at_small_load(problem)
                 small_load_value = resonance_at(small_problem, resonance.omega, parameter).value
     except REFUSAL_EXCEPTIONS as error:

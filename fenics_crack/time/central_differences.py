@@ -48,7 +48,7 @@ from fenics_crack.model.contact import (
     ActiveSetSolver,
     ContactLaw,
     FrictionContactSolver,
-    add_friction_pairs,
+    add_contact_rows,
     check_law,
     contact_energy,
     friction_coefficient_of,
@@ -97,9 +97,9 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     check_omega(omega)
     check_law(structure, contact, allows_rigid=True)
     springs = _contact_stiffnesses(structure, contact)
-    structure_with_friction_rows = add_friction_pairs(contact, structure)
+    structure_with_rows = add_contact_rows(contact, structure)
     if is_small(structure):
-        open_modes = all_modes(structure_with_friction_rows)
+        open_modes = all_modes(structure_with_rows)
         bonded_stiffness = (
             np.diag(open_modes.squares)
             + (open_modes.gaps_by_mode * springs) @ open_modes.gaps_by_mode.T
@@ -107,7 +107,7 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
         largest_omega = float(np.sqrt(np.linalg.eigvalsh(bonded_stiffness)[-1]))
     else:
         largest_omega = find_largest_natural_omega(
-            structure_with_friction_rows.tied(springs) if np.any(springs) else structure
+            structure_with_rows.tied(springs) if np.any(springs) else structure
         )
         collect_garbage(structure.comm)
     return int(np.floor(np.pi * largest_omega * (1.0 + 1e-6) / omega)) + 1
@@ -225,14 +225,18 @@ class _EnergyAccount:
         ]
         self._last_rows = [extended_array[-2:] for extended_array in extended_arrays]
         extended_load, extended_gaps, extended_forces, displacement_at_load = extended_arrays
-        n_pairs = self._request.structure.n_pairs  # springs and friction of tangents create none
-        extended_gaps, extended_forces = extended_gaps[:, :n_pairs], extended_forces[:, :n_pairs]
+        if friction_of(self._request.contact) is not None:  # tangents create none
+            n_pairs = self._request.structure.n_pairs
+            extended_gaps, extended_forces = (
+                extended_gaps[:, :n_pairs],
+                extended_forces[:, :n_pairs],
+            )
         self._created_energy -= 0.5 * float(
             np.sum(extended_forces[1:-1] * (extended_gaps[2:] - extended_gaps[:-2]))
         )
         if not self._request.is_rigid:
             first_spring_energies, last_spring_energies = (
-                contact_energy(self._request.contact, end_gaps)
+                contact_energy(self._request.row_law, end_gaps)
                 for end_gaps in (extended_gaps[:2], extended_gaps[-2:])
             )
             self._created_energy += 0.5 * float(
@@ -279,10 +283,10 @@ class _ModalDifferences(Scheme):
     name, remedy = SCHEME_NAME, MORE_STEPS_REMEDY
 
     def __init__(self, request: MarchRequest) -> None:
-        self._structure_with_friction_rows = add_friction_pairs(request.contact, request.structure)
+        self._structure_with_rows = add_contact_rows(request.contact, request.structure)
         self._request, self._modes, dt = (
             request,
-            all_modes(self._structure_with_friction_rows),
+            all_modes(self._structure_with_rows),
             request.step_size,
         )
         modes, (n_modes, n_rows) = self._modes, self._modes.gaps_by_mode.shape
@@ -331,7 +335,7 @@ class _ModalDifferences(Scheme):
         vibration_struct = Struct(
             "vibration", n_modes=n_modes, n_rows=n_rows, has_coupled_modes=modes.damping.ndim == 2,
             squared_frequencies=contiguous(modes.squares),
-            clearance=np.array(self._structure_with_friction_rows.clearance, dtype=float),
+            clearance=np.array(self._structure_with_rows.clearance, dtype=float),
             spring_stiffnesses=springs, gap_rows=contiguous(modes.gaps_by_mode.T),
             load_rows=contiguous(request.structure.force @ modes.shapes),
             load_basis=contiguous(request.load_basis), n_load_rows=len(request.structure.force),
@@ -353,7 +357,7 @@ class _ModalDifferences(Scheme):
         """Return the gaps of the current modal displacement: (n_rows,) [m]."""
         return np.asarray(
             self._modal_displacement @ self._modes.gaps_by_mode
-            - self._structure_with_friction_rows.clearance
+            - self._structure_with_rows.clearance
         )
 
     def _acceleration_at_phase_zero(self, velocity: np.ndarray) -> np.ndarray:
@@ -377,7 +381,7 @@ class _ModalDifferences(Scheme):
         With friction pairs stick at ``_sticking_places``, unchanged by the call.
         """
         if friction_of(self._request.contact) is None:
-            return self._request.contact.force(gap)
+            return self._request.row_law.force(gap)
         return self._friction_solver.solve(gap[None], self._sticking_places)[0][0]
 
     def integrate_and_fill_period(self, window: PeriodWindow, period_number: int) -> None:
@@ -435,14 +439,13 @@ class _CentralDifferences(Scheme):
         structure = self.structure
         self.contact, self.is_rigid, self.step_size = request.contact, request.is_rigid, dt
         self.load_samples, self.loaded_dofs = request.load_samples, request.loaded_dofs
-        self.contact_force = np.zeros(structure.n_pairs)
+        self._row_law = request.row_law
+        self.contact_force = np.zeros(request.n_gap_rows)
         # Only few rows of B are not zero.
-        structure_with_friction_rows = add_friction_pairs(request.contact, structure)
-        self._contact_dofs = np.flatnonzero(np.diff(structure_with_friction_rows.gap.indptr))
-        self._contact_dof_gap_matrix = structure_with_friction_rows.gap[
-            self._contact_dofs
-        ].toarray()
-        self._clearance = structure_with_friction_rows.clearance
+        structure_with_rows = add_contact_rows(request.contact, structure)
+        self._contact_dofs = np.flatnonzero(np.diff(structure_with_rows.gap.indptr))
+        self._contact_dof_gap_matrix = structure_with_rows.gap[self._contact_dofs].toarray()
+        self._clearance = structure_with_rows.clearance
         if (mu := friction_coefficient_of(request.contact)) is not None:
             self._friction_solver = FrictionContactSolver(
                 np.diag(1.0 / _contact_stiffnesses(structure, request.contact)), mu
@@ -547,7 +550,7 @@ class _CentralDifferences(Scheme):
         With friction the tangential gaps at which pairs stick are updated.
         """
         if friction_of(self.contact) is None:
-            return self.contact.force(gap)
+            return self._row_law.force(gap)
         forces, _, sticking_places, _ = self._friction_solver.solve(
             gap[None], self._sticking_places
         )

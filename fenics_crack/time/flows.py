@@ -209,7 +209,8 @@ class _EventScheme(Scheme):
         self._state, sampled_motion = period_motion.state, period_motion.samples
         displacement_samples = sampled_motion.displacement
         self._end_displacement = displacement_samples[-1]
-        window.gap[:], window.force[:] = sampled_motion.gaps[:-1], sampled_motion.forces[:-1]
+        window.gap[:] = sampled_motion.row_gaps[:-1]
+        window.force[:] = sampled_motion.row_forces[:-1]
         window.recorded_displacement[:] = displacement_samples[:-1, request.recorded_dofs]
         window.displacement_at_load[:] = displacement_samples[
             :-1, request.loaded_dofs
@@ -319,7 +320,7 @@ class ExponentialFlow(Flow):
             The contact forces of a step were not found.
         """
         n_modal_states = 2 * self.n_modes
-        n_pairs = self.structure.n_pairs
+        n_pairs = self.n_normal_rows
         n_requested_steps = periods * self.steps_per_period
         state, sticking_places = np.split(require_shape(state, self.state_size), [n_modal_states])
         modal_states = np.empty((n_requested_steps + 1, n_modal_states))
@@ -369,8 +370,8 @@ class ExponentialSteps:
         Modal displacements and velocities, both ends included.
     forces : (N + 1, n_rows) [N]
         Contact forces; with friction the tangential ones are the second half.
-    is_closed : (N + 1, n_pairs) bool
-        True if a pair is in contact.
+    is_closed : (N + 1, flow.n_normal_rows) bool
+        True if a row is in contact.
     end_state : (state_size,)
         Modal displacements, modal velocities and sticking places at the end, to continue from.
     """

@@ -30,9 +30,12 @@ from fenics_crack.basics.tables import Tabular, format_count
 from fenics_crack.model.contact import (
     ContactLaw,
     check_law,
+    count_rows_per_pair,
     friction_coefficient_of,
     friction_of,
     is_rigid,
+    law_of_rows,
+    merge_rows_of_pairs,
 )
 from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.model.modes import NEGLIGIBLE
@@ -190,8 +193,13 @@ class MarchRequest:
 
     @property
     def n_gap_rows(self) -> int:
-        """Number of gap rows: the normal of each pair, with friction also the tangent."""
-        return self.structure.n_pairs * (1 if friction_of(self.contact) is None else 2)
+        """Number of contact rows: with friction or layers two for each pair."""
+        return self.structure.n_pairs * count_rows_per_pair(self.contact)
+
+    @cached_property
+    def row_law(self) -> ContactLaw:
+        """Law for the contact rows."""
+        return law_of_rows(self.contact, self.structure.n_pairs)
 
     @property
     def is_rigid(self) -> bool:
@@ -430,8 +438,8 @@ class PeriodWindow(NamedTuple):
     """Output arrays of a single load period.
 
     :meth:`Scheme.integrate_and_fill_period` writes them. Rows are the instants. ``gap`` [m] and
-    contact ``force`` [N] are (N, n_rows): a column for each pair's normal gap, then with friction
-    for each tangential gap.
+    contact ``force`` [N] are (N, n_rows), with a column for each contact row
+    (:func:`fenics_crack.model.contact.add_contact_rows`).
     """
 
     gap: np.ndarray
@@ -536,11 +544,11 @@ def march(request: MarchRequest, scheme: Scheme) -> TimeHistory:
     gap, force, recorded_displacement = (
         np.roll(kept_array[:n_kept_rows], -oldest_row, axis=0) for kept_array in kept_arrays
     )
+    gap, force = merge_rows_of_pairs(request.contact, structure.n_pairs, gap, force)
     final_state = scheme.final_state_parts()
     for petsc_object in scheme.petsc_objects:
         petsc_object.destroy()
     n_pairs, friction_coefficient = structure.n_pairs, friction_coefficient_of(request.contact)
-    has_friction = friction_coefficient is not None
     return TimeHistory(
         time=np.arange(n_periods * n_steps - n_kept_rows, n_periods * n_steps) * request.step_size,
         gap=gap[:, :n_pairs],
@@ -554,8 +562,8 @@ def march(request: MarchRequest, scheme: Scheme) -> TimeHistory:
         recorded_dofs=request.recorded_dofs,
         final_state=final_state,
         contact_force=force[:, :n_pairs],
-        tangential_gap=gap[:, n_pairs:] if has_friction else None,
-        tangential_force=force[:, n_pairs:] if has_friction else None,
+        tangential_gap=None if friction_coefficient is None else gap[:, n_pairs:],
+        tangential_force=None if friction_coefficient is None else force[:, n_pairs:],
         friction=friction_coefficient,
     )
 

@@ -9,6 +9,7 @@ import pytest
 from helpers import DEMOS, catch_error, log_slope, oscillator
 
 from fenics_crack import (
+    LayeredPenalty,
     Scene,
     SmoothedPenalty,
     Structure,
@@ -36,8 +37,10 @@ def test_penalty_acts_in_penetration_only() -> None:
     assert np.array_equal(law.tangent(GAPS), np.where(GAPS > 0.0, 3.0, 0.0))
 
 
-@pytest.mark.parametrize("law", [UnilateralPenalty(3.0), SmoothedPenalty(3.0, 4.0)])
-def test_tangent_is_the_derivative(law: UnilateralPenalty | SmoothedPenalty) -> None:
+@pytest.mark.parametrize(
+    "law", [UnilateralPenalty(3.0), SmoothedPenalty(3.0, 4.0), LayeredPenalty(3.0, 0.123, 0.4)]
+)
+def test_tangent_is_the_derivative(law: Any) -> None:
     """Central differences away from the kink."""
     step = 1e-6
     slope = (law.force(GAPS + step) - law.force(GAPS - step)) / (2.0 * step)
@@ -101,6 +104,21 @@ def test_scene_names_its_law() -> None:
     smoothed_table = contact(stiffness=1e9, law="smoothed", sharpness=1e8)
     assert contact_law(smoothed_table) == SmoothedPenalty(1e9, 1e8)
     assert contact_law(contact(law="unilateral")) == UnilateralConstraint()
+    layered_table = contact(stiffness=1e9, layer_depth=1e-6, layer_share=0.2)
+    assert contact_law(layered_table) == LayeredPenalty(1e9, 1e-6, 0.2)
+
+
+def test_a_layer_is_soft_to_its_depth() -> None:
+    """Slopes a k and k, with a bend at the depth; the stiffness may differ from pair to pair."""
+    law = LayeredPenalty([10.0, 20.0], layer_depth=2.0, layer_share=0.25)
+    gaps = np.array([[-1.0, 1.0], [2.0, 3.0]])
+    assert np.allclose(law.force(gaps), [[0.0, 5.0], [5.0, 30.0]])
+    assert np.allclose(law.tangent(gaps), [[0.0, 5.0], [2.5, 20.0]])
+    assert np.allclose(law.scaled(2.0).force(gaps), 2.0 * law.force(gaps))
+    for number in (0.0, -1.0, np.inf, "deep", [0.5]):
+        catch_error(lambda n=number: LayeredPenalty(1.0, n, 0.5), "contact layer_depth", number)
+        catch_error(lambda n=number: LayeredPenalty(1.0, 1.0, n), "contact layer_share", number)
+    catch_error(lambda: LayeredPenalty(1.0, 1.0, 1.0), "contact layer_share", 1.0)
 
 
 @pytest.mark.parametrize("weight", [0.0, -1.0, np.nan, np.inf, "heavy", [1.0, -1.0]])

@@ -234,6 +234,25 @@ BAD: list[tuple[str, dict[str, Any]]] = [
     ("contact.stiffness", {"contact.law": "unilateral"}),
     ("contact.stiffness_per_area", {"contact": {"law": "unilateral", "stiffness_per_area": 1e12}}),
     ("contact.sharpness", {"contact": {"law": "unilateral", "sharpness": 1e9}}),
+    # a layer needs depth and share, the law "penalty", and no friction
+    ("contact.layer_depth", {"contact.layer_share": 0.5}),
+    ("contact.layer_share", {"contact.layer_depth": 1e-6}),
+    ("contact.layer_depth", {"contact.layer_depth": 0.0, "contact.layer_share": 0.5}),
+    *(
+        ("contact.layer_share", {"contact.layer_depth": 1e-6, "contact.layer_share": share})
+        for share in (0.0, 1.0, -0.5)
+    ),
+    (
+        "contact.friction",
+        {"contact.layer_depth": 1e-6, "contact.layer_share": 0.5, "contact.friction": 0.3},
+    ),
+    *(
+        ("contact.layer_depth", {"contact": table | {"layer_depth": 1e-6, "layer_share": 0.5}})
+        for table in (
+            {"law": "unilateral"},
+            {"law": "smoothed", "stiffness": 1e9, "sharpness": 1e9},
+        )
+    ),
     # exactly one way to give the damping
     ("damping.mass", {"damping.mass": 10.0}),
     ("damping.stiffness", {"damping.stiffness": 1e-6}),
@@ -513,7 +532,8 @@ KEYS = [(table, key) for table, keys in GOOD.items() for key in keys] + [
     ("crack", "first_omega"), ("crack", "clearance"), ("damping", "modes"),
     ("damping", "mass"), ("damping", "stiffness"), ("damping", "ratios"), ("damping", "omegas"),
     ("contact", "law"),
-    ("contact", "sharpness"), ("contact", "pairs"), ("contact", "stiffness_per_area"),
+    ("contact", "sharpness"), ("contact", "layer_depth"), ("contact", "layer_share"),
+    ("contact", "pairs"), ("contact", "stiffness_per_area"),
     ("excitation", "frequency"), ("crack", "first_frequency"), ("damping", "frequencies"),
     ("mesh", "cells"), ("mesh", "order"),
     ("mesh", "size"), ("mesh", "lip_elements"), ("mesh", "grading"), ("mesh", "file"),

@@ -1,66 +1,42 @@
 """From measurements to the crack: one call.
 
-The forward model is solved by sweeps over the unknowns; a killed run continues from their files.
-The first sweep has all values, on the scene's mesh or a coarser one. A second one, on a finer mesh
-at a few values, corrects it. A third one, at a few values halfway between, tests the interpolation.
-All are repeated for the plate without its crack. A :class:`ForwardModel` interpolates between their
-cases. Nuisance parameters have priors, and change the predictions to first order
+The forward model is solved by sweeps over the unknowns
+(:mod:`fenics_crack.monitoring.identification.sweeps`). A :class:`ForwardModel` interpolates between
+their cases. Nuisance parameters have priors, and change the predictions to first order
 (:mod:`fenics_crack.monitoring.identification.nuisance`).
 """
 
 from __future__ import annotations
 
-import hashlib
 import itertools
-import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fenics_crack.basics.errors import ConvergenceError, InputError, StoppedError
+from fenics_crack.basics.errors import ConvergenceError, InputError
 from fenics_crack.basics.progress import begin_stage
-from fenics_crack.basics.ranks import MPI, StopRequest, on_root
+from fenics_crack.basics.ranks import MPI, on_root
 from fenics_crack.basics.tables import RAD_PER_TURN
-from fenics_crack.files.store import scene_text
-from fenics_crack.monitoring.identification.interpolation import (
-    MESH_AXIS_KEY,
-    SolvedCases,
-    SweptLoads,
-)
-from fenics_crack.monitoring.identification.measurements import (
-    Measurement,
-    Measurements,
-    get_crack_removal_changes_or_none,
-)
-from fenics_crack.monitoring.identification.model import (
-    ForwardModel,
-    has_load_independent_motion_shape,
-)
-from fenics_crack.monitoring.identification.nuisance import UncrackedPlate
+from fenics_crack.monitoring.identification.measurements import Measurements
+from fenics_crack.monitoring.identification.model import has_load_independent_motion_shape
 from fenics_crack.monitoring.identification.options import OPTIONS
-from fenics_crack.monitoring.identification.posterior import (
-    Likelihood,
-    Posterior,
-    PosteriorBranch,
-    build_first_grid_points,
-)
+from fenics_crack.monitoring.identification.posterior import Likelihood, Posterior, PosteriorBranch
+from fenics_crack.monitoring.identification.predictor import MeasurementPredictor
 from fenics_crack.monitoring.identification.result import Identification
+from fenics_crack.monitoring.identification.sweeps import (
+    SolvedForwardModels,
+    find_largest_vibration_ratio_and_place,
+    refine_axis_by_share_or_none,
+    solve_forward,
+    solve_uncracked_plate,
+)
 from fenics_crack.scene.fields import Axis
-from fenics_crack.scene.result_tables import MIN_ALLOWED_VALUES_PER_UNKNOWN, Identify, Sweep
+from fenics_crack.scene.result_tables import Identify
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.meshes import refine_scene_or_none
-from fenics_crack.sweep.result import SweepResult, iterate_texts_by_reason, run_sweep
-
-IRRELEVANT_SCENE_TABLE_NAMES = ("sweep", "curve", "integration", "identify", "tip_timing")
-"""Tables of a scene that do not change the solutions in a forward model's sweep."""
-ForwardSweeps = tuple[SweepResult, SweepResult | None, SweepResult | None]
-"""Three sweeps: all cases, a few on a finer mesh, a few halfway between all cases.
-
-The last two may be None.
-"""
+from fenics_crack.sweep.result import iterate_texts_by_reason
 
 
 def identify(
@@ -123,15 +99,7 @@ def identify(
     --------
     >>> found = fc.identify(scene, "measured.csv", {"crack.length": [0.02, 0.04]})  # doctest: +SKIP
     """
-    if unknown is not None:
-        identify_table = scene.identify or Identify.from_mapping({"unknown": unknown})
-        changed_table = replace(identify_table, unknown=Identify.convert_value("unknown", unknown))
-        scene = replace(scene, identify=changed_table)
-    if scene.identify is None:
-        raise InputError("identify", None, "given: a table [identify] with keys and values")
-    word_keys = [axis.key for axis in scene.identify.unknown if isinstance(axis.values[0], str)]
-    if len(word_keys) == len(scene.identify.unknown) and not scene.identify.meshes:
-        raise InputError("identify.unknown", word_keys, "keys of which at least one has numbers")
+    scene = _with_unknowns(scene, unknown)
     if not isinstance(measurements, Measurements):
         measurement_path = measurements
         measurements = on_root(comm, lambda: Measurements.read(measurement_path))
@@ -143,11 +111,12 @@ def identify(
         for row in measurement_rows
         if row.is_natural_frequency and (load_frequency := row.get_load_frequency(scene))
     ]
-    uncracked_plate = _solve_uncracked_plate(scene, comm)
+    identify_table = scene.given("identify")
+    uncracked_plate = solve_uncracked_plate(scene, comm)
     has_other_unknowns = any(
-        not axis.key.startswith(("crack.", "contact.")) for axis in scene.identify.unknown
+        not axis.key.startswith(("crack.", "contact.")) for axis in identify_table.unknown
     )
-    scene_load_frequencies = (scene.excitation.omega / RAD_PER_TURN, *scene.identify.frequencies)
+    scene_load_frequencies = (scene.excitation.omega / RAD_PER_TURN, *identify_table.frequencies)
     uncracked_plate.check_units_and_modes(
         measurements,
         [load_frequency for load_frequency in scene_load_frequencies if load_frequency > 0.0],
@@ -155,13 +124,15 @@ def identify(
     )
     refined_axes: list[Axis] = []
     while True:
-        solve_argument_by_name: dict[str, Any] = {
-            "frequency_only_loads": frequency_only_loads,
-            "uncracked_plate": uncracked_plate,
-            "refined_axes": refined_axes,
-        }
         forward_models = solve_forward(
-            scene, load_frequencies, Path(folder), comm, progress=progress, **solve_argument_by_name
+            scene,
+            load_frequencies,
+            Path(folder),
+            comm,
+            frequency_only_loads=frequency_only_loads,
+            uncracked_plate=uncracked_plate,
+            refined_axes=refined_axes,
+            progress=progress,
         )
         begin_stage("inference of the unknowns")
         identification = infer_unknowns(forward_models, measurements)
@@ -171,7 +142,7 @@ def identify(
             return identification
         measurement_name, shares_along_unknowns, explaining_points = name_shares_and_points
         if (
-            refined_axis := _refine_axis_by_share_or_none(
+            refined_axis := refine_axis_by_share_or_none(
                 forward_models, identification, shares_along_unknowns, explaining_points
             )
         ) is None:
@@ -182,6 +153,26 @@ def identify(
         f"variance of {measurement_name}: more values in identify.unknown make intervals narrower"
     )
     return replace(identification, remarks=(*identification.remarks, remark_text))
+
+
+def _with_unknowns(scene: Scene, unknown: Mapping[str, Any] | None) -> Scene:
+    """Return a scene with the unknowns in its table ``[identify]``; None keeps the scene's own.
+
+    Raises
+    ------
+    InputError
+        There are no unknowns, or all have text values.
+    """
+    if unknown is not None:
+        identify_table = scene.identify or Identify.from_mapping({"unknown": unknown})
+        changed_table = replace(identify_table, unknown=Identify.convert_value("unknown", unknown))
+        scene = replace(scene, identify=changed_table)
+    if scene.identify is None:
+        raise InputError("identify", None, "given: a table [identify] with keys and values")
+    word_keys = [axis.key for axis in scene.identify.unknown if isinstance(axis.values[0], str)]
+    if len(word_keys) == len(scene.identify.unknown) and not scene.identify.meshes:
+        raise InputError("identify.unknown", word_keys, "keys of which at least one has numbers")
+    return scene
 
 
 def infer_unknowns(
@@ -210,7 +201,7 @@ def infer_unknowns(
                 Likelihood(
                     measurement_values,
                     measurement_deviations,
-                    model.make_predictor(measurement_rows),
+                    MeasurementPredictor(model, measurement_rows),
                 )
             )
             for words_text, model in model_by_words.items()
@@ -262,16 +253,13 @@ def _select_predictable_measurements(
     ]
     measurement_rows = measurements.rows
     is_predictable = np.all(
-        [model.make_predictor(measurement_rows).is_predictable for model in models], axis=0
+        [MeasurementPredictor(model, measurement_rows).is_predictable for model in models], axis=0
     )
-    solved_cases_of_models = (
-        solved_cases
+    solved_cases_by_path = {
+        solved_cases.sweep_result.path: solved_cases
         for model in models
         for solved_cases in (model.coarse_cases, model.finer_cases)
         if solved_cases
-    )
-    solved_cases_by_path = {
-        solved_cases.sweep_result.path: solved_cases for solved_cases in solved_cases_of_models
     }
     load_frequencies = {measurement.frequency for measurement in measurement_rows}
     doubt_texts = []
@@ -314,32 +302,30 @@ def list_measurement_limit_remarks(scene: Scene, measurements: Measurements) -> 
     shape depends on the load's size.
     """
     identify_table = scene.given("identify")
-    crack, measurement_rows, remark_texts = scene.crack, measurements.rows, []
-    is_edge_given = not any(axis.key == "crack.edge" for axis in identify_table.unknown)
-    if (
-        is_edge_given
-        and crack is not None
-        and crack.edge
-        and all(measurement.is_natural_frequency for measurement in measurement_rows)
-    ):
-        other_edge = {"left": "right", "right": "left"}[crack.edge]
-        remark_texts.append(
+    crack, measurement_rows = scene.crack, measurements.rows
+    other_edge = ""
+    if crack is not None and not any(axis.key == "crack.edge" for axis in identify_table.unknown):
+        other_edge = {"left": "right", "right": "left"}.get(crack.edge or "", "")
+    limits_and_remarks = (
+        (
+            other_edge
+            and all(measurement.is_natural_frequency for measurement in measurement_rows),
             f"a crack from the {other_edge} edge has the same natural frequencies, which cannot "
-            "distinguish the edges"
-        )
-    if identify_table.meshes:
-        remark_texts.append(
+            "distinguish the edges",
+        ),
+        (
+            identify_table.meshes,
             "the intervals do not include the error of the mesh files: compare with the result of "
-            "meshes twice as fine"
-        )
-    if any(
-        measurement.depends_on_shape_alone for measurement in measurement_rows
-    ) and not has_load_independent_motion_shape(scene):
-        remark_texts.append(
+            "meshes twice as fine",
+        ),
+        (
+            any(measurement.depends_on_shape_alone for measurement in measurement_rows)
+            and not has_load_independent_motion_shape(scene),
             "with a clearance or a steady load, the shape of the motion depends on the size of the "
-            "load: check that the scene has the real load"
-        )
-    return tuple(remark_texts)
+            "load: check that the scene has the real load",
+        ),
+    )
+    return tuple(remark_text for is_limited, remark_text in limits_and_remarks if is_limited)
 
 
 def _yield_unresolved_resonance_remarks(
@@ -360,7 +346,7 @@ def _yield_unresolved_resonance_remarks(
     for model, (load_frequency, point_name) in itertools.product(
         forward_models.cracked_model_by_words.values(), loads_and_points
     ):
-        vibration_ratio, unknown_values = _find_largest_vibration_ratio_and_place(
+        vibration_ratio, unknown_values = find_largest_vibration_ratio_and_place(
             model, load_frequency, point_name
         )
         if vibration_ratio > OPTIONS.allowed_vibration_ratio:
@@ -373,433 +359,6 @@ def _yield_unresolved_resonance_remarks(
                 f"{vibration_ratio:.2g} times that of any solved case, and predictions are "
                 "doubtful: add values there in identify.unknown, or measure at other frequencies"
             )
-
-
-def _find_largest_vibration_ratio_and_place(
-    model: ForwardModel, load_frequency: float, point_name: str
-) -> tuple[float, np.ndarray]:
-    """Find the largest vibration of a point at cracks between solved ones.
-
-    The vibration is the first harmonic at a load frequency [Hz], interpolated by the model.
-
-    Returns
-    -------
-    float
-        Vibration over the largest at any solved crack; 0 if none is known.
-    (d,)
-        Values of the unknowns with the largest vibration.
-    """
-    first_harmonic_measurement = Measurement(
-        "harmonic_1", 1.0, 1.0, frequency=load_frequency, point=point_name
-    )
-    grid_points = build_first_grid_points(model.unknown_grid)
-    interpolated_amplitudes = np.nan_to_num(
-        model.make_predictor([first_harmonic_measurement])(grid_points).values[:, 0]
-    )
-    largest_solved_amplitude = np.fmax.reduce(
-        np.abs(model.coarse_cases.get_harmonic_amplitudes(point_name, load_frequency, 1))
-    )
-    largest_index = int(np.argmax(interpolated_amplitudes))
-    return float(
-        interpolated_amplitudes[largest_index] / largest_solved_amplitude
-    ) if largest_solved_amplitude > 0.0 else 0.0, grid_points[largest_index]
-
-
-# --- the sweeps of the forward model --------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class SolvedForwardModels:
-    """Solved forward models, with the crack and without.
-
-    Attributes
-    ----------
-    scene : Scene
-        Scene with its table ``[identify]``.
-    axes : sequence of Axis
-        Unknowns with their solved values.
-    cracked_model_by_words : dict of str to ForwardModel
-        Models by the choice of text values, as "right" for crack.edge; "" without any.
-    uncracked_model_by_words : dict of str to ForwardModel
-        Models without the crack; empty if the crack cannot be removed.
-    """
-
-    scene: Scene
-    axes: Sequence[Axis]
-    cracked_model_by_words: dict[str, ForwardModel]
-    uncracked_model_by_words: dict[str, ForwardModel]
-
-
-def _solve_uncracked_plate(scene: Scene, comm: MPI.Comm) -> UncrackedPlate:
-    """Solve the modes of the plate without its crack (collective).
-
-    Rank 0 solves for all ranks. A crack that cannot be removed is bonded.
-    """
-    identify_table = scene.given("identify")
-    uncracked_scene = scene.replace(
-        dict.fromkeys(IRRELEVANT_SCENE_TABLE_NAMES)
-        | (get_crack_removal_changes_or_none(scene) or {})
-    )
-    begin_stage("plate without the crack")
-    return on_root(comm, lambda: UncrackedPlate(uncracked_scene, identify_table))
-
-
-def solve_forward(
-    scene: Scene,
-    load_frequencies: Sequence[float],
-    folder: Path,
-    comm: MPI.Comm = MPI.COMM_WORLD,
-    *,
-    frequency_only_loads: Sequence[float] = (),
-    uncracked_plate: UncrackedPlate | None = None,
-    refined_axes: Sequence[Axis] = (),
-    progress: bool = False,
-) -> SolvedForwardModels:
-    """Solve the cases of the forward models, or read their files (collective).
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with its table ``[identify]``.
-    load_frequencies : sequence of float
-        Load frequencies [Hz] of measurements; ``identify.frequencies`` are added.
-    folder : path
-        Folder of the sweeps' files; file names depend on the scene and the frequencies.
-    comm : MPI.Comm
-        Ranks that share the cases.
-    frequency_only_loads : sequence of float
-        Load frequencies [Hz] for rotor speeds at which only natural frequencies are needed.
-    uncracked_plate : UncrackedPlate, optional
-        Plate without its crack; default: solved here.
-    refined_axes : sequence of Axis
-        Unknowns with old and added values, solved one after another.
-    progress : bool
-        Show progress bars.
-
-    Raises
-    ------
-    InputError
-        As :func:`run_sweep`.
-    StoppedError
-        Ctrl-C was pressed.
-    """
-    uncracked_plate = uncracked_plate or _solve_uncracked_plate(scene, comm)
-    identify_table = scene.given("identify")
-    requested_frequencies = (*load_frequencies, *frequency_only_loads, *identify_table.frequencies)
-    swept_loads = SweptLoads(scene, [float(frequency) for frequency in requested_frequencies])
-    vibration_frequencies = (
-        *load_frequencies,
-        *identify_table.frequencies,
-        swept_loads.frequencies[0],
-    )
-    frequency_only_indices = [
-        load_index
-        for load_index, frequency in enumerate(swept_loads.frequencies)
-        if frequency not in vibration_frequencies
-    ]
-    scene_without_tables = scene.replace(dict.fromkeys(IRRELEVANT_SCENE_TABLE_NAMES))
-    scene_pair = _list_coarse_and_fine_scenes(scene_without_tables, identify_table.finer)
-    sweeper = _ForwardSweeper(
-        *scene_pair, identify_table, swept_loads, frequency_only_indices, folder, comm, progress
-    )
-    unknown_axes, remaining_axes = list(identify_table.unknown), [*refined_axes]
-    sweep_result = sweeper.run_or_read_sweep(
-        "forward", sweeper.coarse_scene, [*sweeper.mesh_file_axes, *unknown_axes]
-    )
-    while True:
-        model_by_words = _build_models(
-            scene, uncracked_plate, swept_loads, (sweep_result, None, None)
-        )
-        refined_axis = _refine_axis_at_resonance_or_none(
-            scene, model_by_words.values(), load_frequencies, unknown_axes
-        )
-        if refined_axis is None and not remaining_axes:
-            break
-        refined_axis = refined_axis or remaining_axes.pop(0)
-        axis_index = [axis.key for axis in unknown_axes].index(refined_axis.key)
-        sweep_result = sweeper.run_and_join_added_values(
-            sweep_result, unknown_axes, axis_index, refined_axis
-        )
-        unknown_axes[axis_index] = refined_axis
-    cracked_sweeps = sweeper.run_check_sweeps(
-        "forward", {}, [*sweeper.mesh_file_axes, *unknown_axes], sweep_result
-    )
-    removal_value_by_key = get_crack_removal_changes_or_none(scene)
-    if removal_value_by_key is None:
-        model_by_words = _build_models(scene, uncracked_plate, swept_loads, cracked_sweeps)
-        return SolvedForwardModels(scene, unknown_axes, model_by_words, {})
-    uncracked_axes = [
-        axis for axis in unknown_axes if not axis.key.startswith(("crack.", "contact."))
-    ]
-    uncracked_sweep = sweeper.run_or_read_sweep(
-        "uncracked", sweeper.coarse_scene.replace(removal_value_by_key), uncracked_axes
-    )
-    uncracked_sweeps = sweeper.run_check_sweeps(
-        "uncracked", removal_value_by_key, uncracked_axes, uncracked_sweep
-    )
-    cracked_and_uncracked_models = (
-        _build_models(scene, uncracked_plate, swept_loads, cracked_sweeps, uncracked_sweeps),
-        _build_models(scene, uncracked_plate, swept_loads, uncracked_sweeps),
-    )
-    return SolvedForwardModels(scene, unknown_axes, *cracked_and_uncracked_models)
-
-
-@dataclass(frozen=True)
-class _ForwardSweeper:
-    """Sweeps of a forward model over unknowns and loads, each in a file.
-
-    Attributes
-    ----------
-    coarse_scene, fine_scene : Scene
-        Scene for all cases, and scene with a finer mesh for a few cases; None without a finer mesh.
-    identify_table : Identify
-        Table ``[identify]``.
-    swept_loads : SweptLoads
-        Loads of all sweeps.
-    frequency_only_indices : list of int
-        Indices of loads at which only natural frequencies are needed.
-    folder : path
-        Folder of the files.
-    comm : MPI.Comm
-        Ranks that share the cases.
-    shows_progress : bool
-        True to show progress bars.
-    """
-
-    coarse_scene: Scene
-    fine_scene: Scene | None
-    identify_table: Identify
-    swept_loads: SweptLoads
-    frequency_only_indices: list[int]
-    folder: Path
-    comm: MPI.Comm
-    shows_progress: bool
-
-    @property
-    def mesh_file_axes(self) -> list[Axis]:
-        """Return the axis over the files of ``[identify.meshes]``; empty without the table."""
-        identify_table = self.identify_table
-        return [Axis(MESH_AXIS_KEY, identify_table.mesh_files)] if identify_table.meshes else []
-
-    def run_or_read_sweep(
-        self, sweep_name: str, case_scene: Scene, unknown_axes: Sequence[Axis]
-    ) -> SweepResult:
-        """Run a scene's sweep over unknowns and loads, or read its file (collective).
-
-        ``sweep_name`` begins the file name.
-
-        Raises
-        ------
-        StoppedError
-            Ctrl-C was pressed.
-        """
-        swept_axes = (*unknown_axes, self.swept_loads.sweep_axis)
-        swept_scene = replace(case_scene, sweep=Sweep(over=swept_axes))
-        file_name_digest = hashlib.sha256(
-            f"{scene_text(swept_scene)}{self.frequency_only_indices or ''}".encode()
-        ).hexdigest()[:8]
-        with StopRequest() as stop_request:
-            sweep_result = run_sweep(
-                swept_scene,
-                self.folder / f"{sweep_name}_{file_name_digest}.h5",
-                self.comm,
-                progress=self.shows_progress,
-                verdicts=False,
-                judged=False,
-                natural=self.frequency_only_indices,
-            )
-        if stop_request.is_requested(self.comm):
-            raise StoppedError(
-                "identification was stopped; run the same command again to continue it"
-            )
-        return sweep_result
-
-    def run_and_join_added_values(
-        self,
-        sweep_result: SweepResult,
-        unknown_axes: Sequence[Axis],
-        axis_index: int,
-        refined_axis: Axis,
-    ) -> SweepResult:
-        """Solve added values of an unknown, and join the sweeps (collective).
-
-        Parameters
-        ----------
-        sweep_result : SweepResult
-            Sweep with the values solved before.
-        unknown_axes : sequence of Axis
-            Unknowns with the values solved before.
-        axis_index : int
-            Index of the unknown among them.
-        refined_axis : Axis
-            Unknown with old and added values.
-
-        Returns
-        -------
-        SweepResult
-            All cases.
-        """
-        previous_axis_values = unknown_axes[axis_index].values
-        added_axis_values = tuple(
-            axis_value
-            for axis_value in refined_axis.values
-            if axis_value not in previous_axis_values
-        )
-        added_axes = [*self.mesh_file_axes, *unknown_axes]
-        axis_index += len(self.mesh_file_axes)
-        added_axes[axis_index] = Axis(refined_axis.key, added_axis_values)
-        added_sweep = self.run_or_read_sweep("forward", self.coarse_scene, added_axes)
-        return _join_sweeps(sweep_result, added_sweep, axis_index)
-
-    def run_check_sweeps(
-        self,
-        sweep_name: str,
-        scene_changes: dict[str, Any],
-        unknown_axes: Sequence[Axis],
-        all_cases_sweep: SweepResult,
-    ) -> ForwardSweeps:
-        """Solve a few cases on the finer mesh, and between all cases (collective).
-
-        Parameters
-        ----------
-        sweep_name : str
-            Beginning of the file names.
-        scene_changes : dict
-            Changes by key that remove the crack; empty to keep the crack.
-        unknown_axes : sequence of Axis
-            Unknowns with all solved values.
-        all_cases_sweep : SweepResult
-            Sweep of all cases, which is returned first.
-
-        Returns
-        -------
-        three SweepResult or None
-            All cases; on the finer mesh, or None without ``fine_scene``; halfway between all cases,
-            or None with mesh files.
-        """
-        identify_table, axis_keys = self.identify_table, [axis.key for axis in unknown_axes]
-        n_number_unknowns = sum(
-            not isinstance(axis.values[0], str) for axis in identify_table.unknown
-        )
-        n_kept_values = MIN_ALLOWED_VALUES_PER_UNKNOWN - (n_number_unknowns > 2)
-        finer_sweep = halfway_sweep = None
-        if self.fine_scene is not None:
-            check_axes = [
-                axis
-                for axis in (*self.mesh_file_axes, *identify_table.unknown)
-                if axis.key in axis_keys
-            ]
-            finer_scene = self.fine_scene.replace(scene_changes)
-            thinned_axes = _thin_axes(check_axes, n_kept_values)
-            finer_sweep = self.run_or_read_sweep(f"{sweep_name}_finer", finer_scene, thinned_axes)
-        if not identify_table.meshes:
-            halfway_axes = [
-                Axis(axis.key, _list_halfway_values(axis) or axis.values) for axis in unknown_axes
-            ]
-            halfway_scene = self.coarse_scene.replace(scene_changes)
-            thinned_axes = _thin_axes(halfway_axes, n_kept_values)
-            halfway_sweep = self.run_or_read_sweep(sweep_name, halfway_scene, thinned_axes)
-        return all_cases_sweep, finer_sweep, halfway_sweep
-
-
-def _join_sweeps(
-    first_sweep: SweepResult, second_sweep: SweepResult, axis_index: int
-) -> SweepResult:
-    """Join two sweeps with different values on one axis, in ascending order."""
-    axis_values = [*first_sweep.axes[axis_index].values, *second_sweep.axes[axis_index].values]
-    sorted_value_indices = np.argsort(axis_values)
-    column_by_name = {
-        column_name: np.concatenate([column, second_sweep[column_name]], axis=axis_index).take(
-            sorted_value_indices, axis=axis_index
-        )
-        for column_name, column in first_sweep.columns.items()
-    }
-    joined_axes = list(first_sweep.axes)
-    joined_axes[axis_index] = Axis(
-        joined_axes[axis_index].key,
-        tuple(axis_values[value_index] for value_index in sorted_value_indices),
-    )
-    return replace(
-        first_sweep,
-        scene=replace(first_sweep.scene, sweep=Sweep(over=tuple(joined_axes))),
-        columns=column_by_name,
-    )
-
-
-def _count_allowed_cases(scene: Scene) -> int:
-    """Return the maximum number of solved cases: 8 times those in ``[identify.unknown]``.
-
-    8 is :attr:`Options.max_solved_case_ratio`.
-    """
-    unknown_axes = scene.given("identify").unknown
-    return OPTIONS.max_solved_case_ratio * math.prod(
-        len(unknown_axis.values) for unknown_axis in unknown_axes
-    )
-
-
-def _refine_axis_at_resonance_or_none(
-    scene: Scene,
-    models: Iterable[ForwardModel],
-    load_frequencies: Sequence[float],
-    unknown_axes: Sequence[Axis],
-) -> Axis | None:
-    """Refine the unknown along which the vibration changes most between solved cracks.
-
-    None if no crack between solved ones vibrates more than twice as much as all of these. None also
-    if the motion is proportional to the load, or if the cases would be too many.
-    """
-    models_loads_points = itertools.product(
-        models, load_frequencies, scene.label_by_point_name or ("",)
-    )
-    ratios_models_loads_points = (
-        []
-        if has_load_independent_motion_shape(scene)
-        else [
-            (_find_largest_vibration_ratio_and_place(*model_load_point)[0], *model_load_point)
-            for model_load_point in models_loads_points
-        ]
-    )
-    if (
-        not ratios_models_loads_points
-        or max(ratio_model_load_point[0] for ratio_model_load_point in ratios_models_loads_points)
-        <= OPTIONS.allowed_vibration_ratio
-    ):
-        return None
-    vibration_ratio, model, load_frequency, point_name = max(
-        ratios_models_loads_points, key=lambda ratio_model_load_point: ratio_model_load_point[0]
-    )
-    log_amplitudes = np.log(
-        np.abs(model.coarse_cases.get_harmonic_amplitudes(point_name, load_frequency, 1))
-    ).reshape(model.unknown_grid.shape)
-    largest_step_by_key = {
-        key: np.fmax.reduce(np.abs(np.diff(log_amplitudes, axis=axis_index)), axis=None)
-        for axis_index, key in enumerate(model.unknown_keys)
-    }
-    n_cases = math.prod(len(unknown_axis.values) for unknown_axis in unknown_axes)
-    number_axes = [
-        unknown_axis
-        for unknown_axis in unknown_axes
-        if unknown_axis.key in largest_step_by_key and _is_divisible(unknown_axis)
-    ]
-    for unknown_axis in sorted(
-        number_axes, key=lambda unknown_axis: -largest_step_by_key[unknown_axis.key]
-    ):
-        n_axis_values = len(unknown_axis.values)
-        allowed_parts = (_count_allowed_cases(scene) * n_axis_values // n_cases - 1) // (
-            n_axis_values - 1
-        )
-        n_parts_per_interval = min(
-            math.ceil(vibration_ratio / OPTIONS.allowed_vibration_ratio), allowed_parts
-        )
-        if n_parts_per_interval > 1:
-            value_coordinates = (
-                np.arange((n_axis_values - 1) * n_parts_per_interval + 1) / n_parts_per_interval
-            )
-            refined_axis_values = np.interp(
-                value_coordinates, np.arange(n_axis_values), unknown_axis.values
-            ).tolist()
-            return Axis(unknown_axis.key, tuple(refined_axis_values))
-    return None
 
 
 def _find_most_interpolated_measurement_or_none(
@@ -839,143 +398,3 @@ def _find_most_interpolated_measurement_or_none(
             explaining_points,
         )
     )
-
-
-def _refine_axis_by_share_or_none(
-    forward_models: SolvedForwardModels,
-    identification: Identification,
-    shares_along_unknowns: np.ndarray,
-    explaining_points: np.ndarray,
-) -> Axis | None:
-    """Refine the unknown along which interpolation adds most to a variance.
-
-    Added values are halfway between old ones, around the cracks (m, d) that explain the
-    measurements. ``shares_along_unknowns`` (d,) are the parts of the variance. None if the cases
-    would be too many, or if no unknown has real numbers.
-    """
-    axis_by_key = {unknown_axis.key: unknown_axis for unknown_axis in forward_models.axes}
-    for unknown_index in np.argsort(-shares_along_unknowns):
-        unknown_axis = axis_by_key.get(identification.unknown[unknown_index])
-        if unknown_axis is not None and _is_divisible(unknown_axis):
-            halfway_values = _list_halfway_values(
-                unknown_axis,
-                explaining_points[:, unknown_index].min(),
-                explaining_points[:, unknown_index].max(),
-            )
-            refined_axis = Axis(
-                unknown_axis.key, tuple(sorted({*unknown_axis.values, *halfway_values}))
-            )
-            n_cases = math.prod(
-                len(solved_axis.values)
-                for solved_axis in (axis_by_key | {unknown_axis.key: refined_axis}).values()
-            )
-            return refined_axis if n_cases <= _count_allowed_cases(forward_models.scene) else None
-    return None
-
-
-def _list_coarse_and_fine_scenes(scene: Scene, mesh_ratio: float) -> tuple[Scene, Scene | None]:
-    """Return the scenes with the coarse and the finer mesh.
-
-    The first is for all cases, the second for a few. ``mesh_ratio`` is ``identify.finer``. Above 1
-    the scene's own mesh is the coarse one, below 1 the fine one. The second is None for a ratio of
-    1, and if mesh and harmonics cannot be refined.
-    """
-    finer_value_by_key: dict[str, Any] = {}
-    if scene.harmonic_balance.tolerance is None and mesh_ratio > 1.0:
-        n_harmonics = min(100, math.ceil(mesh_ratio * scene.harmonic_balance.harmonics))
-        finer_value_by_key = {
-            "harmonic_balance.harmonics": n_harmonics,
-            "harmonic_balance.samples": None,
-        }
-    scene_with_other_mesh = None if mesh_ratio == 1.0 else refine_scene_or_none(scene, mesh_ratio)
-    if scene_with_other_mesh is None and not finer_value_by_key:
-        return scene, None
-    return (
-        (scene, (scene_with_other_mesh or scene).replace(finer_value_by_key))
-        if mesh_ratio > 1.0
-        else (scene_with_other_mesh or scene, scene)
-    )
-
-
-def _thin_axes(unknown_axes: Sequence[Axis], n_kept_values: int) -> tuple[Axis, ...]:
-    """Keep a number of values of each unknown, equally spread, with both ends.
-
-    All text values are kept.
-    """
-    thinned_axes = []
-    for unknown_axis in unknown_axes:
-        value_indices = np.unique(
-            np.linspace(0, len(unknown_axis.values) - 1, n_kept_values).round().astype(int)
-        )
-        kept_axis_values = tuple(unknown_axis.values[value_index] for value_index in value_indices)
-        thinned_axes.append(
-            unknown_axis
-            if isinstance(unknown_axis.values[0], str)
-            else Axis(unknown_axis.key, kept_axis_values)
-        )
-    return tuple(thinned_axes)
-
-
-def _is_divisible(unknown_axis: Axis) -> bool:
-    """Return True if an unknown has real numbers, not text or whole numbers."""
-    return any(isinstance(axis_value, float) for axis_value in unknown_axis.values)
-
-
-def _list_halfway_values(
-    unknown_axis: Axis, lower_limit: float = -np.inf, upper_limit: float = np.inf
-) -> tuple[float, ...]:
-    """Return the values halfway between an unknown's values.
-
-    Only intervals that overlap the two limits count. The tuple is empty for text and whole numbers.
-    """
-    value_pairs = itertools.pairwise(unknown_axis.values) if _is_divisible(unknown_axis) else ()
-    return tuple(
-        0.5 * (lower_axis_value + upper_axis_value)
-        for lower_axis_value, upper_axis_value in value_pairs
-        if lower_axis_value < upper_limit and upper_axis_value > lower_limit
-    )
-
-
-def _build_models(
-    scene: Scene,
-    uncracked_plate: UncrackedPlate,
-    swept_loads: SweptLoads,
-    cracked_sweeps: ForwardSweeps,
-    uncracked_sweeps: ForwardSweeps | None = None,
-) -> dict[str, ForwardModel]:
-    """Build a forward model for each choice of text values, from its sweeps.
-
-    Some unknowns have text values, as crack.edge = "left". Keys are these values joined with ", ".
-    ``uncracked_sweeps`` are for the plate without the crack; None if the crack cannot be removed,
-    or if ``cracked_sweeps`` are without the crack, too.
-    """
-    mesh_number_axes = scene.given("identify").mesh_axes
-    axes = [
-        axis
-        for axis in cracked_sweeps[0].axes[:-1]
-        if not (mesh_number_axes and axis.key == MESH_AXIS_KEY)
-    ]
-    words_by_key = {axis.key: axis.values for axis in axes if isinstance(axis.values[0], str)}
-    model_by_words = {}
-    for chosen_words in itertools.product(*words_by_key.values()):
-        word_by_key = dict(zip(words_by_key, chosen_words, strict=True))
-        coarse_finer_halfway_cases: list[SolvedCases | None] = []
-        for sweep_result, uncracked_sweep in zip(
-            cracked_sweeps, uncracked_sweeps or (None,) * 3, strict=True
-        ):
-            uncracked_cases = (
-                None
-                if uncracked_sweep is None
-                else SolvedCases(uncracked_sweep, swept_loads, (), word_by_key)
-            )
-            coarse_finer_halfway_cases.append(
-                None
-                if sweep_result is None
-                else SolvedCases(
-                    sweep_result, swept_loads, mesh_number_axes, word_by_key, uncracked_cases
-                )
-            )
-        model_by_words[", ".join(chosen_words)] = ForwardModel(
-            scene, uncracked_plate, coarse_finer_halfway_cases, word_by_key=word_by_key
-        )
-    return model_by_words

@@ -37,7 +37,7 @@ Shapes: m points x of d unknowns, n nodes of the grid, q quantities, f features.
 
 from __future__ import annotations
 
-import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -46,6 +46,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import RBFInterpolator, make_interp_spline
 from scipy.spatial.distance import cdist
+from scipy.special import softmax
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import RAD_PER_TURN
@@ -82,10 +83,8 @@ class UnknownGrid:
     @cached_property
     def nodes(self) -> np.ndarray:
         """Return all grid nodes, combinations of values, the last unknown fastest: (n, d)."""
-        value_combinations = list(itertools.product(*self.axes))
-        return np.array(value_combinations, dtype=float).reshape(
-            len(value_combinations), len(self.axes)
-        )
+        value_grids = np.array(np.meshgrid(*self.axes, indexing="ij"), dtype=float)
+        return value_grids.reshape(len(self.axes), math.prod(self.shape)).T
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -224,8 +223,7 @@ class Interpolation:
             :, :n_averaged_nodes
         ]
         weight_exponents = np.take_along_axis(weight_exponents, nearest_node_indices, axis=1)
-        node_weights = np.exp(weight_exponents - weight_exponents.max(axis=1, keepdims=True))
-        node_weights /= node_weights.sum(axis=1, keepdims=True)
+        node_weights = softmax(weight_exponents, axis=1)
         return [
             np.sqrt(node_weights)[..., None] * node_errors[nearest_node_indices]
             for node_errors in self._node_errors_along_axes
@@ -404,21 +402,19 @@ class SolvedCases:
         self.sweep_result = sweep_result
         self.swept_loads = swept_loads
         self.uncracked_cases = uncracked_cases
+        unknown_axes = sweep_result.axes[:-1]
+        self.word_selection_index = tuple(
+            axis.values.index(word_by_key[axis.key]) if axis.key in word_by_key else slice(None)
+            for axis in unknown_axes
+        )
         number_axes: list[Axis] = []
-        word_selection: list[Any] = []
-        for axis in sweep_result.axes[:-1]:
-            is_word = axis.key in word_by_key
-            word_selection.append(
-                axis.values.index(word_by_key[axis.key]) if is_word else slice(None)
-            )
-            number_axes += (
-                [] if is_word else mesh_number_axes if axis.key == MESH_AXIS_KEY else [axis]
-            )
+        for axis in unknown_axes:
+            if axis.key not in word_by_key:
+                number_axes += mesh_number_axes if axis.key == MESH_AXIS_KEY else [axis]
         self.unknown_grid = UnknownGrid(
             tuple(np.array(axis.values, dtype=float) for axis in number_axes)
         )
         self.unknown_keys = tuple(axis.key for axis in number_axes)
-        self.word_selection_index = tuple(word_selection)
 
     def get_column(self, column_name: str) -> np.ndarray:
         """Return a column of the sweep at all grid nodes and loads: (n, n_loads)."""
@@ -437,10 +433,9 @@ class SolvedCases:
             if self.uncracked_cases is None:
                 return self.get_natural_frequencies("tied", mode)
             frequencies = self.uncracked_cases.get_natural_frequencies("tied", mode)
-            keys_and_axis_lengths = zip(self.unknown_keys, self.unknown_grid.shape, strict=True)
             uncracked_shape = [
                 n_values if key in self.uncracked_cases.unknown_keys else 1
-                for key, n_values in keys_and_axis_lengths
+                for key, n_values in zip(self.unknown_keys, self.unknown_grid.shape, strict=True)
             ]
             n_loads = frequencies.shape[1]
             frequencies = np.broadcast_to(
@@ -450,13 +445,7 @@ class SolvedCases:
         frequencies = self.get_column(f"omega_{crack_state}_{mode}") / (2.0 * np.pi)
         if self.swept_loads.has_rotor_speeds:
             return frequencies
-        is_known = np.isfinite(frequencies)
-        largest_frequencies = np.max(
-            np.where(is_known, frequencies, -np.inf), axis=1, keepdims=True
-        )
-        largest_frequencies = np.where(
-            is_known.any(axis=1, keepdims=True), largest_frequencies, np.nan
-        )
+        largest_frequencies = np.fmax.reduce(frequencies, axis=1, keepdims=True)
         return np.broadcast_to(largest_frequencies, frequencies.shape)
 
     def get_harmonic_amplitudes(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from numbers import Integral
@@ -148,9 +147,8 @@ class Measurement:
             check_number("measurements.rpm", self.rpm, 0.0)
         if not math.isnan(self.temperature):
             check_number("measurements.temperature", self.temperature)
-        natural_frequency_keys = ("mode", "rpm", "temperature")
         allowed_keys = (
-            natural_frequency_keys
+            ("mode", "rpm", "temperature")
             if self.is_natural_frequency
             else ("frequency", "point", *["phase"] * is_displacement)
         )
@@ -236,29 +234,39 @@ class Measurement:
         Reasons are a rotor speed without an engine order, an unknown point, a crack that cannot be
         removed, and too few harmonics.
         """
-        if not math.isnan(self.rpm) and (scene.excitation.order is None or scene.speed == 0.0):
-            allowed_text = "left out unless the scene has [rotation] and excitation.order"
-            raise InputError("measurements.rpm", self.rpm, allowed_text)
         point_names = scene.label_by_point_name
-        if self.point and self.point not in point_names:
-            allowed_text = (
-                f"empty, or one of [output.points]: {', '.join(point_names) or 'there are none'}"
-            )
-            raise InputError("measurements.point", self.point, allowed_text)
-        if (
-            self.quantity == "frequency_uncracked"
-            and get_crack_removal_changes_or_none(scene) is None
-        ):
-            allowed_text = (
-                "left out, since the crack cannot be removed from this scene; with mesh files, "
-                "give that of the part without a crack as identify.uncracked"
-            )
-            raise InputError("measurements.quantity", self.quantity, allowed_text)
         highest_order = max(self.harmonic_orders, default=0)
         n_harmonics = scene.harmonic_balance.harmonics
-        if n_harmonics < highest_order:
-            allowed_text = f"at least {highest_order} for {self.quantity}"
-            raise InputError("harmonic_balance.harmonics", n_harmonics, allowed_text)
+        for is_unfit, key, key_value, allowed_text in (
+            (
+                not math.isnan(self.rpm) and (scene.excitation.order is None or scene.speed == 0.0),
+                "measurements.rpm",
+                self.rpm,
+                "left out unless the scene has [rotation] and excitation.order",
+            ),
+            (
+                self.point and self.point not in point_names,
+                "measurements.point",
+                self.point,
+                f"empty, or one of [output.points]: {', '.join(point_names) or 'there are none'}",
+            ),
+            (
+                self.quantity == "frequency_uncracked"
+                and get_crack_removal_changes_or_none(scene) is None,
+                "measurements.quantity",
+                self.quantity,
+                "left out, since the crack cannot be removed from this scene; with mesh files, "
+                "give that of the part without a crack as identify.uncracked",
+            ),
+            (
+                n_harmonics < highest_order,
+                "harmonic_balance.harmonics",
+                n_harmonics,
+                f"at least {highest_order} for {self.quantity}",
+            ),
+        ):
+            if is_unfit:
+                raise InputError(key, key_value, allowed_text)
 
 
 @dataclass(frozen=True, repr=False)
@@ -286,21 +294,14 @@ class Measurements(Tabular):
             limit_text = f"at most {OPTIONS.max_measurements} rows"
             allowed_text = f"{limit_text}; replace repeated measurements by their mean"
             raise InputError("measurements", f"{len(self.rows)} rows", allowed_text)
-        count_by_name = Counter(
-            measurement.name for measurement in self.rows if measurement.quantity != "displacement"
-        )
-        if repeated_names := [
-            measurement_name
-            for measurement_name, name_count in count_by_name.items()
-            if name_count > 1
-        ]:
-            repeated_values = [
-                measurement.value
-                for measurement in self.rows
-                if measurement.name == repeated_names[0]
-            ]
-            allowed_text = "one value: give the mean, and the standard deviation of the mean"
-            raise InputError(f"measurements, {repeated_names[0]}", repeated_values, allowed_text)
+        values_by_name: dict[str, list[float]] = {}
+        for measurement in self.rows:
+            if measurement.quantity != "displacement":
+                values_by_name.setdefault(measurement.name, []).append(measurement.value)
+        for measurement_name, values in values_by_name.items():
+            if len(values) > 1:
+                allowed_text = "one value: give the mean, and the standard deviation of the mean"
+                raise InputError(f"measurements, {measurement_name}", values, allowed_text)
 
     @classmethod
     def from_arrays(
@@ -331,11 +332,14 @@ class Measurements(Tabular):
         """
         fit_argument_to_annotation("values", values, "Iterable", ())
         n_values = len(values)
-        column_by_name = {"value": values, **optional_columns}
-        has_deviation_column = isinstance(deviations, Iterable)
-        column_by_name["deviation"] = (
-            deviations if has_deviation_column else [deviations] * n_values
+        deviation_column = (
+            deviations if isinstance(deviations, Iterable) else [deviations] * n_values
         )
+        column_by_name: dict[str, Any] = {
+            "value": values,
+            "deviation": deviation_column,
+            **optional_columns,
+        }
         for column_name, column in column_by_name.items():
             if (
                 column_name
@@ -348,14 +352,10 @@ class Measurements(Tabular):
                     f"{n_values} entries, one for each value; the columns are "
                     f"{', '.join(OPTIONAL_COLUMN_NAMES)}",
                 )
-        value_by_column_of_rows = (
-            dict(zip(column_by_name, row_values, strict=True))
-            for row_values in zip(*column_by_name.values(), strict=True)
-        )
         return cls(
             tuple(
-                Measurement(quantity, **value_by_column)
-                for value_by_column in value_by_column_of_rows
+                Measurement(quantity, **dict(zip(column_by_name, row_values, strict=True)))
+                for row_values in zip(*column_by_name.values(), strict=True)
             )
         )
 
@@ -407,11 +407,10 @@ class Measurements(Tabular):
         if noise is not None:
             check_number("noise", noise, 0.0, excludes_bound=True)
         if not arrivals.steady:
-            raise InputError(
-                "arrivals",
-                repr(arrivals),
-                "recorded at constant speed; for a run-up use find_passages and from_passages",
+            requirement = (
+                "recorded at constant speed; for a run-up use find_passages and from_passages"
             )
+            raise InputError("arrivals", repr(arrivals), requirement)
         arrivals.check_places(angle_deviation)
         n_arrivals_of_probes = np.isfinite(arrivals.time).sum(axis=0)
         n_arrivals_of_probes = n_arrivals_of_probes[n_arrivals_of_probes > 0]
@@ -444,15 +443,13 @@ class Measurements(Tabular):
         displacements = (
             -probe_statistics.displacements if against else probe_statistics.displacements
         )
-        column_by_name: dict[str, Any] = {
-            "phase": (order * probe_statistics.angles % RAD_PER_TURN).tolist()
-        }
-        column_by_name |= {
-            "frequency": [load_frequency] * len(n_arrivals_of_probes),
-            "point": [point] * len(n_arrivals_of_probes),
-        }
         return cls.from_arrays(
-            "displacement", displacements.tolist(), deviations.tolist(), **column_by_name
+            "displacement",
+            displacements.tolist(),
+            deviations.tolist(),
+            phase=(order * probe_statistics.angles % RAD_PER_TURN).tolist(),
+            frequency=[load_frequency] * len(n_arrivals_of_probes),
+            point=[point] * len(n_arrivals_of_probes),
         )
 
     @classmethod
@@ -489,22 +486,19 @@ class Measurements(Tabular):
                 list(modes),
                 f"one mode for each of {len(passages)} passages, 0 to leave one out",
             )
-        passages_and_modes = [
-            passage_and_mode
-            for passage_and_mode in zip(passages, modes, strict=True)
-            if passage_and_mode[1]
-        ]
-        frequencies = [passage_fit.frequency for passage_fit, _ in passages_and_modes]
-        deviations = [passage_fit.deviation / RAD_PER_TURN for passage_fit, _ in passages_and_modes]
-        speeds_rpm = [
-            float(f"{passage_fit.speed / RAD_PER_S_PER_RPM:.7g}")
-            for passage_fit, _ in passages_and_modes
-        ]
-        column_by_name: dict[str, Any] = {
-            "mode": [mode for _, mode in passages_and_modes],
-            "rpm": speeds_rpm,
-        }
-        return cls.from_arrays(quantity, frequencies, deviations, **column_by_name)
+        return cls(
+            tuple(
+                Measurement(
+                    quantity,
+                    passage_fit.frequency,
+                    passage_fit.deviation / RAD_PER_TURN,
+                    mode,
+                    rpm=float(f"{passage_fit.speed / RAD_PER_S_PER_RPM:.7g}"),
+                )
+                for passage_fit, mode in zip(passages, modes, strict=True)
+                if mode
+            )
+        )
 
     @classmethod
     def from_csv(cls, path: str | Path) -> Measurements:
@@ -562,7 +556,7 @@ class Measurements(Tabular):
                 f"{frequencies_text} Hz"
             )
             raise InputError("modes", list(modes), allowed_text)
-        frequencies, deviations = (mode_rows[:, 0].tolist(), mode_rows[:, 1].tolist())
+        frequencies, deviations, _ = mode_rows.T.tolist()
         return cls.from_arrays(quantity, frequencies, deviations, mode=mode_numbers)
 
     @classmethod
@@ -599,10 +593,11 @@ class Measurements(Tabular):
 
     def to_dict(self) -> dict[str, Any]:
         """Return columns by name, with empty cells, as :meth:`from_csv` reads them."""
-        column_names = [measurement_field.name for measurement_field in fields(Measurement)]
         values_by_column = {
-            column_name: [getattr(measurement, column_name) for measurement in self.rows]
-            for column_name in column_names
+            measurement_field.name: [
+                getattr(measurement, measurement_field.name) for measurement in self.rows
+            ]
+            for measurement_field in fields(Measurement)
         }
         values_by_column["mode"] = [mode or "" for mode in values_by_column["mode"]]
         for column_name in ("frequency", "phase", "rpm", "temperature"):
@@ -673,12 +668,9 @@ def _read_csv_measurements(path: str | Path) -> list[Measurement]:
         ):
             allowed_text = f"in {' or '.join(allowed_units)}" if allowed_units else "without a unit"
             raise InputError("measurements", f"{path}: the column {cell}", allowed_text)
-    factor_by_column = {
-        column_name: column_factor
-        for column_name, (_, column_factor) in zip(
-            column_names, si_headings_and_factors, strict=True
-        )
-    }
+    factor_by_column = dict(
+        zip(column_names, (factor for _, factor in si_headings_and_factors), strict=True)
+    )
     measurements = []
     for line_number, cells in numbered_table_rows:
         try:

@@ -264,35 +264,33 @@ class UncrackedPlate:
         slopes_by_mode = np.broadcast_to(
             is_natural_frequency & (mode_numbers == 1 + np.arange(n_modes)), slope_shape
         )
-        slopes_by_crack = slopes_by_mode * is_cracked_frequency
-        slopes_by_damping = np.zeros((*slope_shape[:2], 1))
-        if not is_natural_frequency.all():
-            with np.errstate(invalid="ignore"):
-                log_bilinear_frequencies, log_uncracked_frequencies = np.split(
-                    np.log(frequency_split_root_and_frequencies[..., 1:]), 2, axis=2
-                )
-            log_frequency_shifts_by_crack = np.nan_to_num(
-                log_bilinear_frequencies - log_uncracked_frequencies
-            )[..., :n_modes]
-            pole_slopes, damping_slopes = _differentiate_harmonic_logs(
-                features, damping_ratio_of_points, frequency_split_root_and_frequencies
+        with np.errstate(invalid="ignore"):
+            log_bilinear_frequencies, log_uncracked_frequencies = np.split(
+                np.log(frequency_split_root_and_frequencies[..., 1:]), 2, axis=2
             )
-            first_pole_slopes, first_damping_slopes = _differentiate_harmonic_logs(
-                replace_by_driving_first_harmonics(features),
-                damping_ratio_of_points,
-                frequency_split_root_and_frequencies,
-            )
-            pole_slopes = (
-                pole_slopes + compute_log_factors_by_first_harmonic(first_pole_slopes, features)
-            )[..., :n_modes]
-            slopes_by_mode = np.where(is_natural_frequency, slopes_by_mode, pole_slopes)
-            slopes_by_crack = np.where(
-                is_natural_frequency, slopes_by_crack, pole_slopes * log_frequency_shifts_by_crack
-            )
-            slopes_by_damping = (
-                damping_slopes
-                + compute_log_factors_by_first_harmonic(first_damping_slopes, features)
-            ).sum(axis=2)[..., None]
+        log_frequency_shifts_by_crack = np.nan_to_num(
+            log_bilinear_frequencies - log_uncracked_frequencies
+        )[..., :n_modes]
+        pole_slopes, damping_slopes = _differentiate_harmonic_logs(
+            features, damping_ratio_of_points, frequency_split_root_and_frequencies
+        )
+        first_pole_slopes, first_damping_slopes = _differentiate_harmonic_logs(
+            replace_by_driving_first_harmonics(features),
+            damping_ratio_of_points,
+            frequency_split_root_and_frequencies,
+        )
+        pole_slopes = (
+            pole_slopes + compute_log_factors_by_first_harmonic(first_pole_slopes, features)
+        )[..., :n_modes]
+        damping_slopes = damping_slopes + compute_log_factors_by_first_harmonic(
+            first_damping_slopes, features
+        )
+        slopes_by_crack = np.where(
+            is_natural_frequency,
+            slopes_by_mode * is_cracked_frequency,
+            pole_slopes * log_frequency_shifts_by_crack,
+        )
+        slopes_by_mode = np.where(is_natural_frequency, slopes_by_mode, pole_slopes)
         harmonic_size_changes = np.zeros(mode_sensitivities.shape[2])  # of harmonics
         harmonic_size_changes[:3] = np.multiply(
             self._young_density_thickness_deviations, (-1.0, 0.0, -1.0)
@@ -307,7 +305,8 @@ class UncrackedPlate:
             np.einsum("mfn,fns->mfs", slopes_by_mode * ~is_cracked_frequency, mode_sensitivities)
             + ~is_natural_frequency * harmonic_size_changes,
             independent_crack_deviation * slopes_by_crack,
-            (0.0 if is_damping_unknown else identify_table.damping_deviation) * slopes_by_damping,
+            (0.0 if is_damping_unknown else identify_table.damping_deviation)
+            * damping_slopes.sum(axis=2, keepdims=True),
         ]
         return np.concatenate(sensitivity_blocks, axis=2)
 
@@ -317,18 +316,15 @@ class UncrackedPlate:
 
         0 for a quantity that is an unknown.
         """
-        identify_table = self.identify_table
         unknown_keys = {unknown_axis.key for unknown_axis in self.identify_table.unknown}
-        prior_keys = ("material.young", "material.density", "geometry.thickness")
-        relative_deviations = (
-            identify_table.young_deviation,
-            identify_table.density_deviation,
-            identify_table.thickness_deviation,
-        )
-        keys_and_deviations = zip(prior_keys, relative_deviations, strict=True)
+        deviation_by_key = {
+            "material.young": self.identify_table.young_deviation,
+            "material.density": self.identify_table.density_deviation,
+            "geometry.thickness": self.identify_table.thickness_deviation,
+        }
         return [
             0.0 if key in unknown_keys else relative_deviation
-            for key, relative_deviation in keys_and_deviations
+            for key, relative_deviation in deviation_by_key.items()
         ]
 
     def compute_clamp_and_temperature_sensitivities(
@@ -398,19 +394,22 @@ class UncrackedPlate:
                     f"so that the value seems to be in {unit_name}"
                 )
                 raise InputError(f"measurements.frequency, {row.name}", row.frequency, allowed_text)
-        rows = [row for row in measurements.rows if row.is_natural_frequency and row.value > 0.0]
-        rows = [row for row in rows if row.mode <= len(self.natural_frequencies_hz)]
-        speed_ratios = [
-            1.0 if np.isnan(row.rpm) else RAD_PER_S_PER_RPM * row.rpm / self.rotor_speed
-            for row in rows
+        rows = [
+            row
+            for row in measurements.rows
+            if row.is_natural_frequency
+            and row.value > 0.0
+            and row.mode <= len(self.natural_frequencies_hz)
         ]
-        plate_frequencies_of_rows = [
-            self.solve_modes_at(speed_ratio)[0] / RAD_PER_TURN for speed_ratio in speed_ratios
-        ]
-        rows_and_frequencies = zip(rows, plate_frequencies_of_rows, strict=True)
+        plate_frequencies_of_rows = []
+        for row in rows:
+            speed_ratio = (
+                1.0 if np.isnan(row.rpm) else RAD_PER_S_PER_RPM * row.rpm / self.rotor_speed
+            )
+            plate_frequencies_of_rows.append(self.solve_modes_at(speed_ratio)[0] / RAD_PER_TURN)
         guessed_unit_names = [
             _guess_frequency_unit_or_empty(row.value / plate_frequencies[row.mode - 1])
-            for row, plate_frequencies in rows_and_frequencies
+            for row, plate_frequencies in zip(rows, plate_frequencies_of_rows, strict=True)
         ]
         for unit_name in FACTOR_FROM_HZ_BY_UNIT:
             have_unit = [guessed_unit_name == unit_name for guessed_unit_name in guessed_unit_names]

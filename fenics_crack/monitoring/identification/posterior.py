@@ -7,7 +7,7 @@ have a covariance T(x):
 
 Since det V is at least det diag(e^2), both terms are squares, and least squares find the maxima. If
 a crack may breathe or not, L is the sum over both, each with its probability
-(:meth:`fenics_crack.monitoring.identification.model.MeasurementPredictor.iterate_face_state_predictions`).
+(:meth:`fenics_crack.monitoring.identification.predictor.MeasurementPredictor.iterate_face_state_predictions`).
 
 The prior is uniform between the bounds. A crack differs from the equivalent straight and sharp
 crack. L is convolved on the grid with the distribution of the difference
@@ -19,8 +19,7 @@ Algorithms, 2003, chapter 28).
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from itertools import product
@@ -34,8 +33,11 @@ from scipy.optimize import least_squares
 from scipy.special import chdtrc, logsumexp
 
 from fenics_crack.monitoring.identification.interpolation import UnknownGrid
-from fenics_crack.monitoring.identification.model import MeasurementPrediction, MeasurementPredictor
 from fenics_crack.monitoring.identification.options import OPTIONS
+from fenics_crack.monitoring.identification.predictor import (
+    MeasurementPrediction,
+    MeasurementPredictor,
+)
 
 FIRST_GRID_COUNT_BY_DIMENSION = {1: 200, 2: 45, 3: 17}
 """Values per unknown in the posterior's first grid, by number of unknowns; else 9."""
@@ -215,7 +217,7 @@ class Likelihood:
             for measurement, is_kept_row in zip(self.predictor.rows, is_kept, strict=True)
             if is_kept_row
         ]
-        predictor = self.predictor.model.make_predictor(kept_rows)
+        predictor = self.predictor.make_predictor(kept_rows)
         return Likelihood(
             self.measurement_values[is_kept], self.measurement_deviations[is_kept], predictor
         )
@@ -266,6 +268,11 @@ class Optimum:
     log_likelihood: float
     covariance: np.ndarray
 
+    @property
+    def deviations(self) -> np.ndarray:
+        """Return the standard deviations of the unknowns: (d,)."""
+        return np.sqrt(np.diag(self.covariance))
+
 
 class PosteriorBranch:
     """Posterior on a grid of the unknowns, for one choice of text values.
@@ -297,65 +304,50 @@ class PosteriorBranch:
             self.prior_masses = np.ones(())
             self.optima = [Optimum(np.zeros(0), float(self.grid_log_likelihood), np.zeros((0, 0)))]
             return
-        first_axes = _build_first_axes(unknown_grid)
-        first_grid_log_likelihood = _evaluate_log_likelihood(
-            likelihood, _build_grid_points(first_axes)
-        ).reshape([len(axis) for axis in first_axes])
-        self.optima = _find_optima(likelihood, first_axes, first_grid_log_likelihood)
+        first_grid = build_first_grid(unknown_grid)
+        first_grid_log_likelihood = _evaluate_log_likelihood(likelihood, first_grid.nodes).reshape(
+            first_grid.shape
+        )
+        self.optima = _find_optima(likelihood, first_grid, first_grid_log_likelihood)
         model = likelihood.predictor.model
         best_optima = self.optima[:3]
-        optimum_half_widths = [
-            OPTIONS.refined_half_width_in_deviations * np.sqrt(np.diag(optimum.covariance))
-            for optimum in best_optima
-        ]
-        crack_half_widths = [
-            OPTIONS.refined_half_width_in_deviations
-            * model.compute_deviations_from_equivalent_crack(optimum.x[None])[0]
-            for optimum in best_optima
-        ]
-        refined_axes = []
-        for unknown_index, (axis, lower_bound, upper_bound) in enumerate(
-            zip(first_axes, unknown_grid.lower_bounds, unknown_grid.upper_bounds, strict=True)
-        ):
-            axis_pieces = [axis]
-            for optimum, optimum_half_width, crack_half_width in zip(
-                best_optima, optimum_half_widths, crack_half_widths, strict=True
-            ):
-                for half_width in (
-                    optimum_half_width[unknown_index],
-                    math.hypot(optimum_half_width[unknown_index], crack_half_width[unknown_index]),
-                ):
-                    axis_piece = optimum.x[unknown_index] + half_width * np.linspace(
-                        -1.0, 1.0, REFINED_GRID_COUNT_BY_DIMENSION.get(n_unknowns, 7)
-                    )
-                    axis_pieces.append(
-                        axis_piece[(axis_piece > lower_bound) & (axis_piece < upper_bound)]
-                    )
-            refined_axes.append(np.unique(np.concatenate(axis_pieces)))
-        axis_weights = [trapezoid(np.eye(len(axis)), axis) / np.ptp(axis) for axis in refined_axes]
-        self.axes, self.prior_masses = tuple(refined_axes), reduce(np.multiply.outer, axis_weights)
-        grid_points = _build_grid_points(refined_axes)
+        half_width_fractions = np.linspace(
+            -1.0, 1.0, REFINED_GRID_COUNT_BY_DIMENSION.get(n_unknowns, 7)
+        )
+        added_values = []
+        for optimum in best_optima:
+            crack_deviations = model.compute_deviations_from_equivalent_crack(optimum.x[None])[0]
+            for deviations in (optimum.deviations, np.hypot(optimum.deviations, crack_deviations)):
+                half_widths = OPTIONS.refined_half_width_in_deviations * deviations
+                added_values.append(optimum.x + np.outer(half_width_fractions, half_widths))
+        self.axes = tuple(
+            np.unique(np.concatenate([axis, values[(values > axis[0]) & (values < axis[-1])]]))
+            for axis, values in zip(first_grid.axes, np.vstack(added_values).T, strict=True)
+        )
+        axis_weights = [trapezoid(np.eye(len(axis)), axis) / np.ptp(axis) for axis in self.axes]
+        self.prior_masses = reduce(np.multiply.outer, axis_weights)
+        grid_points = UnknownGrid(self.axes).nodes
         # Interpolate on the first grid where all of it around a point is far below the maximum.
         neighbourhood_maxima = maximum_filter(first_grid_log_likelihood, size=3, mode="nearest")
         log_likelihood_limit = self.optima[0].log_likelihood - OPTIONS.allowed_grid_log_drop
         is_evaluated = (
-            RegularGridInterpolator(first_axes, neighbourhood_maxima)(grid_points)
+            RegularGridInterpolator(first_grid.axes, neighbourhood_maxima)(grid_points)
             > log_likelihood_limit
         )
-        for optimum, optimum_half_width in zip(best_optima, optimum_half_widths, strict=True):
-            is_evaluated |= np.all(np.abs(grid_points - optimum.x) < optimum_half_width, axis=1)
-        refined_log_likelihood = RegularGridInterpolator(first_axes, first_grid_log_likelihood)(
-            grid_points
-        )
+        for optimum in best_optima:
+            half_widths = OPTIONS.refined_half_width_in_deviations * optimum.deviations
+            is_evaluated |= np.all(np.abs(grid_points - optimum.x) < half_widths, axis=1)
+        refined_log_likelihood = RegularGridInterpolator(
+            first_grid.axes, first_grid_log_likelihood
+        )(grid_points)
         refined_log_likelihood[is_evaluated] = _evaluate_log_likelihood(
             likelihood, grid_points[is_evaluated]
         )
-        crack_deviations = model.compute_deviations_from_equivalent_crack(grid_points)
         self.grid_log_likelihood = _convolve_with_crack_deviations(
             refined_log_likelihood.reshape(self.prior_masses.shape),
-            refined_axes,
+            self.axes,
             axis_weights,
-            crack_deviations,
+            model.compute_deviations_from_equivalent_crack(grid_points),
         )
 
     @property
@@ -378,11 +370,8 @@ class PosteriorBranch:
         """
         if not self.axes:
             return float(self.grid_log_likelihood)
-        bounded_x = np.clip(
-            x,
-            [axis_values[0] for axis_values in self.axes],
-            [axis_values[-1] for axis_values in self.axes],
-        )
+        grid = UnknownGrid(self.axes)
+        bounded_x = np.clip(x, grid.lower_bounds, grid.upper_bounds)
         return float(RegularGridInterpolator(self.axes, self.grid_log_likelihood)(bounded_x)[0])
 
     def compute_explaining_points_and_shares(self) -> tuple[np.ndarray, np.ndarray]:
@@ -401,7 +390,7 @@ class PosteriorBranch:
         share_arrays = [np.zeros((0, len(self.axes), len(likelihood.measurement_values)))]
         grid_points_and_optima = np.vstack(
             [
-                build_first_grid_points(likelihood.predictor.model.unknown_grid),
+                build_first_grid(likelihood.predictor.model.unknown_grid).nodes,
                 *(optimum.x for optimum in self.optima),
             ]
         )
@@ -420,7 +409,7 @@ class PosteriorBranch:
 
 def _convolve_with_crack_deviations(
     log_likelihood: np.ndarray,
-    axes: list[np.ndarray],
+    axes: Sequence[np.ndarray],
     axis_weights: list[np.ndarray],
     crack_deviations: np.ndarray,
 ) -> np.ndarray:
@@ -470,25 +459,18 @@ def _convolve_with_crack_deviations(
     )
 
 
-def _build_first_axes(unknown_grid: UnknownGrid) -> list[np.ndarray]:
-    """Return equally spaced values of each unknown for the first grid.
+def build_first_grid(unknown_grid: UnknownGrid) -> UnknownGrid:
+    """Return the posterior's first grid, equally spaced along each unknown.
 
     The number of values is in :data:`FIRST_GRID_COUNT_BY_DIMENSION`.
     """
     n_values = FIRST_GRID_COUNT_BY_DIMENSION.get(len(unknown_grid.axes), 9)
-    return [
-        np.linspace(axis_values[0], axis_values[-1], n_values) for axis_values in unknown_grid.axes
-    ]
-
-
-def build_first_grid_points(unknown_grid: UnknownGrid) -> np.ndarray:
-    """Return all points of the posterior's first grid: (n, d)."""
-    return _build_grid_points(_build_first_axes(unknown_grid))
-
-
-def _build_grid_points(axes: list[np.ndarray]) -> np.ndarray:
-    """Return all combinations of axis values, the last unknown fastest: (n, d)."""
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+    return UnknownGrid(
+        tuple(
+            np.linspace(axis_values[0], axis_values[-1], n_values)
+            for axis_values in unknown_grid.axes
+        )
+    )
 
 
 def _evaluate_log_likelihood(likelihood: Likelihood, points: np.ndarray) -> np.ndarray:
@@ -504,46 +486,36 @@ def _split_points_into_batches(points: np.ndarray) -> list[np.ndarray]:
 
 
 def _find_optima(
-    likelihood: Likelihood, axes: list[np.ndarray], log_likelihood: np.ndarray
+    likelihood: Likelihood, first_grid: UnknownGrid, log_likelihood: np.ndarray
 ) -> list[Optimum]:
     """Find maxima of the likelihood by least squares.
 
-    The best 8 local maxima of ``log_likelihood`` on the grid of ``axes`` are starts. Left out are
-    optima within one standard deviation of a better one in every unknown, and optima with a
-    log-likelihood more than 8 below the best.
+    The best 8 local maxima of ``log_likelihood`` on ``first_grid`` are starts. Left out are optima
+    within one standard deviation of a better one in every unknown, and optima with a log-likelihood
+    more than 8 below the best.
     """
-    local_maximum_indices = np.argwhere(
+    local_maximum_indices = np.flatnonzero(
         log_likelihood == maximum_filter(log_likelihood, size=3, mode="nearest")
     )
-    start_grid_indices = sorted(
-        local_maximum_indices, key=lambda grid_index: -log_likelihood[tuple(grid_index)]
+    start_indices = sorted(
+        local_maximum_indices, key=lambda node_index: -log_likelihood.flat[node_index]
     )[: OPTIONS.max_least_squares_starts]
     optima: list[Optimum] = []
     unknown_grid = likelihood.predictor.model.unknown_grid
     lower_bounds = unknown_grid.lower_bounds
-    unknown_ranges = unknown_grid.upper_bounds - unknown_grid.lower_bounds
-    for grid_index in start_grid_indices:
-        start_point = np.array(
-            [
-                axis_values[axis_index]
-                for axis_values, axis_index in zip(axes, grid_index, strict=True)
-            ]
+    unknown_ranges = unknown_grid.upper_bounds - lower_bounds
+
+    def compute_residuals_at_fractions(fractions: np.ndarray) -> np.ndarray:
+        return likelihood.compute_residuals((lower_bounds + unknown_ranges * fractions)[None])[0]
+
+    def compute_slopes_at_fractions(fractions: np.ndarray) -> np.ndarray:
+        fraction_steps = np.diag(np.where(fractions < 0.5, 1e-6, -1e-6))  # of the ranges, inwards
+        residual_rows = likelihood.compute_residuals(
+            lower_bounds + unknown_ranges * np.vstack([fractions, fractions + fraction_steps])
         )
+        return np.asarray((residual_rows[1:] - residual_rows[0]).T / np.diag(fraction_steps))
 
-        def compute_residuals_at_fractions(fractions: np.ndarray) -> np.ndarray:
-            return likelihood.compute_residuals((lower_bounds + unknown_ranges * fractions)[None])[
-                0
-            ]
-
-        def compute_slopes_at_fractions(fractions: np.ndarray) -> np.ndarray:
-            fraction_steps = np.diag(
-                np.where(fractions < 0.5, 1e-6, -1e-6)
-            )  # of the ranges, inwards
-            residual_rows = likelihood.compute_residuals(
-                lower_bounds + unknown_ranges * np.vstack([fractions, fractions + fraction_steps])
-            )
-            return np.asarray((residual_rows[1:] - residual_rows[0]).T / np.diag(fraction_steps))
-
+    for start_point in first_grid.nodes[start_indices]:
         fractions = np.clip((start_point - lower_bounds) / unknown_ranges, 1e-6, 1.0 - 1e-6)
         least_squares_fit = least_squares(
             compute_residuals_at_fractions,
@@ -566,13 +538,12 @@ def _find_optima(
     optima.sort(key=lambda optimum: -optimum.log_likelihood)
     distinct_optima: list[Optimum] = []
     for optimum in optima:
-        near_optimum_flags = (
-            np.all((optimum.x - distinct_optimum.x) ** 2 < np.diag(distinct_optimum.covariance))
-            for distinct_optimum in distinct_optima
+        is_near_better_optimum = any(
+            np.all(np.abs(optimum.x - better_optimum.x) < better_optimum.deviations)
+            for better_optimum in distinct_optima
         )
-        if optimum.log_likelihood > optima[
-            0
-        ].log_likelihood - OPTIONS.allowed_optimum_log_drop and not any(near_optimum_flags):
+        log_drop = optima[0].log_likelihood - optimum.log_likelihood
+        if log_drop < OPTIONS.allowed_optimum_log_drop and not is_near_better_optimum:
             distinct_optima.append(optimum)
     return distinct_optima
 
@@ -591,8 +562,8 @@ class Posterior:
     def __init__(self, branch_by_words: Mapping[str, PosteriorBranch]) -> None:
         self.branch_by_words = dict(branch_by_words)
         log_evidences = [branch.log_evidence for branch in self.branch_by_words.values()]
-        self.log_evidence = float(logsumexp(log_evidences) - np.log(len(log_evidences)))
         log_evidence_sum = logsumexp(log_evidences)
+        self.log_evidence = float(log_evidence_sum - np.log(len(log_evidences)))
         self.grid_masses_by_words = {
             words_text: np.exp(branch.grid_log_likelihood - log_evidence_sum) * branch.prior_masses
             for words_text, branch in self.branch_by_words.items()
@@ -729,17 +700,19 @@ class Posterior:
         self, unknown_index: int
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return an unknown's grid values in ascending order, with probabilities: (n,) each."""
-        value_arrays, mass_arrays = [], []
-        for words_text, branch in self.branch_by_words.items():
-            other_axes = tuple(
-                axis_index for axis_index in range(len(branch.axes)) if axis_index != unknown_index
-            )
-            value_arrays.append(branch.axes[unknown_index])
-            mass_arrays.append(self.grid_masses_by_words[words_text].sum(axis=other_axes))
-        sorted_value_indices = np.argsort(np.concatenate(value_arrays), kind="stable")
-        return np.concatenate(value_arrays)[sorted_value_indices], np.concatenate(mass_arrays)[
-            sorted_value_indices
-        ]
+        unknown_values = np.concatenate(
+            [branch.axes[unknown_index] for branch in self.branch_by_words.values()]
+        )
+        value_masses = np.concatenate(
+            [
+                np.moveaxis(point_masses, unknown_index, 0)
+                .reshape(point_masses.shape[unknown_index], -1)
+                .sum(axis=1)
+                for point_masses in self.grid_masses_by_words.values()
+            ]
+        )
+        sorted_value_indices = np.argsort(unknown_values, kind="stable")
+        return unknown_values[sorted_value_indices], value_masses[sorted_value_indices]
 
     def compute_interval(self, unknown_index: int, probability: float) -> tuple[float, float]:
         """Return the equal-tailed credible interval of an unknown with a probability."""
@@ -769,16 +742,7 @@ class Posterior:
                 is_part_point = part_numbers == part_number
                 point_masses = self.grid_masses_by_words[words_text][is_part_point]
                 if point_masses.sum() >= min_probability:
-                    grid_indices = np.argwhere(is_part_point)
-                    unknown_columns = [
-                        axis_values[axis_indices]
-                        for axis_values, axis_indices in zip(
-                            branch.axes, grid_indices.T, strict=True
-                        )
-                    ]
-                    part_points = (
-                        np.stack(unknown_columns, axis=1) if unknown_columns else np.zeros((1, 0))
-                    )
+                    part_points = UnknownGrid(branch.axes).nodes[is_part_point.ravel()]
                     part_middle = point_masses @ part_points / point_masses.sum()
                     if branch.interpolate_log_likelihood(part_middle) < border_log_likelihood:
                         part_widths = np.ptp(part_points, axis=0) + np.finfo(float).tiny
@@ -803,16 +767,13 @@ class Posterior:
         Both results are for one choice of text values, ``words_text``. The density is the
         probability over the prior's.
         """
-        mass_and_prior = (
-            self.grid_masses_by_words[words_text],
-            self.branch_by_words[words_text].prior_masses,
+        pair_mass, pair_prior = (
+            np.moveaxis(point_array, (first_unknown_index, second_unknown_index), (0, 1)).sum(
+                axis=tuple(range(2, point_array.ndim))
+            )
+            for point_array in (
+                self.grid_masses_by_words[words_text],
+                self.branch_by_words[words_text].prior_masses,
+            )
         )
-        other_axes = tuple(
-            axis_index
-            for axis_index in range(mass_and_prior[0].ndim)
-            if axis_index not in (first_unknown_index, second_unknown_index)
-        )
-        pair_mass, pair_prior = (point_array.sum(axis=other_axes) for point_array in mass_and_prior)
-        if first_unknown_index > second_unknown_index:
-            pair_mass, pair_prior = pair_mass.T, pair_prior.T
         return pair_mass, pair_mass / pair_prior

@@ -166,12 +166,22 @@ def _parse_response(
         for start_column in (30, 43)
     )
     motion_code = int(heading_texts[9][:10])
-    if number_type_code not in NUMPY_TYPE_TEXT_BY_CODE:
-        raise ValueError("a frequency response has numbers that are not complex")
-    if motion_code not in DERIVATIVE_ORDER_BY_CODE:
-        raise ValueError("a frequency response is not of a displacement, velocity or acceleration")
-    if byte_order and not is_equally_spaced:
-        raise ValueError("a binary frequency response has lines that are not equally spaced")
+    for is_unreadable, reason_text in (
+        (
+            number_type_code not in NUMPY_TYPE_TEXT_BY_CODE,
+            "a frequency response has numbers that are not complex",
+        ),
+        (
+            motion_code not in DERIVATIVE_ORDER_BY_CODE,
+            "a frequency response is not of a displacement, velocity or acceleration",
+        ),
+        (
+            byte_order and not is_equally_spaced,
+            "a binary frequency response has lines that are not equally spaced",
+        ),
+    ):
+        if is_unreadable:
+            raise ValueError(reason_text)
     if byte_order:
         response_numbers = np.frombuffer(
             number_bytes, byte_order + NUMPY_TYPE_TEXT_BY_CODE[number_type_code]
@@ -283,15 +293,10 @@ def _find_line_slice_around_peak(
     min_power : float
         Minimum power. The slice also ends before a frequency with more power than the peak.
     """
-    excluded_indices = np.flatnonzero(
-        (response_power < min_power) | (response_power > response_power[peak_index])
-    )
-    excluded_before_peak = excluded_indices[excluded_indices < peak_index]
-    excluded_after_peak = excluded_indices[excluded_indices > peak_index]
-    return slice(
-        excluded_before_peak[-1] + 1 if len(excluded_before_peak) else 0,
-        excluded_after_peak[0] if len(excluded_after_peak) else len(response_power),
-    )
+    is_excluded = (response_power < min_power) | (response_power > response_power[peak_index])
+    excluded_indices = np.concatenate([[-1], np.flatnonzero(is_excluded), [len(response_power)]])
+    next_position = int(np.searchsorted(excluded_indices, peak_index))
+    return slice(excluded_indices[next_position - 1] + 1, excluded_indices[next_position])
 
 
 def _fit_mode_or_none(

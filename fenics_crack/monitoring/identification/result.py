@@ -1,23 +1,11 @@
-"""Result of an identification, and the information of further measurements.
-
-With predictions s and the covariance V of measurements and predictions, the Fisher information of
-the unknowns x is
-
-    F = (ds / dx)^T V^-1 (ds / dx) + P,
-
-with the prior's information P. One more measurement changes F to F', and adds in nats
-
-    log(det F' / det F) / 2
-
-(A. C. Atkinson, A. N. Donev and R. D. Tobias, Optimum Experimental Designs, 2007, chapter 11:
-D-optimality).
-"""
+"""Result of an identification: unknowns with intervals, the verdict, and its reasons in words."""
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -25,31 +13,22 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.basics.atomic_files import write_file_whole
-from fenics_crack.basics.errors import InputError, check_number
-from fenics_crack.basics.suggestions import with_old_names
+from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import Table, Tabular, format_count
 from fenics_crack.files.store import IDENTIFICATION_KIND, write_result_file
 from fenics_crack.monitoring.identification.measurements import Measurement, Measurements
-from fenics_crack.monitoring.identification.model import (
-    ForwardModel,
-    MeasurementPredictor,
-    ProbeDisplacements,
-)
 from fenics_crack.monitoring.identification.nuisance import CRACK_SIZE_KEYS
 from fenics_crack.monitoring.identification.options import OPTIONS
-from fenics_crack.monitoring.identification.posterior import (
-    Likelihood,
-    Posterior,
-    PosteriorBranch,
-    add_uniform_prior_information,
-    compute_scaled_covariance,
+from fenics_crack.monitoring.identification.posterior import Posterior, PosteriorBranch
+from fenics_crack.monitoring.identification.worth import (
+    Worth,
+    list_advice_texts,
+    rank_measurements_by_information,
 )
 from fenics_crack.scene.keys import unit_of_key
 from fenics_crack.scene.result_tables import Identify
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import key_in_words, value_in_words
-
-# --- where to measure -----------------------------------------------------------------------------
 
 FIT_COLUMN_NAMES = "measurement", "value", "deviation", "predicted", "of the model", "residual"
 """Columns of the table that compares measurements with predictions.
@@ -57,358 +36,6 @@ FIT_COLUMN_NAMES = "measurement", "value", "deviation", "predicted", "of the mod
 "of the model" is the standard deviation of a prediction.
 """
 
-
-@with_old_names(
-    information="information_gains", deviations="improved_deviations_by_key",
-    now="current_deviation_by_key",
-)  # fmt: skip
-@dataclass(frozen=True, repr=False)
-class Worth(Tabular):
-    """Result of :meth:`Identification.where_to_measure`: candidates, most informative first.
-
-    Attributes
-    ----------
-    measurements : tuple of Measurement
-        n candidates for one more measurement, with predicted values and assumed standard
-        deviations.
-    information_gains : (n,)
-        Information that each adds [nats].
-    improved_deviations_by_key : dict of str to (n,)
-        Standard deviation of each unknown with the candidate, by key.
-    current_deviation_by_key : dict of str to float
-        Standard deviation of each unknown without a further measurement, by key.
-    """
-
-    measurements: tuple[Measurement, ...]
-    information_gains: np.ndarray
-    improved_deviations_by_key: dict[str, np.ndarray]
-    current_deviation_by_key: dict[str, float]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return columns by name, with a row for every candidate."""
-        rows = self.measurements
-        values_by_column: dict[str, Any] = {
-            "measurement": [measurement.name for measurement in rows],
-            "value": [measurement.value for measurement in rows],
-            "deviation": [measurement.deviation for measurement in rows],
-            "information": self.information_gains.tolist(),
-        }
-        return values_by_column | {
-            f"left_of_{key}": deviation_array.tolist()
-            for key, deviation_array in self.improved_deviations_by_key.items()
-        }
-
-    def _unit_by_name(self) -> Mapping[str, str]:
-        unit_by_column = {
-            f"left_of_{key}": unit_of_key(key) for key in self.current_deviation_by_key
-        }
-        return unit_by_column | {"information": "nats"}
-
-    def _repr_text(self) -> str:
-        if not self.measurements:
-            return "nothing to measure"
-        return f"{self.measurements[0].name} adds {self.information_gains[0]:.3g} nats"
-
-
-def rank_measurements_by_information(
-    likelihood: Likelihood,
-    x: np.ndarray,
-    measurements: Sequence[Measurement] | None,
-    default_relative_deviations: tuple[float, float],
-) -> Worth:
-    """Rank candidates for one more measurement by the information that each adds.
-
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Measurements made, and their predictor.
-    x : (d,)
-        Estimate of the unknowns.
-    measurements : sequence of Measurement, optional
-        Candidates; None for the default ones: natural frequencies, ratios of harmonics, and
-        displacements at further probes.
-    default_relative_deviations : (float, float)
-        Relative standard deviations of default candidates: frequencies, and ratios of harmonics.
-
-    Raises
-    ------
-    InputError
-        A standard deviation is not > 0, or a measurement does not fit the forward model.
-    """
-    argument_names = ("frequency_deviation", "harmonic_deviation")
-    for argument_name, deviation in zip(argument_names, default_relative_deviations, strict=True):
-        check_number(argument_name, deviation, 0.0, excludes_bound=True)
-    model, measured_rows = likelihood.predictor.model, likelihood.predictor.rows
-    candidate_rows = tuple(measurements or ())
-    for measurement in candidate_rows:
-        measurement.check(model.scene)
-    if measurements is None:
-        candidate_rows = (*model.list_candidates(), *_list_probe_candidates(measured_rows))
-    n_measured_rows = len(measured_rows)
-    predictor = model.make_predictor(measured_rows, candidate_rows)
-    predictions = predictor(x[None]).values[0]
-    candidate_deviations = np.array([measurement.deviation for measurement in candidate_rows])
-    if measurements is None:
-        candidate_deviations = _assume_candidate_deviations(
-            candidate_rows, predictions[n_measured_rows:], default_relative_deviations
-        )
-    is_usable = np.isfinite(predictions[n_measured_rows:]) & (candidate_deviations > 0.0)
-    all_deviations = np.concatenate(
-        [likelihood.measurement_deviations, np.where(is_usable, candidate_deviations, 1.0)]
-    )
-    covariance_and_slopes = _compute_scaled_covariance_and_slopes(predictor, x, all_deviations)
-    measured_indices = np.arange(n_measured_rows)
-    measured_log_information, measured_deviation_by_key = _compute_information_and_deviations(
-        model, x, covariance_and_slopes, measured_indices
-    )
-    candidate_results = [
-        _compute_information_and_deviations(
-            model,
-            x,
-            covariance_and_slopes,
-            np.append(measured_indices, n_measured_rows + candidate_index),
-        )
-        for candidate_index in range(len(candidate_rows))
-    ]
-    candidate_log_information = np.array(
-        [log_information for log_information, _ in candidate_results]
-    )
-    # Below 0 by rounding.
-    information_gains = 0.5 * np.maximum(candidate_log_information - measured_log_information, 0.0)
-    ranked_indices = [
-        int(candidate_index)
-        for candidate_index in np.argsort(-information_gains, kind="stable")
-        if is_usable[candidate_index]
-    ]
-    return Worth(
-        tuple(
-            replace(
-                candidate_rows[candidate_index],
-                value=float(predictions[n_measured_rows + candidate_index]),
-                deviation=float(candidate_deviations[candidate_index]),
-            )
-            for candidate_index in ranked_indices
-        ),
-        information_gains[ranked_indices],
-        {
-            key: np.array(
-                [candidate_results[candidate_index][1][key] for candidate_index in ranked_indices]
-            )
-            for key in model.unknown_keys
-        },
-        measured_deviation_by_key,
-    )
-
-
-def _assume_candidate_deviations(
-    candidate_rows: Sequence[Measurement],
-    predictions: np.ndarray,
-    relative_deviations: tuple[float, float],
-) -> np.ndarray:
-    """Return the standard deviations of default candidates: (n,).
-
-    Displacements keep the median of measured ones. Others have the relative standard deviation of
-    frequencies or of ratios, times the ``predictions`` (n,).
-    """
-    own_deviations = np.array([measurement.deviation for measurement in candidate_rows])
-    is_at_probe = np.array(
-        [measurement.quantity == "displacement" for measurement in candidate_rows]
-    )
-    row_relative_deviations = np.where(
-        [measurement.is_natural_frequency for measurement in candidate_rows], *relative_deviations
-    )
-    return np.where(is_at_probe, own_deviations, row_relative_deviations * predictions)
-
-
-def list_advice_texts(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> list[str]:
-    """List advice on the next measurements, as sentences.
-
-    Advised are frequencies of the uncracked plate that are missing, and the most informative
-    candidate in ``worth``. Advice that changes no printed digit is left out. ``x`` (d,) is the
-    estimate.
-    """
-    model, measured_rows = likelihood.predictor.model, likelihood.predictor.rows
-    measured_modes = {
-        measurement.mode for measurement in measured_rows if measurement.is_natural_frequency
-    } or {1, 2}
-    calibrated_modes = {
-        measurement.mode
-        for measurement in measured_rows
-        if measurement.quantity == "frequency_uncracked"
-    }
-    advice_texts, relative_deviation = [], OPTIONS.advised_frequency_deviation
-    if model.coarse_cases.uncracked_cases is not None and (
-        missing_modes := sorted(measured_modes - calibrated_modes)
-    ):
-        missing_measurements = [
-            Measurement(
-                "frequency_uncracked",
-                natural_frequency,
-                relative_deviation * natural_frequency,
-                mode=mode,
-            )
-            for mode, natural_frequency in enumerate(
-                model.uncracked_plate.natural_frequencies_hz.tolist(), 1
-            )
-            if mode in missing_modes
-        ]
-        modes_text = (
-            f"{'ies' if len(missing_modes) > 1 else 'y'} {', '.join(map(str, missing_modes))}"
-        )
-        missing_frequencies_text = (
-            f"natural frequenc{modes_text} without the crack (frequency_uncracked)"
-        )
-        if gain_text := _describe_gain_or_empty(
-            worth.current_deviation_by_key,
-            _compute_deviation_by_key_with(likelihood, x, missing_measurements),
-        ):
-            advice_texts.append(
-                f"{missing_frequencies_text}, with a standard deviation of "
-                f"{relative_deviation:.1%}: {gain_text}"
-            )
-    if worth.measurements:
-        deviation_by_key = {
-            key: float(deviations[0])
-            for key, deviations in worth.improved_deviations_by_key.items()
-        }
-        if gain_text := _describe_gain_or_empty(worth.current_deviation_by_key, deviation_by_key):
-            advice_texts.append(f"{worth.measurements[0].name}: {gain_text}")
-    return advice_texts
-
-
-def _describe_gain_or_empty(
-    current_deviation_by_key: Mapping[str, float], improved_deviation_by_key: Mapping[str, float]
-) -> str:
-    """Describe how a measurement reduces the standard deviations of the unknowns.
-
-    An example is "crack length then ± 0.2 mm instead of ± 1 mm". Unknowns whose printed value stays
-    the same are left out; "" if all do.
-    """
-    keys_and_deviation_texts = (
-        (
-            key,
-            value_in_words(key, improved_deviation_by_key[key]),
-            value_in_words(key, current_deviation_by_key[key]),
-        )
-        for key in current_deviation_by_key
-    )
-    return ", ".join(
-        f"{key_in_words(key)} then ± {improved_text} instead of ± {current_text}"
-        for key, improved_text, current_text in keys_and_deviation_texts
-        if improved_text != current_text
-    )
-
-
-def _compute_deviation_by_key_with(
-    likelihood: Likelihood, x: np.ndarray, further_measurements: Sequence[Measurement]
-) -> dict[str, float]:
-    """Return the standard deviation of each unknown by key, with all further measurements.
-
-    ``x`` (d,) is the estimate.
-    """
-    model = likelihood.predictor.model
-    predictor = model.make_predictor(likelihood.predictor.rows, further_measurements)
-    all_deviations = np.concatenate(
-        [
-            likelihood.measurement_deviations,
-            [measurement.deviation for measurement in further_measurements],
-        ]
-    )
-    return _compute_information_and_deviations(
-        model,
-        x,
-        _compute_scaled_covariance_and_slopes(predictor, x, all_deviations),
-        np.arange(len(all_deviations)),
-    )[1]
-
-
-def _compute_information_and_deviations(
-    model: ForwardModel,
-    x: np.ndarray,
-    covariance_and_slopes: tuple[np.ndarray, np.ndarray],
-    row_indices: np.ndarray,
-) -> tuple[float, dict[str, float]]:
-    """Return log det of the Fisher information, and standard deviations.
-
-    Parameters
-    ----------
-    model : ForwardModel
-        Model with the unknowns.
-    x : (d,)
-        Estimate of the unknowns.
-    covariance_and_slopes : (q, q), (q, d)
-        As from :func:`_compute_scaled_covariance_and_slopes`.
-    row_indices : (n,)
-        Measurements to take into account.
-
-    Returns
-    -------
-    float
-        log det F of the Fisher information F, prior included.
-    dict of str to float
-        Standard deviation of each unknown by key.
-    """
-    selected_covariance = covariance_and_slopes[0][np.ix_(row_indices, row_indices)]
-    selected_slopes = covariance_and_slopes[1][row_indices]
-    fisher_information = add_uniform_prior_information(
-        selected_slopes.T @ np.linalg.solve(selected_covariance, selected_slopes)
-    )
-    equivalent_deviations = np.sqrt(np.diag(np.linalg.inv(fisher_information))) * (
-        model.unknown_grid.upper_bounds - model.unknown_grid.lower_bounds
-    )
-    crack_and_fit_deviations = np.hypot(
-        equivalent_deviations, model.compute_deviations_from_equivalent_crack(x[None])[0]
-    )
-    log_information = float(np.linalg.slogdet(fisher_information)[1])
-    return log_information, dict(
-        zip(model.unknown_keys, crack_and_fit_deviations.tolist(), strict=True)
-    )
-
-
-def _list_probe_candidates(measured_rows: Sequence[Measurement]) -> list[Measurement]:
-    """List displacements for a further probe, at 24 phases of the load's period.
-
-    The list is empty without measured displacements. Standard deviations are the median of those.
-    """
-    phases, candidates = 2.0 * np.pi * np.arange(24) / 24, []
-    for probe_group in ProbeDisplacements.group_displacements(measured_rows, ()):
-        group_rows = [measured_rows[row_index] for row_index in probe_group.row_indices]
-        median_deviation = float(np.median([measurement.deviation for measurement in group_rows]))
-        probe_row = replace(group_rows[0], value=0.0, deviation=median_deviation)
-        candidates += [replace(probe_row, phase=phase) for phase in phases.tolist()]
-    return candidates
-
-
-def _compute_scaled_covariance_and_slopes(
-    predictor: MeasurementPredictor, x: np.ndarray, deviations: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the covariance of measurements, and slopes of predictions, at values x (d,).
-
-    Returns
-    -------
-    covariance : (q, q)
-        Covariance V over products of the standard deviations (q,).
-    slopes : (q, d)
-        Derivatives of predictions over their standard deviations, by the unknowns over their
-        ranges; 0 without a prediction.
-    """
-    prediction, unknown_grid = predictor(x[None]), predictor.model.unknown_grid
-    scaled_covariance = compute_scaled_covariance(
-        prediction, np.nan_to_num(prediction.values[0]), deviations
-    )[0]
-    difference_step_matrix = np.diag(1e-3 * (unknown_grid.upper_bounds - unknown_grid.lower_bounds))
-    upper_points = np.minimum(x + difference_step_matrix, unknown_grid.upper_bounds)
-    lower_points = np.maximum(x - difference_step_matrix, unknown_grid.lower_bounds)
-    relative_distances = np.diag(upper_points - lower_points) / (
-        unknown_grid.upper_bounds - unknown_grid.lower_bounds
-    )
-    value_differences = predictor(upper_points).values - predictor(lower_points).values
-    scaled_slopes = (value_differences / relative_distances[:, None]).T / deviations[:, None]
-    scaled_slopes[~np.isfinite(scaled_slopes).all(axis=1)] = 0.0
-    return scaled_covariance, scaled_slopes
-
-
-# --- the result -----------------------------------------------------------------------------------
 
 NO_CRACK_VERDICT = "no crack"
 """Verdict that the plate has no crack."""
@@ -501,10 +128,8 @@ class Identification(Tabular):
         Unknowns with text values, as "left" for crack.edge, have no interval. The interval contains
         the unknown with the probability ``identify.confidence``.
         """
-        compute_interval = self.posterior.compute_interval
-        probability = self._identify_table.confidence
         return {
-            key: compute_interval(unknown_index, probability)
+            key: self.posterior.compute_interval(unknown_index, self._identify_table.confidence)
             for unknown_index, key in enumerate(self.unknown)
         }
 
@@ -514,8 +139,9 @@ class Identification(Tabular):
 
         nan if the crack cannot be removed from the scene.
         """
-        uncracked_log_evidence = np.nan if self.plain is None else self.plain.log_evidence
-        return self.posterior.log_evidence - uncracked_log_evidence
+        if self.plain is None:
+            return math.nan
+        return self.posterior.log_evidence - self.plain.log_evidence
 
     @property
     def verdict(self) -> str:
@@ -533,17 +159,15 @@ class Identification(Tabular):
         "no crack" comes with the sizes up to which a crack may exist all the same: the upper ends
         of :attr:`intervals`.
         """
-        keys_and_upper_ends = [
-            (key, upper_end)
+        if self.verdict != NO_CRACK_VERDICT:
+            return self.verdict
+        size_texts = [
+            f"{value_in_words(key, upper_end)} of {key_in_words(key)}"
             for key, (_, upper_end) in self.intervals.items()
             if key in CRACK_SIZE_KEYS
         ]
-        size_texts = [
-            f"{value_in_words(key, upper_end)} of {key_in_words(key)}"
-            for key, upper_end in keys_and_upper_ends
-        ]
         above_text = f" above {' or '.join(size_texts)}" if size_texts else " of the scene's size"
-        return self.verdict + above_text * (self.verdict == NO_CRACK_VERDICT)
+        return self.verdict + above_text
 
     @property
     def reason(self) -> str:
@@ -565,12 +189,11 @@ class Identification(Tabular):
                 "identify.uncracked",
             )
         required_p_value = 1.0 - prior_by_key["confidence"]
-        required_log_bayes_factor = prior_by_key["log_bayes_factor"]
-        crack_p_value = self.misfit[1]
-        uncracked_p_value = self.plain.misfit[1]
+        is_plate_possible = self.plain.misfit[1] >= required_p_value
         log_bayes_factor = self.log_bayes_factor
+        is_crack_favoured = log_bayes_factor > prior_by_key["log_bayes_factor"]
         bayes_factor_text = f"the log Bayes factor of crack over no crack is {log_bayes_factor:.3g}"
-        if max(crack_p_value, uncracked_p_value) < required_p_value:
+        if self.misfit[1] < required_p_value and not is_plate_possible:
             reason_text = (
                 "neither a crack of this kind nor a plate without one explains the measurements"
             )
@@ -579,34 +202,25 @@ class Identification(Tabular):
                 "measurement"
             )
             return undecided_verdict, f"{reason_text}; {alternatives_text} ({bayes_factor_text})"
-        if log_bayes_factor > required_log_bayes_factor and uncracked_p_value >= required_p_value:
+        plate_condition_text = _describe_unchanged_plate_condition_or_empty(self)
+        if is_crack_favoured and is_plate_possible:
             reason_text = (
                 "a plate without a crack, changed within the priors, explains the measurements, too"
             )
-            return (
-                undecided_verdict,
-                f"{reason_text} ({bayes_factor_text})"
-                f"{_describe_unchanged_plate_condition_or_empty(self)}",
-            )
-        if log_bayes_factor < -required_log_bayes_factor:
+            return undecided_verdict, f"{reason_text} ({bayes_factor_text}){plate_condition_text}"
+        if log_bayes_factor < -prior_by_key["log_bayes_factor"]:
             unseen_crack_text = (
                 f"{bayes_factor_text}; an undetected crack would have {_describe_intervals(self)}"
             )
-            return (
-                NO_CRACK_VERDICT,
-                unseen_crack_text + _describe_unchanged_plate_condition_or_empty(self),
-            )
-        conditions_text = _describe_single_crack_condition_or_empty(
-            self
-        ) + _describe_unchanged_plate_condition_or_empty(self)
-        if log_bayes_factor > required_log_bayes_factor:
-            return "crack", bayes_factor_text + _describe_warming_condition_or_empty(
-                self
-            ) + conditions_text
+            return NO_CRACK_VERDICT, unseen_crack_text + plate_condition_text
+        conditions_text = _describe_single_crack_condition_or_empty(self) + plate_condition_text
+        if is_crack_favoured:
+            warming_text = _describe_warming_condition_or_empty(self)
+            return "crack", f"{bayes_factor_text}{warming_text}{conditions_text}"
         return (
             undecided_verdict,
-            f"{bayes_factor_text}, within ±{required_log_bayes_factor:.3g}, which decides nothing: "
-            f"measure more; if there is a crack, it has {_describe_intervals(self)}"
+            f"{bayes_factor_text}, within ±{prior_by_key['log_bayes_factor']:.3g}, which decides "
+            f"nothing: measure more; if there is a crack, it has {_describe_intervals(self)}"
             f"{conditions_text}",
         )
 
@@ -701,9 +315,10 @@ class Identification(Tabular):
         InputError
             A measurement does not fit the forward model, or a standard deviation is not > 0.
         """
-        deviations = frequency_deviation, harmonic_deviation
         branch, x = self._branch_and_unknowns_of_estimate
-        return rank_measurements_by_information(branch.likelihood, x, measurements, deviations)
+        return rank_measurements_by_information(
+            branch.likelihood, x, measurements, (frequency_deviation, harmonic_deviation)
+        )
 
     def save(self, folder: str | Path) -> None:
         """Write ``identify.json`` and ``identify.h5`` to a folder, on this rank alone.
@@ -785,28 +400,24 @@ class Identification(Tabular):
         branch, x = self._branch_and_unknowns_of_estimate
         likelihood = branch.likelihood
         prediction = likelihood.predict_most_probable(x)
-        predictions = prediction.values[0]
         prediction_deviations = np.where(
             prediction.is_predictable, np.sqrt(np.diag(prediction.covariance[0])), np.inf
         )
-        residuals = (likelihood.measurement_values - predictions) / np.hypot(
+        residuals = (likelihood.measurement_values - prediction.values[0]) / np.hypot(
             likelihood.measurement_deviations, prediction_deviations
         )
-        table_columns = (
-            likelihood.measurement_values,
-            likelihood.measurement_deviations,
-            predictions,
-            prediction_deviations,
-            residuals,
-        )
-        measurement_names = [measurement.name for measurement in likelihood.predictor.rows]
+        number_rows = np.column_stack(
+            [
+                likelihood.measurement_values,
+                likelihood.measurement_deviations,
+                prediction.values[0],
+                prediction_deviations,
+                residuals,
+            ]
+        ).tolist()
         table_rows = [
-            list(table_row)
-            for table_row in zip(
-                measurement_names,
-                *(table_column.tolist() for table_column in table_columns),
-                strict=True,
-            )
+            [measurement.name, *numbers]
+            for measurement, numbers in zip(likelihood.predictor.rows, number_rows, strict=True)
         ]
         return Table(FIT_COLUMN_NAMES, table_rows)
 
@@ -860,13 +471,11 @@ class Identification(Tabular):
             title_parts.append(f"{unknown_key} = {estimate_text} ± {deviation_text}")
         if len(self.alternatives) > 1:
             title_parts.append("NOT THE ONLY ONE")
-        title_parts += ["IF IT IS ONE CRACK"] * bool(
-            _describe_single_crack_condition_or_empty(self)
-        )
-        has_clamp_condition = (
-            self.verdict == "crack" and _describe_unchanged_plate_condition_or_empty(self)
-        )
-        return ", ".join(title_parts + ["IF ITS CLAMP HOLDS AS BEFORE"] * bool(has_clamp_condition))
+        if _describe_single_crack_condition_or_empty(self):
+            title_parts.append("IF IT IS ONE CRACK")
+        if self.verdict == "crack" and _describe_unchanged_plate_condition_or_empty(self):
+            title_parts.append("IF ITS CLAMP HOLDS AS BEFORE")
+        return ", ".join(title_parts)
 
 
 def _list_small_deviation_warnings(measurements: Measurements) -> list[str]:
@@ -894,9 +503,8 @@ def _list_misfit_warnings(identification: Identification) -> list[str]:
     Reasons are a posterior that the grid does not resolve, measurements that no crack explains
     (with the worst one), and single measurements that alone contradict a plate without a crack.
     """
-    (chi_square, p_value) = identification.misfit
-    rows = identification.measurements.rows
-    warning_texts = []
+    chi_square, p_value = identification.misfit
+    rows, warning_texts = identification.measurements.rows, []
     required_p_value = 1.0 - identification.priors["confidence"]
     if identification.posterior.unresolved_probability > OPTIONS.min_part_probability:
         warning_texts.append(
@@ -948,13 +556,9 @@ def _describe_single_crack_condition_or_empty(identification: Identification) ->
     have unknowns: no misfit can then exclude two cracks. Otherwise return "".
     """
     identify_table, rows = identification._identify_table, identification.measurements.rows
-    number_unknown_keys = [
-        unknown_axis.key
-        for unknown_axis in identify_table.unknown
-        if not isinstance(unknown_axis.values[0], str)
-    ]
     n_crack_unknowns = len(identify_table.mesh_axes) + sum(
-        key.startswith("crack.") for key in number_unknown_keys
+        unknown_axis.key.startswith("crack.") and not isinstance(unknown_axis.values[0], str)
+        for unknown_axis in identify_table.unknown
     )
     measured_modes = {
         measurement.mode for measurement in rows if measurement.quantity != "frequency_uncracked"
@@ -1005,17 +609,16 @@ def _describe_unchanged_plate_condition_or_empty(identification: Identification)
             "explains the measurements without a crack: measure the temperature, too; or open and "
             "close the clamp, measure again, and give the change as identify.before_deviation"
         )
-    clamp_and_temperature_factors = [
+    clamp_factor, temperature_factor = (
         0.0
         if is_uncracked_explained
         else max(1.0, clamp_deviation / stated_change)
         if stated_change
         else 1.0
         for stated_change in (identify_table.before_deviation, thermal_frequency_change)
-    ]
+    )
     misfit_with_changes = uncracked_posterior.compute_misfit_with_change_factors(
-        clamp_factor=clamp_and_temperature_factors[0],
-        temperature_factor=clamp_and_temperature_factors[1],
+        clamp_factor=clamp_factor, temperature_factor=temperature_factor
     )
     if (misfit_with_changes[1] >= required_p_value) == is_uncracked_explained:
         return ""
@@ -1073,20 +676,18 @@ def _describe_intervals(identification: Identification) -> str:
 
     Sizes of the crack may also be below the bounds of the search.
     """
-    unknown_grid = identification.posterior.branch_by_words[
-        identification.posterior.best_words_and_unknowns[0]
-    ].likelihood.predictor.model.unknown_grid
+    posterior = identification.posterior
+    branch = posterior.branch_by_words[posterior.best_words_and_unknowns[0]]
+    lower_bounds = branch.likelihood.predictor.model.unknown_grid.lower_bounds
     interval_texts = []
-    for (key, interval_ends), search_lower_bound in zip(
-        identification.intervals.items(), unknown_grid.lower_bounds, strict=True
+    for (key, (lower_end, upper_end)), search_lower_bound in zip(
+        identification.intervals.items(), lower_bounds, strict=True
     ):
-        lower_text, upper_text = (
-            value_in_words(key, interval_end) for interval_end in interval_ends
-        )
-        below_bound_text = (
-            f", or below {value_in_words(key, search_lower_bound)}, "
-            "outside the bounds of the search"
-        )
-        interval_text = f"{key_in_words(key)} {lower_text} to {upper_text}"
-        interval_texts.append(interval_text + below_bound_text * (key in CRACK_SIZE_KEYS))
+        lower_text, upper_text = value_in_words(key, lower_end), value_in_words(key, upper_end)
+        interval_texts.append(f"{key_in_words(key)} {lower_text} to {upper_text}")
+        if key in CRACK_SIZE_KEYS:
+            interval_texts[-1] += (
+                f", or below {value_in_words(key, search_lower_bound)}, "
+                "outside the bounds of the search"
+            )
     return "; ".join(interval_texts)

@@ -32,13 +32,16 @@ from fenics_crack.monitoring.identification.interpolation import (
     UnknownGrid,
     compute_leave_one_out_errors,
 )
-from fenics_crack.monitoring.identification.model import MeasurementPrediction, ProbeDisplacements
 from fenics_crack.monitoring.identification.nuisance import (
     UncrackedPlate,
     compute_deviations_from_equivalent_crack,
 )
 from fenics_crack.monitoring.identification.posterior import Likelihood, Posterior, PosteriorBranch
-from fenics_crack.monitoring.identification.result import (
+from fenics_crack.monitoring.identification.predictor import (
+    MeasurementPrediction,
+    ProbeDisplacements,
+)
+from fenics_crack.monitoring.identification.worth import (
     Worth,
     list_advice_texts,
     rank_measurements_by_information,

@@ -1,0 +1,843 @@
+"""Predictions of measurements at values of the unknowns, and their correlated errors.
+
+A measurement is a natural frequency, a harmonic, a ratio of harmonics, or a displacement at a
+probe. All are predicted from interpolated features
+(:mod:`fenics_crack.monitoring.identification.model`), with the motion of the crack faces at
+resonances, and the load that fits measured displacements.
+
+Shapes: m points x of d unknowns, q measurements, f features.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import RegularGridInterpolator
+
+from fenics_crack.basics.errors import MAX_HARMONIC_ORDER, N_LOWEST_MODES
+from fenics_crack.monitoring.identification.interpolation import (
+    RESONANCE_STATE_NAMES,
+    Feature,
+    SolvedCases,
+    compute_ratios_and_pole_factors,
+)
+from fenics_crack.monitoring.identification.measurements import Measurement
+from fenics_crack.monitoring.identification.model import (
+    FeaturePrediction,
+    FeaturePredictor,
+    ForwardModel,
+    has_load_independent_motion_shape,
+    split_complex_columns,
+)
+from fenics_crack.monitoring.identification.nuisance import BaselineChanges
+from fenics_crack.study.key_figures import is_response_proportional_to_load
+from fenics_crack.sweep.file import KEPT_MODE_NUMBERS
+
+# --- displacements at probes ----------------------------------------------------------------------
+
+
+class ProbeDisplacements:
+    """Displacements of a point at phases of the load's period, as probes measure.
+
+    The load's size and phase are unknown. Under a steady load the point's displacement is, at a
+    phase theta of the load's period,
+
+        u = A Re sum_k U_k exp(i k (theta - psi)) + c,
+
+    with the harmonics U_k of the model, the load's size A and phase psi, and a constant c due to
+    probe angles and steady forces. A, psi and c are fitted to the measured displacements, for each
+    value of the crack's unknowns. The fit is the prediction. Its derivatives by A, psi and c are
+    common errors of all displacements.
+
+    Parameters
+    ----------
+    row_indices : sequence of int
+        Indices of these displacements among all measurements and candidates, the measured ones
+        first.
+    measured_rows : sequence of Measurement
+        All measurements.
+    candidate_rows : sequence of Measurement
+        Candidates for further measurements.
+    """
+
+    def __init__(
+        self,
+        row_indices: Sequence[int],
+        measured_rows: Sequence[Measurement],
+        candidate_rows: Sequence[Measurement],
+    ) -> None:
+        self.row_indices, all_rows = list(row_indices), (*measured_rows, *candidate_rows)
+        measured_group_rows = [
+            measured_rows[row_index]
+            for row_index in self.row_indices
+            if row_index < len(measured_rows)
+        ]
+        self._probe_phases = np.array([all_rows[row_index].phase for row_index in self.row_indices])
+        self._n_measured = len(measured_group_rows)
+        self._measurement_values = np.array(
+            [measurement.value for measurement in measured_group_rows]
+        )
+        self._inverse_deviations = 1.0 / np.array(
+            [measurement.deviation for measurement in measured_group_rows]
+        )
+
+    @classmethod
+    def group_displacements(
+        cls, measured_rows: Sequence[Measurement], candidate_rows: Sequence[Measurement]
+    ) -> list[ProbeDisplacements]:
+        """Group the displacements among measurements and candidates by load and point.
+
+        Return an object for each load frequency and point; an empty list without displacements.
+        """
+        indices_by_load_and_point: dict[tuple[float, str], list[int]] = {}
+        for row_index, measurement in enumerate((*measured_rows, *candidate_rows)):
+            if measurement.quantity == "displacement":
+                indices_by_load_and_point.setdefault(
+                    (measurement.frequency, measurement.point), []
+                ).append(row_index)
+        return [
+            cls(row_indices, measured_rows, candidate_rows)
+            for row_indices in indices_by_load_and_point.values()
+        ]
+
+    def compute_displacement_covariances(self, harmonic_orders: np.ndarray) -> np.ndarray:
+        """Return covariances of displacements by harmonics of random phase: (k, n, n).
+
+        Each of the k ``harmonic_orders`` has an amplitude with mean square 1; n is the number of
+        displacements.
+        """
+        phase_differences = self._probe_phases[:, None] - self._probe_phases
+        return np.asarray(0.5 * np.cos(np.multiply.outer(harmonic_orders, phase_differences)))
+
+    def fit_load_to_displacements(
+        self, model_harmonics: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Fit the load's size and phase, and a constant, to measured displacements.
+
+        A is the size, psi the phase and c the constant. ``model_harmonics`` (m, K) [m] has the
+        harmonics U_k at m values of the unknowns.
+
+        Returns
+        -------
+        displacements : (m, n) [m]
+            Predicted displacements, with those of candidates.
+        displacement_slopes : (m, n, K)
+            Slopes t_k by the harmonics: u = Re sum_k t_k U_k + c.
+        load_induced_changes : (m, n, 3) [m]
+            Changes of the displacements by one prior standard deviation of A, psi and c.
+        load_sizes : (m,)
+            A; 1 without measured displacements.
+        """
+        harmonic_orders = np.arange(1, model_harmonics.shape[1] + 1)
+        phase_factors = np.exp(1j * np.multiply.outer(self._probe_phases, harmonic_orders))
+        load_sizes = np.ones(len(model_harmonics))
+        load_phases = np.zeros(len(model_harmonics))
+        constant_displacements = np.zeros(len(model_harmonics))
+        if self._n_measured:
+            load_sizes, load_phases, constant_displacements = self._fit_load_and_constant(
+                model_harmonics, phase_factors[: self._n_measured], harmonic_orders
+            )
+        displacement_slopes = (
+            phase_factors
+            * (load_sizes[:, None] * np.exp(-1j * np.outer(load_phases, harmonic_orders)))[
+                :, None, :
+            ]
+        )
+        harmonic_terms = displacement_slopes * model_harmonics[:, None, :]
+        displacements = harmonic_terms.sum(axis=2).real
+        # Priors that are wide: all of the size, a phase anywhere in the period, a constant of ten
+        # times the largest displacement.
+        phase_induced_changes = (
+            np.pi / np.sqrt(3.0) * (harmonic_orders * harmonic_terms).sum(axis=2).imag
+        )
+        constant_change = 10.0 * np.max(np.abs(self._measurement_values), initial=0.0)
+        load_induced_changes = np.stack(
+            [displacements, phase_induced_changes, np.full_like(displacements, constant_change)],
+            axis=2,
+        )
+        return (
+            displacements + constant_displacements[:, None],
+            displacement_slopes,
+            load_induced_changes,
+            load_sizes,
+        )
+
+    def _fit_load_and_constant(
+        self, model_harmonics: np.ndarray, phase_factors: np.ndarray, harmonic_orders: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Fit A > 0, psi [rad] and c [m] by least squares: (m,) each.
+
+        The best of 64 phases is refined by four damped Gauss-Newton steps, for all m values of the
+        unknowns at once.
+
+        Parameters
+        ----------
+        model_harmonics : (m, K) [m]
+            Harmonics U_k.
+        phase_factors : (n, K)
+            exp(i k theta) at the n measured phases.
+        harmonic_orders : (K,)
+            Orders k.
+        """
+        tried_phases = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
+        shifted_harmonics = model_harmonics[:, None, :] * np.exp(
+            -1j * np.multiply.outer(tried_phases, harmonic_orders)
+        )
+        displacements = (shifted_harmonics @ phase_factors.T).real  # (m, tried, n)
+        weight_shares = self._inverse_deviations**2 / np.sum(self._inverse_deviations**2)
+        centred_measurements = self._measurement_values - weight_shares @ self._measurement_values
+        centred_displacements = displacements - (displacements @ weight_shares)[..., None]
+        projections = centred_displacements @ (weight_shares * centred_measurements)
+        squared_norms = np.maximum((centred_displacements**2) @ weight_shares, np.finfo(float).tiny)
+        explained_squares = np.where(projections > 0.0, projections**2 / squared_norms, 0.0)
+        best_phase_indices = explained_squares.argmax(axis=1)
+        best_indices = np.arange(len(model_harmonics)), best_phase_indices
+        load_sizes = projections[best_indices] / squared_norms[best_indices]
+        load_phases = tried_phases[best_phase_indices]
+        constant_displacements = weight_shares @ self._measurement_values - load_sizes * (
+            displacements[best_indices] @ weight_shares
+        )
+        constant_scale = np.max(np.abs(self._measurement_values)) + np.finfo(float).tiny
+        for _ in range(4):
+            harmonic_terms = (
+                model_harmonics[:, None, :]
+                * phase_factors
+                * np.exp(-1j * np.outer(load_phases, harmonic_orders))[:, None, :]
+            )
+            displacements = harmonic_terms.sum(axis=2).real
+            phase_slopes = load_sizes[:, None] * (harmonic_orders * harmonic_terms).sum(axis=2).imag
+            weighted_residuals = self._inverse_deviations * (
+                self._measurement_values
+                - load_sizes[:, None] * displacements
+                - constant_displacements[:, None]
+            )
+            parameter_slopes = np.stack(
+                [
+                    load_sizes[:, None] * displacements,
+                    phase_slopes,
+                    np.full_like(displacements, constant_scale),
+                ],
+                axis=2,
+            )
+            weighted_jacobian = parameter_slopes * self._inverse_deviations[:, None]
+            transposed_jacobian = weighted_jacobian.transpose(0, 2, 1)
+            newton_steps = np.linalg.solve(
+                transposed_jacobian @ weighted_jacobian + 1e-3 * np.eye(3),
+                transposed_jacobian @ weighted_residuals[..., None],
+            )[..., 0]
+            load_sizes = load_sizes * np.exp(np.clip(newton_steps[:, 0], -1.0, 1.0))
+            load_phases = load_phases + np.clip(newton_steps[:, 1], -0.1, 0.1)
+            constant_displacements = constant_displacements + constant_scale * newton_steps[:, 2]
+        return load_sizes, load_phases, constant_displacements
+
+
+# --- the model ------------------------------------------------------------------------------------
+
+
+class CrackFaceState(NamedTuple):
+    """Motion of the crack faces at resonances: breathing, always open or always closed.
+
+    Attributes
+    ----------
+    resonance_state : str
+        One of :data:`RESONANCE_STATE_NAMES`: "bilinear" (breathing), "open", "tied" (closed).
+    common_deviation, independent_deviation : float
+        Standard deviations of resonances from the frequency of this state, relative to the
+        difference between bonded and open frequency. The first is common to all resonances, the
+        second independent. For breathing faces, those in ``[identify]`` for each mode are added.
+    prior_weight : float
+        Prior probability, up to a common factor.
+    """
+
+    resonance_state: str
+    common_deviation: float = 0.0
+    independent_deviation: float = 0.0
+    prior_weight: float = 1.0
+
+
+BREATHING_STATE = CrackFaceState("bilinear")
+"""Crack faces that are open for half of the period: bilinear frequencies."""
+
+
+@dataclass(frozen=True)
+class MeasurementPrediction:
+    """Prediction of q measurements, at m values of the unknowns.
+
+    Attributes
+    ----------
+    values : (m, q)
+        Predicted values; nan without a prediction.
+    covariance : (m, q, q)
+        Covariance of the errors of the values.
+    load_induced_changes : (m, q, s)
+        Changes of the values by one standard deviation of each unknown load size, load phase and
+        constant (:class:`ProbeDisplacements`).
+    is_predictable : (q,) bool
+        True for a measurement with a prediction.
+    """
+
+    values: np.ndarray
+    covariance: np.ndarray
+    load_induced_changes: np.ndarray
+    is_predictable: np.ndarray
+
+
+class MeasurementPredictor:
+    """Predictor of measurements, and of candidates for further measurements.
+
+    Attributes
+    ----------
+    rows : tuple of Measurement
+        q measurements, then candidates.
+    is_predictable : (q,) bool
+        True for a measurement or candidate that the solved cases can predict.
+    baseline_changes : BaselineChanges
+        Possible changes of the plate since it was measured without the crack.
+    """
+
+    def __init__(
+        self,
+        model: ForwardModel,
+        measured_rows: Sequence[Measurement],
+        candidate_rows: Sequence[Measurement] = (),
+    ) -> None:
+        self.model, self.rows = model, (*measured_rows, *candidate_rows)
+        features_by_row = [
+            Feature.list_features_of_measurement(measurement, model.scene)
+            for measurement in self.rows
+        ]
+        self._feature_predictor = FeaturePredictor(
+            model, list(itertools.chain.from_iterable(features_by_row))
+        )
+        self._features = self._feature_predictor.features
+        index_by_feature = {
+            feature: feature_index for feature_index, feature in enumerate(self._features)
+        }
+        self._feature_indices_by_row = [
+            [index_by_feature[feature] for feature in row_features]
+            for row_features in features_by_row
+        ]
+        self.is_predictable = np.array(
+            [
+                self._feature_predictor.is_known[feature_indices].all()
+                for feature_indices in self._feature_indices_by_row
+            ],
+            dtype=bool,
+        )
+        self._no_feature_mask = np.zeros(len(self._features), dtype=bool)
+        self._probe_groups = ProbeDisplacements.group_displacements(measured_rows, candidate_rows)
+        load_indices = self._feature_predictor.load_indices
+        speed_ratios = model.coarse_cases.swept_loads.rotor_speed_ratios
+        row_speed_ratios = [
+            speed_ratios[load_indices[feature_indices[0]]]
+            for feature_indices in self._feature_indices_by_row
+        ]
+        self.baseline_changes = BaselineChanges(self.rows, row_speed_ratios, model.uncracked_plate)
+        self._higher_harmonic_masks, is_motionless = _find_harmonic_masks_and_motionless_nodes(
+            model.coarse_cases, self._features, load_indices
+        )
+        self._motionless_fraction_interpolator = (
+            RegularGridInterpolator(model.unknown_grid.axes, is_motionless)
+            if len(is_motionless)
+            else None
+        )
+        self._face_states = (
+            _list_face_states(model)
+            if any(measurement.is_resonant for measurement in self.rows)
+            else (BREATHING_STATE,)
+        )
+        self._scales_with_load_at_rest = is_response_proportional_to_load(
+            model.scene.without_rotation()
+        )
+
+    def make_predictor(
+        self, measured_rows: Sequence[Measurement], candidate_rows: Sequence[Measurement] = ()
+    ) -> MeasurementPredictor:
+        """Make a predictor for measurements, and for candidates for further measurements."""
+        return MeasurementPredictor(self.model, measured_rows, candidate_rows)
+
+    def with_change_factors(
+        self, *, clamp_factor: float, temperature_factor: float
+    ) -> MeasurementPredictor:
+        """Return a copy with other prior changes of the plate.
+
+        The factors multiply the changes by the clamp and by an unknown temperature difference,
+        since the plate was measured without the crack.
+        """
+        changed_predictor = copy(self)
+        changed_predictor.baseline_changes = self.baseline_changes.with_change_factors(
+            clamp_factor, temperature_factor
+        )
+        return changed_predictor
+
+    def iterate_face_state_predictions(
+        self, x: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, MeasurementPrediction]]:
+        """Yield predictions for each possible motion of the crack faces.
+
+        Under a steady load, a preload or a clearance a crack may always stay open or closed. The
+        motion then has no higher harmonics. Between a solved crack with such a motion and one
+        without, both are possible.
+
+        At a resonance four cases have the same probability: the crack stays open, stays closed,
+        breathes for half of the period, or breathes for another part of the period. In the last
+        case the part is the same at all resonances, or different at each, with half of the
+        probability each.
+
+        Parameters
+        ----------
+        x : (m, d)
+            Values of the unknowns.
+
+        Yields
+        ------
+        point_indices : (n,)
+            Indices of the values in x for which this motion is possible.
+        probabilities : (n,)
+            Probability of the motion there.
+        MeasurementPrediction
+            Predictions there.
+        """
+        motionless_fractions = np.zeros((len(x), 0))
+        if self._motionless_fraction_interpolator is not None:
+            motionless_fractions = self._motionless_fraction_interpolator(
+                np.clip(
+                    x, self.model.unknown_grid.lower_bounds, self.model.unknown_grid.upper_bounds
+                )
+            )
+        for are_loads_motionless in itertools.product(
+            (False, True), repeat=motionless_fractions.shape[1]
+        ):
+            probabilities = np.prod(
+                np.where(are_loads_motionless, motionless_fractions, 1.0 - motionless_fractions),
+                axis=1,
+            )
+            point_indices = np.flatnonzero(probabilities > 0.0)
+            is_zero_feature = np.any(
+                [
+                    self._no_feature_mask,
+                    *itertools.compress(self._higher_harmonic_masks, are_loads_motionless),
+                ],
+                axis=0,
+            )
+            if len(point_indices):
+                feature_prediction = self._feature_predictor(x[point_indices])
+                for face_state in self._face_states:
+                    yield (
+                        point_indices,
+                        face_state.prior_weight * probabilities[point_indices],
+                        self._predict_measurements(feature_prediction, is_zero_feature, face_state),
+                    )
+
+    def __call__(self, x: np.ndarray) -> MeasurementPrediction:
+        """Return predictions at values x (m, d) of the unknowns.
+
+        At resonances several motions of the crack faces may be possible. The predictions are for
+        the first (:func:`_list_face_states`), with the largest standard deviation.
+        """
+        return self._predict_measurements(
+            self._feature_predictor(x), self._no_feature_mask, self._face_states[0]
+        )
+
+    def compute_interpolation_and_total_variances(
+        self, x: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return variances of predictions by interpolation, and in total.
+
+        ``x`` (m, d) are values of the unknowns.
+
+        Returns
+        -------
+        (m, d, q)
+            Variances of q predictions by interpolation along each of the d unknowns.
+        (m, q)
+            Total variances.
+        """
+        feature_prediction = self._feature_predictor(x)
+
+        def propagate_to_variances(covariance: np.ndarray) -> np.ndarray:
+            changed_prediction = feature_prediction._replace(smooth_form_covariance=covariance)
+            prediction = self._predict_measurements(
+                changed_prediction, self._no_feature_mask, self._face_states[0]
+            )
+            return np.diagonal(prediction.covariance, axis1=1, axis2=2)
+
+        variances_without_interpolation = propagate_to_variances(
+            np.zeros_like(feature_prediction.smooth_form_covariance)
+        )
+        variances_along_unknowns = [
+            propagate_to_variances(covariance) - variances_without_interpolation
+            for covariance in self._feature_predictor.list_interpolation_covariances(x)
+        ]
+        return np.stack(variances_along_unknowns, axis=1), propagate_to_variances(
+            feature_prediction.smooth_form_covariance
+        )
+
+    def _predict_measurements(
+        self,
+        feature_prediction: FeaturePrediction,
+        is_zero_feature: np.ndarray,
+        face_state: CrackFaceState,
+    ) -> MeasurementPrediction:
+        """Predict all measurements from features, for a motion of the crack faces.
+
+        Features are natural frequencies and harmonics. Those marked in ``is_zero_feature`` (f,) are
+        0.
+        """
+        smoothing_factors = feature_prediction.smoothing_factors
+        feature_values, interpolation_variances = (
+            np.where(is_zero_feature, 0.0, feature_array)
+            for feature_array in (
+                feature_prediction.feature_values,
+                feature_prediction.interpolation_variances,
+            )
+        )
+        predictions, complex_slopes, common_errors, independent_variances = (
+            self._predict_all_but_displacements(
+                feature_prediction.damping_ratio_of_points,
+                feature_values,
+                smoothing_factors,
+                face_state,
+            )
+        )
+        predictions *= self.baseline_changes.temperature_frequency_factors
+        load_change_blocks = [np.zeros((*predictions.shape, 0))]
+        omitted_covariance = np.zeros((len(feature_values), len(self.rows), len(self.rows)))
+        for probe_group in self._probe_groups:
+            row_indices = probe_group.row_indices
+            feature_indices = self._feature_indices_by_row[row_indices[0]]
+            predictions[:, row_indices], displacement_slopes, load_induced_changes, load_sizes = (
+                probe_group.fit_load_to_displacements(feature_values[:, feature_indices])
+            )
+            harmonic_mean_squares = (
+                np.abs(feature_values[:, feature_indices]) ** 2
+                + interpolation_variances[:, feature_indices]
+            )
+            omitted_orders, omitted_squares = self._estimate_omitted_orders_and_squares(
+                self._features[feature_indices[0]],
+                harmonic_mean_squares,
+                feature_prediction.damping_ratio_of_points,
+                feature_prediction.frequency_split_root_and_frequencies[:, feature_indices[:1]],
+            )
+            group_block_index = np.ix_(range(len(feature_values)), row_indices, row_indices)
+            order_covariances = probe_group.compute_displacement_covariances(omitted_orders)
+            omitted_covariance[group_block_index] = load_sizes[:, None, None] ** 2 * np.tensordot(
+                omitted_squares, order_covariances, axes=1
+            )
+            complex_slopes[:, np.array(row_indices)[:, None], feature_indices] = (
+                displacement_slopes / smoothing_factors[:, None, feature_indices]
+            )
+            all_row_load_changes = np.zeros((*predictions.shape, load_induced_changes.shape[2]))
+            all_row_load_changes[:, row_indices] = load_induced_changes
+            load_change_blocks.append(all_row_load_changes)
+        complex_slopes[:, ~self.is_predictable] = 0.0
+        complex_slopes[..., is_zero_feature] = 0.0
+        real_slopes = split_complex_columns(complex_slopes.conj())
+        covariance = omitted_covariance + (
+            real_slopes @ feature_prediction.smooth_form_covariance @ real_slopes.transpose(0, 2, 1)
+        )
+        shared_errors = np.concatenate(
+            [predictions[..., None] * self.baseline_changes.frequency_changes, common_errors],
+            axis=2,
+        )
+        covariance += shared_errors @ shared_errors.transpose(0, 2, 1) + independent_variances[
+            :, :, None
+        ] * np.eye(len(self.rows))
+        predictions = np.where(self.is_predictable, predictions, np.nan)
+        return MeasurementPrediction(
+            predictions, covariance, np.concatenate(load_change_blocks, axis=2), self.is_predictable
+        )
+
+    def _estimate_omitted_orders_and_squares(
+        self,
+        first_harmonic_feature: Feature,
+        mean_squares: np.ndarray,
+        damping_ratio_of_points: np.ndarray,
+        frequency_split_root_and_frequencies: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Estimate the harmonics above those of the solved cases, at resonances of modes.
+
+        Harmonics of the contact force fall like 1 / k. They act on modes with static compliances 1
+        / w_j^2: |U_k|^2 = c^2 sum_j |w_j^2 - (k W)^2 + 2 i z w_j k W|^-2 / k^2. Here c^2 is the
+        mean over the upper half of the known harmonics. A test had 150 cracks under loads of 120 to
+        1500 Hz, with 30 harmonics. Harmonics omitted above twelve and six are 1.0 and 1.3 times
+        this estimate, in root mean square.
+
+        Parameters
+        ----------
+        first_harmonic_feature : Feature
+            First harmonic of a point.
+        mean_squares : (m, K) [m^2]
+            Mean squares of the known harmonics of this point.
+        damping_ratio_of_points : (m, 1)
+            Damping ratios z.
+        frequency_split_root_and_frequencies : (m, 1, 1 + 2 modes)
+            :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load.
+
+        Returns
+        -------
+        (k,)
+            Omitted orders.
+        (m, k) [m^2]
+            Mean squares of the omitted harmonics.
+        """
+        coarse_cases, load_frequency = (
+            self.model.coarse_cases,
+            first_harmonic_feature.load_frequency,
+        )
+        n_known_harmonics = min(
+            coarse_cases.find_smallest_harmonic_count(load_frequency), mean_squares.shape[1]
+        )
+        highest_frequency = np.nanmax(
+            coarse_cases.frequency_split_root_and_frequencies[..., KEPT_MODE_NUMBERS], initial=0.0
+        )
+        n_harmonics = min(
+            max(2 * n_known_harmonics, math.ceil(highest_frequency / load_frequency)),
+            MAX_HARMONIC_ORDER,
+        )
+        harmonic_features = [
+            replace(first_harmonic_feature, harmonic_order=harmonic_order)
+            for harmonic_order in range(1, n_harmonics + 1)
+        ]
+        squared_compliances = (
+            np.nan_to_num(frequency_split_root_and_frequencies[..., KEPT_MODE_NUMBERS], nan=np.inf)
+            ** -4.0
+        )
+        relative_squares = np.sum(
+            squared_compliances
+            / np.abs(
+                compute_ratios_and_pole_factors(
+                    harmonic_features, damping_ratio_of_points, frequency_split_root_and_frequencies
+                )[1]
+            )
+            ** 2,
+            axis=2,
+        )
+        relative_squares /= np.arange(1.0, n_harmonics + 1.0) ** 2
+        upper_half_slice = slice(n_known_harmonics // 2, n_known_harmonics)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            force_squares = np.nan_to_num(
+                np.mean(
+                    mean_squares[:, upper_half_slice] / relative_squares[:, upper_half_slice],
+                    axis=1,
+                )
+            )
+        return np.arange(n_known_harmonics + 1, n_harmonics + 1), force_squares[
+            :, None
+        ] * relative_squares[:, n_known_harmonics:]
+
+    def _predict_all_but_displacements(
+        self,
+        damping_ratio_of_points: np.ndarray,
+        feature_values: np.ndarray,
+        smoothing_factors: np.ndarray,
+        face_state: CrackFaceState,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Predict all measurements but displacements, for a motion of the crack faces.
+
+        Parameters
+        ----------
+        damping_ratio_of_points : (m, 1)
+            Damping ratio at each of m points, the values of the unknowns.
+        feature_values, smoothing_factors : (m, f)
+            As in :class:`FeaturePrediction`.
+        face_state : CrackFaceState
+            Motion of the crack faces.
+
+        Returns
+        -------
+        predictions : (m, q)
+            Predicted values; 0 for displacements and without a prediction.
+        complex_slopes : (m, q, f)
+            Slopes t by the smooth forms S, feature times smoothing factor: the change of a value is
+            Re sum t dS.
+        common_errors : (m, q, 1 + modes)
+            Errors common to all resonances (column 0), and to the resonances of each mode.
+        independent_variances : (m, q)
+            Variances of independent errors.
+        """
+        feature_sizes, size_slopes = _compute_sizes_and_slopes(
+            self._features, feature_values, smoothing_factors
+        )
+        predictions, independent_variances = np.zeros((2, len(feature_values), len(self.rows)))
+        common_errors = np.zeros((*predictions.shape, 1 + N_LOWEST_MODES))
+        complex_slopes = np.zeros((*predictions.shape, len(self._features)), dtype=complex)
+        identify_table = self.model.identify_table
+        for row_index, (row, feature_indices) in enumerate(
+            zip(self.rows, self._feature_indices_by_row, strict=True)
+        ):
+            if row.quantity == "displacement" or not self.is_predictable[row_index]:
+                continue
+            row_state = (
+                BREATHING_STATE if row.rpm == 0.0 and self._scales_with_load_at_rest else face_state
+            )
+            state_index = (
+                RESONANCE_STATE_NAMES.index(row_state.resonance_state) if row.is_resonant else 0
+            )
+            predictions[:, row_index], row_size_slopes = _combine_features_with_slopes(
+                row, feature_sizes[:, feature_indices], state_index
+            )
+            complex_slopes[:, row_index, feature_indices] = (
+                row_size_slopes * size_slopes[:, feature_indices]
+            )
+            if row.is_resonant:
+                _, open_frequencies, bonded_frequencies = feature_sizes[:, feature_indices].T
+                frequency_split = bonded_frequencies - open_frequencies
+                damping_shift = predictions[:, row_index] * damping_ratio_of_points[:, 0] ** 2
+                common_errors[:, row_index, 0] = row_state.common_deviation * frequency_split
+                mode_deviation = (
+                    identify_table.first_resonance_deviation
+                    if row.mode == 1
+                    else identify_table.resonance_deviation
+                )
+                common_errors[:, row_index, row.mode] = (
+                    (state_index == 0) * mode_deviation * frequency_split
+                )
+                independent_variances[:, row_index] = (
+                    row_state.independent_deviation * frequency_split
+                ) ** 2 + damping_shift**2
+        for cracked_index, uncracked_index in zip(
+            self._feature_predictor.cracked_indices,
+            self._feature_predictor.uncracked_indices,
+            strict=True,
+        ):
+            complex_slopes[:, :, uncracked_index] += (
+                complex_slopes[:, :, cracked_index] * smoothing_factors[:, None, cracked_index]
+            )
+        return predictions, complex_slopes, common_errors, independent_variances
+
+
+def _find_harmonic_masks_and_motionless_nodes(
+    solved_cases: SolvedCases, features: Sequence[Feature], load_index_of_features: Sequence[int]
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Find solved cracks whose faces stay open or closed.
+
+    Higher harmonics are then zero. Only loads with such cracks and with breathing cracks count.
+
+    Parameters
+    ----------
+    solved_cases : SolvedCases
+        Cases on the grid of the unknowns.
+    features : sequence of Feature
+        f natural frequencies and harmonics.
+    load_index_of_features : (f,)
+        Load of each feature.
+
+    Returns
+    -------
+    harmonic_masks : list of (f,) bool
+        Features that are higher harmonics of such a load, for each of n loads.
+    motionless_grids : (..., n)
+        1 on the grid of the unknowns for cracks without higher harmonics, otherwise 0; an empty
+        array without such loads.
+    """
+    harmonic_masks, motionless_grids = [], []
+    is_higher_harmonic = np.array([feature.harmonic_order > 1 for feature in features], dtype=bool)
+    for load_index in np.unique(np.array(load_index_of_features)[is_higher_harmonic]):
+        is_group_member = is_higher_harmonic & (np.array(load_index_of_features) == load_index)
+        group_harmonic_amplitudes = [
+            features[feature_index].get_node_values(solved_cases)
+            for feature_index in np.flatnonzero(is_group_member)
+        ]
+        largest_amplitudes = np.fmax.reduce(np.abs(group_harmonic_amplitudes))
+        is_motionless = largest_amplitudes <= 1e-9 * np.fmax.reduce(largest_amplitudes)  # rounding
+        if is_motionless.any() and not is_motionless.all():
+            harmonic_masks.append(is_group_member)
+            motionless_grids.append(is_motionless.reshape(solved_cases.unknown_grid.shape))
+    return harmonic_masks, np.moveaxis(
+        np.array(motionless_grids, dtype=float), 0, -1
+    ) if harmonic_masks else np.zeros(0)
+
+
+def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
+    """List the possible motions of the crack faces at resonances, with prior weights.
+
+    The weights sum to 1. The faces breathe for half of the period. If the motion's shape depends on
+    the load's size, they may breathe for any part of the period. They may then also stay open if
+    any solved crack is open for some time, and stay closed if any is closed for some time.
+    """
+    if has_load_independent_motion_shape(model.scene):
+        return (BREATHING_STATE,)
+    resonance_deviation = model.identify_table.resonance_deviation
+    closed_time_share_of_cases = model.coarse_cases.sweep_result["closed_share"][
+        model.coarse_cases.word_selection_index
+    ]
+    smallest_closed_time_share, largest_closed_time_share = (
+        reduce_function.reduce(closed_time_share_of_cases, axis=None)
+        for reduce_function in (np.fmin, np.fmax)
+    )
+    held_states = itertools.compress(
+        (CrackFaceState("open"), CrackFaceState("tied")),
+        (smallest_closed_time_share < 1.0, largest_closed_time_share > 0.0),
+    )
+    # Breathing for another part of the period at each resonance, or for the same at all.
+    partly_open_states = (
+        CrackFaceState("bilinear", independent_deviation=resonance_deviation, prior_weight=0.5),
+        CrackFaceState("bilinear", common_deviation=resonance_deviation, prior_weight=0.5),
+    )
+    face_states = (*partly_open_states, BREATHING_STATE, *held_states)
+    total_weight = sum(face_state.prior_weight for face_state in face_states)
+    return tuple(
+        face_state._replace(prior_weight=face_state.prior_weight / total_weight)
+        for face_state in face_states
+    )
+
+
+def _compute_sizes_and_slopes(
+    features: Sequence[Feature], feature_values: np.ndarray, smoothing_factors: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return sizes of f features, and slopes by their smooth forms: (m, f) each.
+
+    Sizes are natural frequencies [Hz] and amplitudes [m]. ``feature_values`` and
+    ``smoothing_factors`` (m, f) are as in :class:`FeaturePrediction`.
+    """
+    is_natural_frequency = np.array([feature.is_natural_frequency for feature in features])
+    frequencies = np.exp(np.where(is_natural_frequency, feature_values.real, 0.0))
+    amplitudes = np.abs(feature_values)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        amplitude_slopes = (
+            np.where(amplitudes > 0.0, np.conj(feature_values) / amplitudes, 1.0)
+            / smoothing_factors
+        )
+    return (
+        np.where(is_natural_frequency, frequencies, amplitudes),
+        np.where(is_natural_frequency, frequencies / smoothing_factors, amplitude_slopes),
+    )
+
+
+def _combine_features_with_slopes(
+    measurement: Measurement, feature_sizes: np.ndarray, state_index: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Compute a measured quantity from features, with slopes.
+
+    Parameters
+    ----------
+    measurement : Measurement
+        Natural frequency, harmonic, or ratio of two harmonics.
+    feature_sizes : (m, k)
+        Natural frequencies [Hz], or amplitudes [m], from
+        :meth:`Feature.list_features_of_measurement`.
+    state_index : int
+        Index in :data:`RESONANCE_STATE_NAMES` for a resonance, otherwise 0.
+
+    Returns
+    -------
+    (m,)
+        Measured quantity.
+    (m, k)
+        Slopes by the sizes.
+    """
+    if measurement.is_natural_frequency or feature_sizes.shape[1] == 1:
+        return feature_sizes[:, state_index], np.eye(1, feature_sizes.shape[1], state_index).repeat(
+            len(feature_sizes), axis=0
+        )
+    numerators, denominators = feature_sizes.T
+    return numerators / denominators, np.column_stack(
+        [1.0 / denominators, -numerators / denominators**2]
+    )

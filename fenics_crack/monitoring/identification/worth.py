@@ -1,0 +1,412 @@
+"""Worth of one more measurement: its information about the unknowns.
+
+With predictions s and the covariance V of measurements and predictions, the Fisher information of
+the unknowns x is
+
+    F = (ds / dx)^T V^-1 (ds / dx) + P,
+
+with the prior's information P. One more measurement changes F to F', and adds in nats
+
+    log(det F' / det F) / 2
+
+(A. C. Atkinson, A. N. Donev and R. D. Tobias, Optimum Experimental Designs, 2007, chapter 11:
+D-optimality).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.basics.errors import check_number
+from fenics_crack.basics.suggestions import with_old_names
+from fenics_crack.basics.tables import Tabular
+from fenics_crack.monitoring.identification.measurements import Measurement
+from fenics_crack.monitoring.identification.model import ForwardModel
+from fenics_crack.monitoring.identification.options import OPTIONS
+from fenics_crack.monitoring.identification.posterior import (
+    Likelihood,
+    add_uniform_prior_information,
+    compute_scaled_covariance,
+)
+from fenics_crack.monitoring.identification.predictor import (
+    MeasurementPredictor,
+    ProbeDisplacements,
+)
+from fenics_crack.scene.keys import unit_of_key
+from fenics_crack.scene.words import key_in_words, value_in_words
+from fenics_crack.sweep.file import KEPT_MODE_NUMBERS
+
+
+@with_old_names(
+    information="information_gains", deviations="improved_deviations_by_key",
+    now="current_deviation_by_key",
+)  # fmt: skip
+@dataclass(frozen=True, repr=False)
+class Worth(Tabular):
+    """Result of :meth:`Identification.where_to_measure`: candidates, most informative first.
+
+    Attributes
+    ----------
+    measurements : tuple of Measurement
+        n candidates for one more measurement, with predicted values and assumed standard
+        deviations.
+    information_gains : (n,)
+        Information that each adds [nats].
+    improved_deviations_by_key : dict of str to (n,)
+        Standard deviation of each unknown with the candidate, by key.
+    current_deviation_by_key : dict of str to float
+        Standard deviation of each unknown without a further measurement, by key.
+    """
+
+    measurements: tuple[Measurement, ...]
+    information_gains: np.ndarray
+    improved_deviations_by_key: dict[str, np.ndarray]
+    current_deviation_by_key: dict[str, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return columns by name, with a row for every candidate."""
+        return {
+            "measurement": [measurement.name for measurement in self.measurements],
+            "value": [measurement.value for measurement in self.measurements],
+            "deviation": [measurement.deviation for measurement in self.measurements],
+            "information": self.information_gains.tolist(),
+            **{
+                f"left_of_{key}": deviation_array.tolist()
+                for key, deviation_array in self.improved_deviations_by_key.items()
+            },
+        }
+
+    def _unit_by_name(self) -> Mapping[str, str]:
+        return {
+            "information": "nats",
+            **{f"left_of_{key}": unit_of_key(key) for key in self.current_deviation_by_key},
+        }
+
+    def _repr_text(self) -> str:
+        if not self.measurements:
+            return "nothing to measure"
+        return f"{self.measurements[0].name} adds {self.information_gains[0]:.3g} nats"
+
+
+def rank_measurements_by_information(
+    likelihood: Likelihood,
+    x: np.ndarray,
+    measurements: Sequence[Measurement] | None,
+    default_relative_deviations: tuple[float, float],
+) -> Worth:
+    """Rank candidates for one more measurement by the information that each adds.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+        Measurements made, and their predictor.
+    x : (d,)
+        Estimate of the unknowns.
+    measurements : sequence of Measurement, optional
+        Candidates; None for the default ones: natural frequencies, ratios of harmonics, and
+        displacements at further probes.
+    default_relative_deviations : (float, float)
+        Relative standard deviations of default candidates: frequencies, and ratios of harmonics.
+
+    Raises
+    ------
+    InputError
+        A standard deviation is not > 0, or a measurement does not fit the forward model.
+    """
+    argument_names = ("frequency_deviation", "harmonic_deviation")
+    for argument_name, deviation in zip(argument_names, default_relative_deviations, strict=True):
+        check_number(argument_name, deviation, 0.0, excludes_bound=True)
+    model, measured_rows = likelihood.predictor.model, likelihood.predictor.rows
+    candidate_rows = tuple(measurements or ())
+    for measurement in candidate_rows:
+        measurement.check(model.scene)
+    if measurements is None:
+        candidate_rows = tuple(_list_default_candidates(model, measured_rows))
+    n_measured_rows = len(measured_rows)
+    predictor = likelihood.predictor.make_predictor(measured_rows, candidate_rows)
+    predictions = predictor(x[None]).values[0]
+    candidate_deviations = np.array([measurement.deviation for measurement in candidate_rows])
+    if measurements is None:
+        candidate_deviations = _assume_candidate_deviations(
+            candidate_rows, predictions[n_measured_rows:], default_relative_deviations
+        )
+    is_usable = np.isfinite(predictions[n_measured_rows:]) & (candidate_deviations > 0.0)
+    all_deviations = np.concatenate(
+        [likelihood.measurement_deviations, np.where(is_usable, candidate_deviations, 1.0)]
+    )
+    covariance_and_slopes = _compute_scaled_covariance_and_slopes(predictor, x, all_deviations)
+    measured_indices = np.arange(n_measured_rows)
+    measured_log_information, measured_deviation_by_key = _compute_information_and_deviations(
+        model, x, covariance_and_slopes, measured_indices
+    )
+    candidate_results = [
+        _compute_information_and_deviations(
+            model,
+            x,
+            covariance_and_slopes,
+            np.append(measured_indices, n_measured_rows + candidate_index),
+        )
+        for candidate_index in range(len(candidate_rows))
+    ]
+    candidate_log_information = np.array(
+        [log_information for log_information, _ in candidate_results]
+    )
+    # Below 0 by rounding.
+    information_gains = 0.5 * np.maximum(candidate_log_information - measured_log_information, 0.0)
+    ranked_indices = [
+        int(candidate_index)
+        for candidate_index in np.argsort(-information_gains, kind="stable")
+        if is_usable[candidate_index]
+    ]
+    return Worth(
+        tuple(
+            replace(
+                candidate_rows[candidate_index],
+                value=float(predictions[n_measured_rows + candidate_index]),
+                deviation=float(candidate_deviations[candidate_index]),
+            )
+            for candidate_index in ranked_indices
+        ),
+        information_gains[ranked_indices],
+        {
+            key: np.array(
+                [candidate_results[candidate_index][1][key] for candidate_index in ranked_indices]
+            )
+            for key in model.unknown_keys
+        },
+        measured_deviation_by_key,
+    )
+
+
+def _assume_candidate_deviations(
+    candidate_rows: Sequence[Measurement],
+    predictions: np.ndarray,
+    relative_deviations: tuple[float, float],
+) -> np.ndarray:
+    """Return the standard deviations of default candidates: (n,).
+
+    Displacements keep the median of measured ones. Others have the relative standard deviation of
+    frequencies or of ratios, times the ``predictions`` (n,).
+    """
+    frequency_deviation, ratio_deviation = relative_deviations
+    return np.array(
+        [
+            measurement.deviation
+            if measurement.quantity == "displacement"
+            else (frequency_deviation if measurement.is_natural_frequency else ratio_deviation)
+            * prediction
+            for measurement, prediction in zip(candidate_rows, predictions, strict=True)
+        ]
+    )
+
+
+def list_advice_texts(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> list[str]:
+    """List advice on the next measurements, as sentences.
+
+    Advised are frequencies of the uncracked plate that are missing, and the most informative
+    candidate in ``worth``. Advice that changes no printed digit is left out. ``x`` (d,) is the
+    estimate.
+    """
+    model, measured_rows = likelihood.predictor.model, likelihood.predictor.rows
+    measured_modes = {
+        measurement.mode for measurement in measured_rows if measurement.is_natural_frequency
+    } or {1, 2}
+    calibrated_modes = {
+        measurement.mode
+        for measurement in measured_rows
+        if measurement.quantity == "frequency_uncracked"
+    }
+    advice_texts, relative_deviation = [], OPTIONS.advised_frequency_deviation
+    if model.coarse_cases.uncracked_cases is not None and (
+        missing_modes := sorted(measured_modes - calibrated_modes)
+    ):
+        missing_measurements = [
+            Measurement(
+                "frequency_uncracked",
+                natural_frequency,
+                relative_deviation * natural_frequency,
+                mode=mode,
+            )
+            for mode, natural_frequency in enumerate(
+                model.uncracked_plate.natural_frequencies_hz.tolist(), 1
+            )
+            if mode in missing_modes
+        ]
+        modes_text = (
+            f"{'ies' if len(missing_modes) > 1 else 'y'} {', '.join(map(str, missing_modes))}"
+        )
+        missing_frequencies_text = (
+            f"natural frequenc{modes_text} without the crack (frequency_uncracked)"
+        )
+        if gain_text := _describe_gain_or_empty(
+            worth.current_deviation_by_key,
+            _compute_deviation_by_key_with(likelihood, x, missing_measurements),
+        ):
+            advice_texts.append(
+                f"{missing_frequencies_text}, with a standard deviation of "
+                f"{relative_deviation:.1%}: {gain_text}"
+            )
+    if worth.measurements:
+        deviation_by_key = {
+            key: float(deviations[0])
+            for key, deviations in worth.improved_deviations_by_key.items()
+        }
+        if gain_text := _describe_gain_or_empty(worth.current_deviation_by_key, deviation_by_key):
+            advice_texts.append(f"{worth.measurements[0].name}: {gain_text}")
+    return advice_texts
+
+
+def _describe_gain_or_empty(
+    current_deviation_by_key: Mapping[str, float], improved_deviation_by_key: Mapping[str, float]
+) -> str:
+    """Describe how a measurement reduces the standard deviations of the unknowns.
+
+    An example is "crack length then ± 0.2 mm instead of ± 1 mm". Unknowns whose printed value stays
+    the same are left out; "" if all do.
+    """
+    keys_and_deviation_texts = (
+        (
+            key,
+            value_in_words(key, improved_deviation_by_key[key]),
+            value_in_words(key, current_deviation_by_key[key]),
+        )
+        for key in current_deviation_by_key
+    )
+    return ", ".join(
+        f"{key_in_words(key)} then ± {improved_text} instead of ± {current_text}"
+        for key, improved_text, current_text in keys_and_deviation_texts
+        if improved_text != current_text
+    )
+
+
+def _compute_deviation_by_key_with(
+    likelihood: Likelihood, x: np.ndarray, further_measurements: Sequence[Measurement]
+) -> dict[str, float]:
+    """Return the standard deviation of each unknown by key, with all further measurements.
+
+    ``x`` (d,) is the estimate.
+    """
+    model = likelihood.predictor.model
+    predictor = likelihood.predictor.make_predictor(likelihood.predictor.rows, further_measurements)
+    all_deviations = np.concatenate(
+        [
+            likelihood.measurement_deviations,
+            [measurement.deviation for measurement in further_measurements],
+        ]
+    )
+    return _compute_information_and_deviations(
+        model,
+        x,
+        _compute_scaled_covariance_and_slopes(predictor, x, all_deviations),
+        np.arange(len(all_deviations)),
+    )[1]
+
+
+def _compute_information_and_deviations(
+    model: ForwardModel,
+    x: np.ndarray,
+    covariance_and_slopes: tuple[np.ndarray, np.ndarray],
+    row_indices: np.ndarray,
+) -> tuple[float, dict[str, float]]:
+    """Return log det of the Fisher information, and standard deviations.
+
+    Parameters
+    ----------
+    model : ForwardModel
+        Model with the unknowns.
+    x : (d,)
+        Estimate of the unknowns.
+    covariance_and_slopes : (q, q), (q, d)
+        As from :func:`_compute_scaled_covariance_and_slopes`.
+    row_indices : (n,)
+        Measurements to take into account.
+
+    Returns
+    -------
+    float
+        log det F of the Fisher information F, prior included.
+    dict of str to float
+        Standard deviation of each unknown by key.
+    """
+    selected_covariance = covariance_and_slopes[0][np.ix_(row_indices, row_indices)]
+    selected_slopes = covariance_and_slopes[1][row_indices]
+    fisher_information = add_uniform_prior_information(
+        selected_slopes.T @ np.linalg.solve(selected_covariance, selected_slopes)
+    )
+    equivalent_deviations = np.sqrt(np.diag(np.linalg.inv(fisher_information))) * (
+        model.unknown_grid.upper_bounds - model.unknown_grid.lower_bounds
+    )
+    crack_and_fit_deviations = np.hypot(
+        equivalent_deviations, model.compute_deviations_from_equivalent_crack(x[None])[0]
+    )
+    log_information = float(np.linalg.slogdet(fisher_information)[1])
+    return log_information, dict(
+        zip(model.unknown_keys, crack_and_fit_deviations.tolist(), strict=True)
+    )
+
+
+def _list_default_candidates(
+    model: ForwardModel, measured_rows: Sequence[Measurement]
+) -> list[Measurement]:
+    """List candidates for further measurements.
+
+    Candidates are natural frequencies of all modes, and the ratios of harmonics "ratio_2_1" and
+    "ratio_3_1" at all points and solved load frequencies. If displacements were measured, further
+    ones are at 24 phases of the load's period, with the median of the standard deviations.
+    """
+    coarse_cases = model.coarse_cases
+    quantity_names = ["frequency_open", "frequency_tied", "frequency_resonance"]
+    if coarse_cases.uncracked_cases is not None:
+        quantity_names.append("frequency_uncracked")
+    candidates = [
+        Measurement(quantity_name, 1.0, 1.0, mode)
+        for quantity_name in quantity_names
+        for mode in KEPT_MODE_NUMBERS
+    ]
+    point_names = ["", *coarse_cases.sweep_result.scene.label_by_point_name]
+    candidates += [
+        Measurement(ratio_name, 1.0, 1.0, frequency=load_frequency, point=point_name)
+        for load_frequency in coarse_cases.swept_loads.frequencies
+        for point_name in point_names
+        for ratio_name in ("ratio_2_1", "ratio_3_1")
+    ]
+    phases = 2.0 * np.pi * np.arange(24) / 24
+    for probe_group in ProbeDisplacements.group_displacements(measured_rows, ()):
+        group_rows = [measured_rows[row_index] for row_index in probe_group.row_indices]
+        median_deviation = float(np.median([measurement.deviation for measurement in group_rows]))
+        probe_row = replace(group_rows[0], value=0.0, deviation=median_deviation)
+        candidates += [replace(probe_row, phase=phase) for phase in phases.tolist()]
+    return candidates
+
+
+def _compute_scaled_covariance_and_slopes(
+    predictor: MeasurementPredictor, x: np.ndarray, deviations: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the covariance of measurements, and slopes of predictions, at values x (d,).
+
+    Returns
+    -------
+    covariance : (q, q)
+        Covariance V over products of the standard deviations (q,).
+    slopes : (q, d)
+        Derivatives of predictions over their standard deviations, by the unknowns over their
+        ranges; 0 without a prediction.
+    """
+    prediction, unknown_grid = predictor(x[None]), predictor.model.unknown_grid
+    scaled_covariance = compute_scaled_covariance(
+        prediction, np.nan_to_num(prediction.values[0]), deviations
+    )[0]
+    difference_step_matrix = np.diag(1e-3 * (unknown_grid.upper_bounds - unknown_grid.lower_bounds))
+    upper_points = np.minimum(x + difference_step_matrix, unknown_grid.upper_bounds)
+    lower_points = np.maximum(x - difference_step_matrix, unknown_grid.lower_bounds)
+    relative_distances = np.diag(upper_points - lower_points) / (
+        unknown_grid.upper_bounds - unknown_grid.lower_bounds
+    )
+    value_differences = predictor(upper_points).values - predictor(lower_points).values
+    scaled_slopes = (value_differences / relative_distances[:, None]).T / deviations[:, None]
+    scaled_slopes[~np.isfinite(scaled_slopes).all(axis=1)] = 0.0
+    return scaled_covariance, scaled_slopes
