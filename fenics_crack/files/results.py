@@ -161,8 +161,8 @@ def result_class(stored_file: StoredFile) -> type[Result]:
             return result_type
     if stored_file.kind == "backbone":
         raise stored_file.refusal(
-            "a result that this version reads; backbones come from follow_resonance now: "
-            "compute it again"
+            "a result that this version reads; follow_resonance takes the place of backbones: "
+            "compute it again with it"
         )
     requirement_text = (
         f"a result of one vibration; a {stored_file.kind} is read by load of its class, "
