@@ -118,9 +118,16 @@ def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
     size = request["size"]
     n_bulk_cells, n_front_cells = estimate_bulk_and_front_cells(size, fronts)
     if n_bulk_cells + n_front_cells > request["cells"]:
-        requirement = f"such that the mesh has at most {request['cells']:.0e} cells; it would have"
-        refused_key = "mesh.size" if n_bulk_cells > n_front_cells else "mesh.lip_elements"
-        raise Refusal(refused_key, f"{requirement} about {n_bulk_cells + n_front_cells:.2g}")
+        refused_key, direction_text = (
+            ("mesh.size", "larger")
+            if n_bulk_cells > n_front_cells
+            else ("mesh.lip_elements", "smaller")
+        )
+        raise Refusal(
+            refused_key,
+            f"{direction_text}, for a mesh of at most {request['cells']:.0e} cells; it would have "
+            f"about {n_bulk_cells + n_front_cells:.2g}",
+        )
     try:
         generate_mesh(size, fronts, request["per_turn"])
         gmsh.model.mesh.setOrder(2)
