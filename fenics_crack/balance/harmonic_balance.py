@@ -580,7 +580,7 @@ def _solve_with_present_modes(
             problem, search.orbit, tolerance, initial, SOUGHT_CHANGE_FACTOR * tolerance
         )
         origin_text = (
-            f"{search.outcome_text}, from H = {solutions[-1].harmonics}"
+            f"{search.outcome_text}, begun from harmonic balance with H = {solutions[-1].harmonics}"
             if solutions
             else search.outcome_text
         )

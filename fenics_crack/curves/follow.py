@@ -399,9 +399,9 @@ def run_to_end(
         curve = growing_curve.unjudged_curve
     if throw and not curve.complete:
         curve_words = f"curve in {curve.parameter} from {curve.values[0]:g}"
-        end_words = f"{curve.status} at {curve.values[-1]:g} after {len(curve)} points"
+        end_words = f"ended at {curve.values[-1]:g} after {len(curve)} points: {curve.status}"
         raise ConvergenceError(
-            f"{curve_words}: {end_words}; the error's attribute found has this curve", found=curve
+            f"{curve_words} {end_words}; the error's attribute found has this curve", found=curve
         )
     return curve
 

@@ -342,7 +342,10 @@ def _select_named_groups(
             is_right_kind = (
                 kind == kind_by_dimension[dimension] and np.isin(nodes, used_numbers).all()
             )
-            requirement = "a mesh whose named groups have only cells, their facets and corners"
+            requirement = (
+                "a mesh whose named groups have only cells, their facets and corners; remove the "
+                "name of this group in gmsh"
+            )
             check_mesh(is_right_kind, f"other elements in the group {name!r}", requirement)
             n_nodes_per_element = gmsh.model.mesh.getElementProperties(kind)[3]
             rows = np.searchsorted(used_numbers, nodes).reshape(-1, n_nodes_per_element)

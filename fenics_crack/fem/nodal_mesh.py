@@ -42,7 +42,11 @@ class NodalMesh:
 
     def __init__(self, structure: Structure) -> None:
         if structure.nodes is None or structure.local_nodes_with_cells_or_none is None:
-            raise InputError("structure", "made from matrices", "a structure made from a mesh")
+            requirement = (
+                "a structure made from a mesh, as fc.build_structure(scene) returns for a scene "
+                "with [geometry] or mesh.file"
+            )
+            raise InputError("structure", "made from matrices", requirement)
         whole_structure = structure.whole
         nodes, comm = structure.nodes, whole_structure.comm
         self.structure = whole_structure

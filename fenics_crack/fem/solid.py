@@ -197,7 +197,7 @@ def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
         )
         text_by_name[front.name] = (
             f"{format_quantity(float(front_node_arc_lengths[-1]), 'm')} long, {depth_text}"
-            f"{format_quantity(shortest_ligament, 'm')} or more from the surface straight ahead"
+            f"with at least {format_quantity(shortest_ligament, 'm')} of material straight ahead"
         )
     return text_by_name
 

@@ -125,14 +125,21 @@ def _mesh_part(path: str, request: dict[str, Any]) -> dict[str, Any]:
     size = request["size"]
     n_bulk_cells, n_front_cells = estimate_bulk_and_front_cells(size, fronts)
     if n_bulk_cells + n_front_cells > request["cells"]:
-        requirement = f"such that the mesh has at most {request['cells']:.0e} cells; it would have"
-        refused_key = "mesh.size" if n_bulk_cells > n_front_cells else "mesh.lip_elements"
-        raise Refusal(refused_key, f"{requirement} about {n_bulk_cells + n_front_cells:.2g}")
+        refused_key, direction_text = (
+            ("mesh.size", "larger")
+            if n_bulk_cells > n_front_cells
+            else ("mesh.lip_elements", "smaller")
+        )
+        raise Refusal(
+            refused_key,
+            f"{direction_text}, for a mesh of at most {request['cells']:.0e} cells; it would have "
+            f"about {n_bulk_cells + n_front_cells:.2g}",
+        )
     try:
         generate_mesh(size, fronts, request["per_turn"])
         gmsh.model.mesh.setOrder(2)
     except Exception as error:
-        requirement = f"such that gmsh can mesh the part ({error})"
+        requirement = f"another size, as gmsh cannot mesh the part with this one ({error})"
         raise Refusal("mesh.size", requirement) from None
     face_of_surface = _match_surfaces(crack_surface_tags, triangles, owners)
     surface_tags_by_name = {
@@ -187,7 +194,8 @@ def mesh_faces_coarsely() -> tuple[np.ndarray, np.ndarray]:
     try:
         gmsh.model.mesh.generate(2)
     except Exception as error:
-        raise Refusal("geometry.file", f"a part whose faces gmsh can mesh ({error})") from None
+        requirement = f"a part whose faces gmsh can mesh; repair it in the CAD program ({error})"
+        raise Refusal("geometry.file", requirement) from None
     triangles, owners = [], []
     for _, face_tag in gmsh.model.getEntities(2):
         face_triangles = _face_triangles(face_tag)

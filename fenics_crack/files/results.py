@@ -40,6 +40,10 @@ from fenics_crack.time.march import TimeHistory
 Result = Modes | PeriodicSolution | ResponseCurve | TimeHistory
 OptionalLaw = ContactLaw | None
 ShapeByName = dict[str, tuple[int, ...]]
+ORIGINAL_STRUCTURE_TEXT = (
+    "the structure with which the file was computed; fc.load_run builds it from the file's scene"
+)
+"""Requirement on a structure that does not fit a result file, for an error message."""
 
 
 def save(
@@ -157,7 +161,8 @@ def result_class(stored_file: StoredFile) -> type[Result]:
             return result_type
     if stored_file.kind == "backbone":
         raise stored_file.refusal(
-            "of a present kind: follow_resonance takes the place of backbones; compute it again"
+            "a result that this version reads; follow_resonance takes the place of backbones: "
+            "compute it again with it"
         )
     requirement_text = (
         f"a result of one vibration; a {stored_file.kind} is read by load of its class, "
@@ -418,11 +423,7 @@ def _check_gap_coefficients(
     closing_coefficients[0] -= structure.clearance
     difference_norm = np.linalg.norm(closing_coefficients - gap_coefficients)
     if not difference_norm <= difference_tolerance:  # nan neither
-        raise InputError(
-            "structure",
-            "another load, mesh or material",
-            "the structure with which the file was computed",
-        )
+        raise InputError("structure", "another load, mesh or material", ORIGINAL_STRUCTURE_TEXT)
 
 
 # --- curves ---------------------------------------------------------------------------------------
@@ -576,11 +577,7 @@ def _unpack_exact_points(
     )
     curve = replace(curve, points=states)
     if not curve.orbit(0).residual <= 1e-4:  # nan neither
-        raise InputError(
-            "structure",
-            "another load, mesh or material",
-            "the structure with which the file was computed",
-        )
+        raise InputError("structure", "another load, mesh or material", ORIGINAL_STRUCTURE_TEXT)
     return curve, special_states
 
 
@@ -730,9 +727,7 @@ def _find_dof_signs(structure: Structure, stored_rows: np.ndarray) -> np.ndarray
     dof_signs = np.where((stored_rows * structure_rows).sum(axis=0) < 0.0, -1.0, 1.0)
     row_maxima = np.abs(stored_rows).max(axis=1, initial=0.0, keepdims=True)
     if np.any(np.abs(stored_rows - structure_rows * dof_signs) > 1e-6 * row_maxima):
-        raise InputError(
-            "structure", "other load or pairs", "the structure with which the file was computed"
-        )
+        raise InputError("structure", "other load or pairs", ORIGINAL_STRUCTURE_TEXT)
     return dof_signs
 
 

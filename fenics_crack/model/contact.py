@@ -719,7 +719,7 @@ class FrictionContactSolver:
         )
         if kernel.march_friction(self.handle, n_instants, max_periods, *array_pointers):
             raise ConvergenceError(
-                "contact: the forces at an instant have no unique solution; try less friction"
+                "contact: the forces at an instant have no unique solution; lower contact.friction"
             )
         return forces, pair_states, sampled_slider_positions, last_unstuck_instants
 
@@ -799,7 +799,8 @@ class ActiveSetSolver:
             self.handle, len(is_closed), pointer(is_closed), pointer(inverse_matrices)
         ):
             raise ConvergenceError(
-                "contact: the compliance of the closed pairs is singular; try a penalty law"
+                "contact: the compliance of the closed pairs is singular; "
+                "use contact.law = 'penalty'"
             )
         return inverse_matrices
 
@@ -914,7 +915,9 @@ def solve_complementarity_by_least_squares(
             and np.abs(openings[forces > 0.0]).max(initial=0.0) <= tolerance
         ):
             return forces
-    raise ConvergenceError("contact: no contact forces were found for a step; try a penalty law")
+    raise ConvergenceError(
+        "contact: no contact forces were found for a step; use contact.law = 'penalty'"
+    )
 
 
 def forces_and_slopes_of_smooth_law(
@@ -1045,7 +1048,7 @@ def solve_contact_forces_by_newton(
                 all_forces[unfinished_instants], unfinished_gap
             )
     raise ConvergenceError(
-        "contact: Newton's method for a step's forces did not converge; soften the contact"
+        "contact: Newton's method for a step's forces did not converge; lower contact.stiffness"
     )
 
 

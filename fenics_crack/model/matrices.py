@@ -345,7 +345,10 @@ def lump_mass(mass: Any) -> Any:
     mass.mult(ones_vector, row_sums)
     min_row_sum = row_sums.min()[1]
     if min_row_sum <= MATRIX_TOLERANCE * row_sums.max()[1]:  # zero at a triangle's corners
-        requirement = "a matrix whose row sums are all > 0, so that it can be lumped"
+        requirement = (
+            "a matrix whose row sums are all > 0, so that it can be lumped; "
+            "use the structure without lumped()"
+        )
         raise InputError("mass", f"row sum {min_row_sum:.3g}", requirement)
     local_shape = mass.local_size[0], mass.size[1]
     return make_matrix_from_local_rows(
@@ -396,7 +399,9 @@ def _check_semidefinite(name: str, matrix: Any, mass: Any) -> None:
         n_negative_pivots = factored_matrix.n_negative_pivots
     if n_negative_pivots:
         raise InputError(
-            name, format_count(n_negative_pivots, "negative eigenvalue"), "positive semidefinite"
+            name,
+            format_count(n_negative_pivots, "negative eigenvalue"),
+            "positive semidefinite; check its sign, and that no entries are missing",
         )
 
 

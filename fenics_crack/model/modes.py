@@ -300,7 +300,7 @@ def solve_modes_with_factor(
             raise InputError(
                 "stiffness",
                 negative_square_text,
-                "positive semidefinite, without a negative omega^2",
+                "positive semidefinite; check its sign, and that no entries are missing",
             )
         # A Krylov space holds one mode of a multiple frequency until rounding brings in the
         # others. So count the frequencies below the highest one; if any is missing, ask for more.

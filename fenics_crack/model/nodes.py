@@ -327,7 +327,12 @@ class Coordinates:
         mesh_and_dofs = getattr(self.whole.nodes, "mesh_dofs", None)
         if mesh_and_dofs is None:
             raise InputError(
-                "structure", repr(self), "a structure from a mesh of DOLFINx, or from forms"
+                "structure",
+                repr(self),
+                (
+                    "a structure from a mesh of DOLFINx, as fc.build_structure(scene) returns for "
+                    "a scene with a mesh, or from forms"
+                ),
             )
         return mesh_and_dofs.function(self.expand(displacement[None])[0])
 

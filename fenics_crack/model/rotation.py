@@ -193,7 +193,8 @@ def describe_unstable_speed(structure: Structure, speed: float) -> str:
     subject, problem = "the plate", f"is unstable at {speed / RAD_PER_S_PER_RPM:.6g} rpm"
     if structure.nodes is not None:
         mesh_extents = np.ptp(gather_rows(structure.comm, structure.nodes.points), axis=0)
-        problem += f"; the mesh measures {' x '.join(f'{size:.3g}' for size in mesh_extents)} m"
+        extents_text = " x ".join(f"{size:.3g}" for size in mesh_extents)
+        problem += f"; the mesh measures {extents_text} m: check that its lengths are in m"
         if len(mesh_extents) == 3:
             subject = "without the Coriolis force, which is left out, the solid"
     return f"lower: {subject} {problem}"

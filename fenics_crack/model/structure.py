@@ -657,7 +657,8 @@ class Structure(Coordinates):
             raise InputError("structure", repr(self), requirement)
         if (self.tangential.shape[1] > self.n_pairs) != (direction is not None):
             requirement = (
-                "given for solids only; fc.slide_along_lines(structure, omega, contact) finds it"
+                "given for a solid, as fc.slide_along_lines(structure, omega, contact) finds it; "
+                "None for a plate"
             )
             raise InputError("direction of friction", direction, requirement)
         direction_and_structure_cache = self.compute_once(_make_empty_tangential_pairs_cache)

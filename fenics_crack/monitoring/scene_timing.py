@@ -378,7 +378,9 @@ def describe_passage(passage_fit: PassageFit, mode: int, reason_text: str) -> st
     ``mode`` is a number from 1, or 0 for a resonance that is not used. ``reason_text`` tells why;
     "" with a mode.
     """
-    doubt_texts = ["another vibration is near this resonance"] * passage_fit.in_doubt
+    doubt_texts = [
+        "another vibration is near this resonance, and frequency and damping may be wrong"
+    ] * passage_fit.in_doubt
     doubt_texts += [f"its {passage_fit.disagreement_in_words}"] * passage_fit.disagree
     remark_text = "; ".join([reason_text] * bool(reason_text) + doubt_texts)
     mode_text = f"mode {mode}" if mode else "not used"
@@ -436,7 +438,7 @@ def match_mode_or_give_reason(passage_fit: PassageFit, diagram: Campbell) -> tup
         )
         return 0, (
             f"order {' or '.join(other_order_texts)} meets a mode of the blade, too, and "
-            f"{reason_text}"
+            f"{reason_text}: give the possible orders in tip_timing.orders"
         )
     return int(mode_indices_nearest_first[0]) + 1, ""
 
@@ -561,8 +563,8 @@ def find_probed_displacement_and_reversal(scene: Scene) -> tuple[str, bool]:
     if abs(direction[axis_index]) < 0.999:  # 2.6 degrees, an error of a thousandth
         components_text = ", ".join(f"{component:.3g}" for component in direction)
         requirement_text = (
-            f"given, as since the tip moves along ({components_text}), not along x, y or z: this "
-            "displacement over the first one of [output.points]"
+            f"given, since the tip moves along ({components_text}), not along x, y or z: its "
+            "displacement in this direction over the first displacement of [output.points]"
         )
         raise InputError("tip_timing.tangential", None, requirement_text)
     return f"{tip_point.key}.u{'xyz'[axis_index]}", bool(direction[axis_index] < 0.0)

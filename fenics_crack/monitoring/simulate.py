@@ -191,8 +191,9 @@ def _compute_arrival_times(
     )
     if backward_ratio >= 1.0 or np.any(np.isnan(rotor_angles)):
         requirement_text = (
-            "so large that the tip always moves forwards; the velocity of its vibration reaches "
-            f"{backward_ratio:.3g} times its speed of rotation"
+            "so large that the tip always moves forwards; its vibration has up to "
+            f"{backward_ratio:.3g} times the velocity of the rotation: check the units, or lower "
+            "the load"
         )
         raise InputError("tip_radius", tip_radius, requirement_text)
     return tip_motion.compute_times(rotor_angles).reshape(target_angles.shape)

@@ -51,6 +51,9 @@ BLIND_PROBE_TEXT = (
     "excluded, since it does not measure the vibration that the other probes measure: check that "
     "its pulses are of this blade"
 )
+HIDDEN_ORDERS_TEXT = (
+    "probes at these angles cannot measure (if these are possible, use other angles)"
+)
 OTHER_ORDERS_TEXT = "explain the arrivals equally well (more probes distinguish them)"
 CONSTANT_FREQUENCY_TEXT = (
     "natural frequencies are assumed constant; if they change with the speed, damping is wrong, "
@@ -243,7 +246,7 @@ def _conclude_from_passages(
             (
                 fit.in_doubt,
                 "the residuals are correlated, due to drift or another vibration nearby: the order "
-                "and the standard errors may be wrong",
+                "and the standard errors may be wrong; compare with another run-up",
             ),
         )
         warning_texts += [
@@ -454,6 +457,6 @@ def _list_fit_notes_and_doubts(fit: TipFit) -> tuple[list[str], list[str]]:
             "standard errors: record more revolutions",
         ),
         (fit.ambiguous, _describe_orders(OTHER_ORDERS_TEXT, fit.ambiguous)),
-        (fit.hidden, _describe_orders("probes at these angles cannot measure", fit.hidden)),
+        (fit.hidden, _describe_orders(HIDDEN_ORDERS_TEXT, fit.hidden)),
     )
     return note_texts, [doubt_text for is_doubtful, doubt_text in doubts_and_texts if is_doubtful]

@@ -51,6 +51,9 @@ from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import fourier_basis_for
 
+FEWER_EVENTS_ADVICE = "use fewer pairs (mesh.patches) or fewer modes (reduction.modes)"
+"""Advice in errors for motions with too many events or Taylor pieces."""
+
 
 @dataclass(frozen=True)
 class Budget:
@@ -121,7 +124,9 @@ def _exact_flow_input_error_or_none(structure: Structure, contact: ContactLaw) -
         return InputError("contact", contact, "UnilateralPenalty or UnilateralConstraint")
     if not is_small(structure):
         return InputError(
-            "structure", f"{structure.n_dofs} dofs", "a reduced structure, on one rank"
+            "structure",
+            f"{structure.n_dofs} dofs",
+            "a reduced structure on one rank, as fc.reduce_structure(structure) returns",
         )
     softness = spring_compliances(contact, structure.n_pairs)
     if np.all(softness):
@@ -850,9 +855,17 @@ def _check_integration_outcome(outcome: int, n_events: int) -> None:
     if outcome == kernel.FLOW_NO_MEMORY:
         raise MemoryError("exact flow")
     reason_by_outcome = {
-        kernel.FLOW_TOO_MANY_PIECES: "the highest modes are too fast for so long a motion",
-        kernel.FLOW_TOO_MANY_INTERVALS: "the contact pairs open and close without end",
-        kernel.FLOW_FAILED: "the motion is not finite, or its contact forces are not unique",
+        kernel.FLOW_TOO_MANY_PIECES: (
+            "the highest modes are too fast for so long a motion: keep fewer modes "
+            "(reduction.modes), or integrate a shorter time"
+        ),
+        kernel.FLOW_TOO_MANY_INTERVALS: (
+            f"the contact pairs open and close without end: {FEWER_EVENTS_ADVICE}"
+        ),
+        kernel.FLOW_FAILED: (
+            "the motion is not finite, or its contact forces are not unique: check the "
+            "units of the load, or lower contact.friction"
+        ),
     }
     error_class = BudgetError if outcome == kernel.FLOW_TOO_MANY_PIECES else ConvergenceError
     raise error_class(f"exact flow: {reason_by_outcome[outcome]} (after {n_events} events)")

@@ -49,6 +49,7 @@ from fenics_crack.basics.tables import Described, format_count, hertz_property
 from fenics_crack.kernel import kernel
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import (
+    FEWER_EVENTS_ADVICE,
     Budget,
     BudgetError,
     ContactFlow,
@@ -84,7 +85,8 @@ MULTIPLIER_TOLERANCE = 1e-6
 """Accuracy of Floquet multipliers mu. A smaller distance ||mu| - 1| does not tell the stability.
 Orbits must also close to this relative accuracy."""
 NEUTRAL_MULTIPLIER_TEXT = (
-    "the largest Floquet multiplier has modulus 1 within its accuracy: a bifurcation, or no damping"
+    "the largest Floquet multiplier has modulus 1 within its accuracy, as at a bifurcation or "
+    "without damping: change the load frequency a little, or add [damping]"
 )
 """Reason for undecided stability if the largest ||mu| - 1| is inconclusive."""
 INSTANTS_PER_BLOCK = 2048
@@ -760,7 +762,7 @@ def _make_i_minus_m_solver(
             np.eye(flow.state_size) - track.derivative_of_end_state
         )
         if not (np.isfinite(i_minus_m_factors[0]).all() and np.diag(i_minus_m_factors[0]).all()):
-            raise np.linalg.LinAlgError("I - M is singular")
+            raise np.linalg.LinAlgError("I - M is singular, as at a bifurcation or without damping")
         return lambda right_side, tolerance: solve_by_transpose_factors(
             i_minus_m_factors, right_side
         )
@@ -821,8 +823,7 @@ def find_orbit(
         if failure_reasons is not None and isinstance(error, BudgetError):
             budget_text = f"its limit of {newton_search.allowed_taylor_pieces:,} Taylor series"
             failure_reasons.append(
-                f"the search for an exact orbit ended at {budget_text}; use fewer pairs"
-                " (mesh.patches) or fewer modes"
+                f"the search for an exact orbit ended at {budget_text}; {FEWER_EVENTS_ADVICE}"
             )
         return None
     orbit = PeriodicOrbit(

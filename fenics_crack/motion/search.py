@@ -34,7 +34,7 @@ import numpy as np
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.tables import format_count, format_percent
-from fenics_crack.motion.flow import Budget, ContactFlow
+from fenics_crack.motion.flow import FEWER_EVENTS_ADVICE, Budget, ContactFlow
 from fenics_crack.motion.orbit import (
     INSTANTS_PER_PERIOD,
     MAX_MODES_FOR_MONODROMY,
@@ -430,8 +430,10 @@ ORBIT_STARTS_BY_NAME = {
     "steps": StartStrategy(
         "exact orbit by multiple shooting", _find_orbit_after_multiple_shooting_step
     ),
-    "path": StartStrategy("exact orbit by a homotopy from the motion", _find_orbit_along_path),
-    "motion": StartStrategy("exact orbit by following the motion", _find_orbit_along_motion),
+    "path": StartStrategy("exact orbit by continuation", _find_orbit_along_path),
+    "motion": StartStrategy(
+        "exact orbit by integrating the motion over many periods", _find_orbit_along_motion
+    ),
 }
 """Starts for an orbit search, by name, in order."""
 
@@ -479,12 +481,12 @@ def describe_closest_return(
             float(np.min(return_distances / np.maximum(state_sizes, 1e-300)))
         )
     if not closest_relative_distances:
-        return f"{motion_name} cannot be integrated over a period"
+        return f"{motion_name} cannot be integrated over a period: {FEWER_EVENTS_ADVICE}"
     closest_return_index = int(np.argmin(closest_relative_distances))
     followed_periods_text = format_count((len(states_at_periods) - 1) * subharmonic, "period")
     return_periods_text = format_count((closest_return_index + 1) * subharmonic, "period")
     closeness_text = format_percent(closest_relative_distances[closest_return_index])
     return (
-        f"followed for {followed_periods_text} of the load, {motion_name} comes back to within"
-        f" {closeness_text} of an earlier state at best, after {return_periods_text}"
+        f"after {followed_periods_text} of the load {motion_name} is not periodic: it comes back to"
+        f" within {closeness_text} of an earlier state at best, after {return_periods_text}"
     )

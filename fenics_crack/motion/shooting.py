@@ -24,7 +24,7 @@ import numpy as np
 
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.kernel import Struct, attach_destructor, kernel, pointer
-from fenics_crack.motion.flow import Budget, ContactFlow
+from fenics_crack.motion.flow import FEWER_EVENTS_ADVICE, Budget, ContactFlow
 from fenics_crack.motion.orbit import PeriodicOrbit, orbit_through_state
 from fenics_crack.numerics.equations import DenseLinearisation, Equations
 from fenics_crack.numerics.newton import PathPoint
@@ -161,7 +161,9 @@ class ShootingEquations(Equations):
         if not self.has_found_solution(
             self.run_unchecked(self.function_table.evaluate, unknown_pointer, parameter)
         ):
-            raise ConvergenceError("orbits: the motion cannot be integrated over a period")
+            raise ConvergenceError(
+                f"orbits: the motion cannot be integrated over a period: {FEWER_EVENTS_ADVICE}"
+            )
 
     def _residual(self) -> np.ndarray:
         """Return the scaled change F of the state in a period (n,), at the last point."""

@@ -114,10 +114,13 @@ class EndReason(Enum):
     """
 
     REACHED = "reached the end"
-    END_LOST = "no solution at the very end"
-    RANGE_LEFT = "turned back past its start"
-    TOO_MANY_POINTS = "{max_points} points were not enough"
-    STEPS_TOO_SHORT = "the steps became too short"
+    END_LOST = "no solution was found at the very end: move the end a little"
+    RANGE_LEFT = "it turned back past its start: move the start, or exchange start and end"
+    TOO_MANY_POINTS = "the end was not reached within {max_points} points: give a shorter range"
+    STEPS_TOO_SHORT = (
+        "no further point was found with the shortest step: "
+        "lower contact.stiffness, or change reduction.modes"
+    )
 
     def describe(self, max_points: int) -> str:
         """Return the reason in words. ``max_points`` was the allowed number of points."""
@@ -401,7 +404,10 @@ def find_zero_point_and_function_value(
                 max_parameter_change=MAX_PARAMETER_CHANGE_IN_STEPS * full_chord_length,
             )
             if corrected_point is None or corrected_point.linearisation is None:
-                raise ConvergenceError("path: no solution was found between two points")
+                raise ConvergenceError(
+                    "path: no solution was found between two neighbouring points: move the start "
+                    "a little, which moves all points"
+                )
             linearisation = corrected_point.linearisation
             tangent = tangent_of(system, corrected_point.unknown, linearisation, chord_tangent)
             point = replace(

@@ -121,6 +121,8 @@ def describe_stated_error(run: StudyWithResult, quantity_name: str = "") -> str:
     relative_error, main_cause = run.stated.stated(quantity_name)
     if not 0.0 < relative_error < np.inf:  # zero at rest or without a cause; nan if unknown
         return ""
+    if main_cause == "friction" and not run.scene.has_friction:
+        main_cause = "friction left out"
     cause_text = f", mostly due to the {main_cause}" if relative_error > 1e-4 else ""
     error_text = f"{format_error(relative_error)}{cause_text}"
     return ", ".join(filter(None, (error_text, run.stated.omitted_causes_and_reasons_text)))
@@ -260,7 +262,8 @@ def _list_crack_and_verdict_sentences(
     ):
         sentences.append(
             "friction left out: it would change the "
-            f"displacement by about {format_percent(friction_error_estimate.gci)}"
+            f"displacement by about {format_percent(friction_error_estimate.gci)} "
+            f"(with contact.friction = {run.scene.given('contact').friction_error:g})"
         )
     return [
         *sentences,
@@ -351,14 +354,19 @@ def _make_conclusion_of_history(run: StudyWithResult) -> Conclusion:
         f"at {frequency_text} the {displacement_description} is {amplitude_text} half peak-to-peak"
     )
     change_text = (
-        f"{history.periods} of {integration_table.periods} periods: two are needed to see a change"
+        f"{history.periods} of {integration_table.periods} periods: two are needed to see a change "
+        "(integration.periods)"
     )
     if np.isfinite(history.settled):
         change_text = (
             f"{history.periods} periods: relative change over the last period {history.settled:.2g}"
         )
+        if not has_settled:
+            change_text += f", above integration.settle = {integration_table.settle:g}"
     if (distance_from_settled := history.distance) < 1.0:
-        change_text += f", estimated distance from the settled motion {distance_from_settled:.2g}"
+        change_text += (
+            f", estimated relative distance from the settled motion {distance_from_settled:.2g}"
+        )
     outcome_text = "settled" if has_settled else "the motion has not settled"
     return Conclusion(
         "integrated", answer_text, further_clauses=[f"{outcome_text} after {change_text}"]

@@ -116,7 +116,8 @@ def _with_outcome_of_start_from_rest(run: Run[PeriodicSolution]) -> Run[Periodic
         return run
     amplitude_from_rest = math.nan
     outcome_text = (
-        f"has not settled after {format_count(motion_from_rest.periods, 'period')} of the load"
+        f"has not settled after {format_count(motion_from_rest.periods, 'period')} of the load "
+        "(integrate shows its course)"
     )
     if motion_from_rest.orbit is not None:
         outcome_text = motion_from_rest.description

@@ -367,7 +367,8 @@ class Campbell(SavedResult):
             if self.cracked:
                 kinds_at_crossing = [*dict.fromkeys(self._kinds_before_and_after(mode, speed))]
                 other_state_texts = [
-                    f"{STATE_TEXT_BY_KIND[kind]} at {_speed_in_words(other_state_speed)}"
+                    f"{_speed_in_words(other_state_speed)} with the crack "
+                    f"{STATE_TEXT_BY_KIND[kind]}"
                     for kind in FREQUENCY_KIND_NAMES
                     if kind != kinds_at_crossing[-1] or len(kinds_at_crossing) > 1
                     for crossing_mode, other_state_speed in self.crossings(order, kind)
@@ -378,12 +379,15 @@ class Campbell(SavedResult):
                 crossing_text += " after" if len(kinds_at_crossing) > 1 else ""
                 crossing_text += " (bilinear estimate)" if "bilinear" in kinds_at_crossing else ""
                 crossing_text += (
-                    f"; the crack would be {', '.join(other_state_texts)}"
+                    f"; the speed would be {', '.join(other_state_texts)}"
                     if other_state_texts
                     else ""
                 )
             slope = self.stiffening(speed, order * speed)
-            yield f"{crossing_text}; at this speed d ln f / d ln n = {slope:.2g}"
+            yield (
+                f"{crossing_text}; at this speed 1 % more speed changes the frequency by "
+                f"{slope:.2g} % (the value for tip_timing.stiffening)"
+            )
 
     def stiffening(self, speed: float, omega: float) -> float:
         """Return d ln w / d ln W for the mode nearest to a frequency.

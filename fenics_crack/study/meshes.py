@@ -98,7 +98,9 @@ def make_coarser_scene_or_reason(scene: Scene) -> Scene | str:
     with suppress(InputError):  # the grid's lines miss the crack
         if (coarser_scene := refine_scene_or_none(scene, 0.5)) is not None:
             return coarser_scene
-    return "a grid of half as many mesh.columns and mesh.rows has no line along the crack"
+    return (
+        "a grid of half as many mesh.columns and mesh.rows has no line along the crack; double both"
+    )
 
 
 def _coarser_over_fine_element_length(

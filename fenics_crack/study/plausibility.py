@@ -544,7 +544,7 @@ SCENE_REMARK_RULES = (
             f"geometry.{side}",
             0.0,
             MAX_PLAUSIBLE_SIDE,
-            "the longest side of the {kind} is {:g} m",
+            "lengths are in m: the longest side of the {kind} is {:g} m",
             _longest_side_or_none,
             FACTOR_BY_MILLIMETRE_UNIT,
         )

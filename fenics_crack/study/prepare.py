@@ -548,7 +548,10 @@ def contact_law(contact: Contact, structure: Structure | None = None) -> Contact
     if not contact.friction:
         return law
     if structure is not None and structure.tangential is None:
-        requirement_text = "0, or left out, as the structure has no tangential gaps"
+        requirement_text = (
+            "0, or left out, as the structure has no tangential gaps; a solid gets them by "
+            "structure.with_tangents()"
+        )
         raise InputError("contact.friction", contact.friction, requirement_text)
     stiffness_per_area = contact.tangential_stiffness_per_area
     if stiffness_per_area is None:

@@ -91,7 +91,9 @@ class StructureFile:
             )
         except (InputError, *DATASET_ERROR_CLASSES) as error:
             self._cached_prepared_files[:] = [None]
-            self._print_line(f"{self._path} is not used: {error}")
+            self._print_line(
+                f"{self._path} is not used, and the structure is computed anew: {error}"
+            )
             return None
         self._noted_structures_and_scenes[:] = [(shared_structure, scene)]
         self._n_stored_bytes = _count_dataset_bytes(pack_dataclass(prepared_file))
@@ -154,7 +156,10 @@ class StructureFile:
                     is_compressed=False,
                 )
             except InputError as error:
-                self._print_line(f"the structure is not kept for the next command: {error}")
+                self._print_line(
+                    "the structure is not kept, and the next command computes it anew; "
+                    f"results are not affected: {error}"
+                )
 
 
 def _gather_prepared_structure(

@@ -227,7 +227,9 @@ class SweepFile:
     ) -> None:
         self._path, self._unit_and_type_by_column = path, unit_and_type_by_column(scene)
         with report_write_errors(
-            path, "path", "a file that can be written, and that no other sweep writes"
+            path,
+            "path",
+            "a file that can be written; if another sweep writes it, wait, or choose a new folder",
         ):
             new_header = (
                 None
@@ -286,7 +288,8 @@ class SweepFile:
         """
         if not self._is_file_still_at_path():
             requirement_text = (
-                "kept in place during the sweep; it was moved or replaced: start the sweep anew"
+                "kept in place during the sweep; it was moved or replaced: run the same command "
+                "again"
             )
             raise WriteError("path", str(self._path), requirement_text)
         case_states = np.array(

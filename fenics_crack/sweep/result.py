@@ -480,7 +480,10 @@ class SweepResult(Tabular):
             is_converged = False
         if not is_converged:
             raise InputError(
-                "index", index, f"the index of a converged case in a sweep of shape {self.shape}"
+                "index",
+                index,
+                f"the index of a converged case in a sweep of shape {self.shape}; result.converged "
+                "tells which are",
             )
         return case_index
 

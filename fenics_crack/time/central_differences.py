@@ -64,8 +64,10 @@ from fenics_crack.model.reduced import MASS_REMEDY, check_faces_have_mass
 from fenics_crack.model.structure import RayleighDamping, Structure
 from fenics_crack.time.march import MarchRequest, PeriodWindow, Scheme, TimeHistory, march
 
-SCHEME_NAME, MORE_STEPS_REMEDY = "central differences", "take more steps per period"
-"""Name of the scheme, and advice if contact creates energy, for messages."""
+SCHEME_NAME = "central differences"
+"""Name of the scheme in messages."""
+MORE_STEPS_REMEDY = "take more steps per period (steps_per_period)"
+"""Advice if contact creates energy."""
 
 
 def stable_steps_per_period(structure: Structure, omega: float, contact: ContactLaw) -> int:
@@ -121,7 +123,10 @@ def _contact_stiffnesses(structure: Structure, contact: ContactLaw) -> np.ndarra
     """
     softness = spring_compliances(contact, structure.n_pairs)
     if friction_of(contact) is not None and not np.all(softness):
-        requirement = "a friction law with normal and tangential springs, as crack faces have mass"
+        requirement = (
+            "a friction law with normal and tangential springs, as crack faces have mass: "
+            "CoulombFriction(UnilateralPenalty(...), coefficient, tangential_stiffness)"
+        )
         raise InputError("contact", contact, requirement)
     return np.divide(1.0, softness, out=np.zeros_like(softness), where=softness > 0.0)
 
@@ -396,7 +401,7 @@ class _ModalDifferences(Scheme):
             if n_steps_made < len(modal_displacement):
                 raise ConvergenceError(
                     f"central differences: no contact forces were found at step"
-                    f" {first_step + n_steps_made}"
+                    f" {first_step + n_steps_made}; {self.remedy}"
                 )
             window.recorded_displacement[step_slice] = (
                 modal_displacement @ modes.shapes[request.recorded_dofs].T

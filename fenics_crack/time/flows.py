@@ -55,6 +55,12 @@ from fenics_crack.motion.flow import Flow, as_doubles, check_has_exact_flow, exa
 from fenics_crack.numerics.fourier import differentiate, fourier_basis_for, from_complex, to_complex
 from fenics_crack.time.march import MarchRequest, PeriodWindow, Scheme, TimeHistory, march
 
+EXPONENTIAL_REMEDY = (
+    "take more steps per period (steps_per_period), or keep fewer modes (reduction.modes), which "
+    "makes the contact softer"
+)
+"""Remedy in errors of equal exponential steps."""
+
 
 def integrate_events(
     structure: Structure,
@@ -342,7 +348,8 @@ class ExponentialFlow(Flow):
         )
         if n_steps_made < n_requested_steps:
             raise ConvergenceError(
-                f"exponential: no contact forces were found at step {n_steps_made + 1}"
+                f"exponential: no contact forces were found at step {n_steps_made + 1}; "
+                f"{EXPONENTIAL_REMEDY}"
             )
         sticking_places = self._sticking_places.copy() if self.friction_law else sticking_places
         return ExponentialSteps(
@@ -415,7 +422,7 @@ class _ExponentialScheme(Scheme):
     """Integrate by equal exponential steps, one load period at a time, with energy balance."""
 
     name = "exponential"
-    remedy = "take more steps per period, or keep fewer modes, which makes the contact softer"
+    remedy = EXPONENTIAL_REMEDY
 
     def __init__(self, request: MarchRequest) -> None:
         self._request, steps_per_period = request, request.steps_per_period

@@ -417,7 +417,7 @@ class TimeHistory(ObservedMotion, Tabular):
         if any(
             structure.comm.allgather(bool(np.any(np.delete(rows, recorded_local_dofs, axis=1))))
         ):
-            allowed_text = "None, to record all displacements"
+            allowed_text = "None, to record all displacements; integrate again"
             raise InputError("dofs", "some", allowed_text)
         row_products = structure.sum_over_ranks(
             self.recorded[:, first_column_indices] @ rows[:, recorded_local_dofs].T

@@ -68,7 +68,7 @@ def test_what_swells_and_falls() -> None:
     [unstable] = solutions(0.614)
     [attractor] = fc.attractors(two_masses(), unstable)
     assert attractor.orbit is None and attractor.description.startswith(
-        "does not settle: followed for 1000"
+        "does not settle: after 1000"
     )
     history = fc.integrate_events(two_masses(), 0.614, STOP, periods=900, record_periods=300)
     sizes, amplitudes = sizes_of(history), attractor.amplitudes()

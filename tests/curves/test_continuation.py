@@ -155,7 +155,7 @@ def test_bad_arguments_and_unfinished_curves() -> None:
         catch_error(partial(continue_frequency, structure, *arguments, law), key, value)
     error = catch_error(
         lambda: continue_frequency(structure, 2.0, 0.3, law, most_points=10),
-        names="10 points were not enough",
+        names="the end was not reached within 10 points",
         kind=fc.ConvergenceError,
     )
     partial_curve = error.found

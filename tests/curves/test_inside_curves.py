@@ -376,7 +376,7 @@ def test_goes_on_where_it_was_stopped(stop: Continuation) -> None:
         problem, "omega", 0.6, 0.9, exact=True, initial=start_orbit, most_points=half
     )
     continuation.run()
-    assert not continuation.complete and continuation.status == f"{half} points were not enough"
+    assert not continuation.complete and f"within {half} points" in continuation.status
     part, continuation.most_points = continuation.curve, 3000
     continuation.run()
     bifurcation_values = [bifurcation.value for bifurcation in continuation.curve.bifurcations]
@@ -395,7 +395,7 @@ def test_turns_back_past_its_start(stop: Continuation) -> None:
     )  # fmt: skip
     path.run()
     assert not path.complete and path.has_returned
-    assert path.status == "turned back past its start"
+    assert path.status.startswith("it turned back past its start")
 
 
 # --- branches of twice the period -----------------------------------------------------------------
@@ -779,12 +779,15 @@ def test_an_end_that_cannot_be_landed_on(monkeypatch: pytest.MonkeyPatch) -> Non
     options: dict[str, Any] = {"harmonics": 5, "stability": True}
     law = fc.UnilateralPenalty(1.0)
     curve = fc.continue_frequency(oscillator(), 1.0, 1.3, law, throw=False, **options)
-    assert not curve.complete and curve.status == "no solution at the very end"
+    assert (
+        not curve.complete
+        and curve.status == "no solution was found at the very end: move the end a little"
+    )
     assert len(curve) > 3 and 1.25 < curve.values.max() < 1.3
     assert set(curve.verdicts) <= {"stable", "unstable"}
     error = catch_error(
         lambda: fc.continue_frequency(oscillator(), 1.0, 1.3, law, **options),
-        names=r"no solution at the very end at 1\.",
+        names=r"ended at 1\..* points: no solution was found at the very end",
         kind=fc.ConvergenceError,
     )
     assert np.array_equal(error.found.values, curve.values)

@@ -307,7 +307,7 @@ def test_a_new_scene(parts: Path, tmp_path: Path, run_command: RunCommand) -> No
     [clamp] = [line for line in report.splitlines() if line.startswith("face clamp")]
     assert float(clamp.split()[2]) == pytest.approx(100.0 * math.pi, rel=0.01)
     [crack] = [line for line in report.splitlines() if line.startswith("the crack front")]
-    assert "mm deep" in crack and "from the surface straight ahead" in crack
+    assert "mm deep" in crack and "of material straight ahead" in crack
     assert "crack.point" in report
 
 

@@ -280,10 +280,13 @@ def _select_predictable_measurements(
         ]
     predictable_rows = list(itertools.compress(measurement_rows, is_predictable))
     if all(measurement.quantity == "frequency_uncracked" for measurement in predictable_rows):
-        reason_text = "; ".join(doubt_texts) or "no solved case has the measured quantities"
+        reason_text = "; ".join(doubt_texts) or (
+            "no solved case has the measured quantities; give other values in identify.unknown"
+        )
         raise ConvergenceError(f"no measurement can be predicted: {reason_text}")
     reason_text = (
-        "too few cases with this quantity were solved, or only on one side of failed cases"
+        "too few cases with this quantity were solved, or only on one side of failed cases; "
+        "give more values in identify.unknown"
     )
     doubt_texts += [
         f"{measurement.name} is not used: {reason_text}"

@@ -256,8 +256,8 @@ class Measurement:
                 and get_crack_removal_changes_or_none(scene) is None,
                 "measurements.quantity",
                 self.quantity,
-                "left out, since the crack cannot be removed from this scene; of mesh files "
-                "name that without a crack in identify.uncracked",
+                "left out, since the crack cannot be removed from this scene; with mesh files, "
+                "give that of the part without a crack as identify.uncracked",
             ),
             (
                 n_harmonics < highest_order,
@@ -408,7 +408,10 @@ class Measurements(Tabular):
         if noise is not None:
             check_number("noise", noise, 0.0, excludes_bound=True)
         if not arrivals.steady:
-            raise InputError("arrivals", repr(arrivals), "recorded at constant speed")
+            requirement = (
+                "recorded at constant speed; for a run-up use find_passages and from_passages"
+            )
+            raise InputError("arrivals", repr(arrivals), requirement)
         arrivals.check_places(angle_deviation)
         n_arrivals_of_probes = np.isfinite(arrivals.time).sum(axis=0)
         n_arrivals_of_probes = n_arrivals_of_probes[n_arrivals_of_probes > 0]

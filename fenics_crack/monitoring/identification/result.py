@@ -219,7 +219,8 @@ class Identification(Tabular):
             return "crack", f"{bayes_factor_text}{warming_text}{conditions_text}"
         return (
             undecided_verdict,
-            f"{bayes_factor_text}; if there is a crack, it has {_describe_intervals(self)}"
+            f"{bayes_factor_text}, within ±{prior_by_key['log_bayes_factor']:.3g}, which decides "
+            f"nothing: measure more; if there is a crack, it has {_describe_intervals(self)}"
             f"{conditions_text}",
         )
 
@@ -440,7 +441,10 @@ class Identification(Tabular):
                 + f" ({part_probability:.0%})"
                 for value_by_key, part_probability in alternatives
             ]
-            warning_texts.append(f"these cracks cannot be distinguished: {'; '.join(crack_texts)}")
+            warning_texts.append(
+                f"these cracks cannot be distinguished: {'; '.join(crack_texts)}; where_to_measure "
+                "lists measurements that help most"
+            )
         warning_texts += _list_misfit_warnings(self)
         for unknown_index, side_text, bound_value in self.posterior.iterate_reached_bounds(
             self._identify_table.confidence
@@ -647,7 +651,8 @@ def _describe_warming_condition_or_empty(identification: Identification) -> str:
         return ""
     return (
         "; the crack explains the measurements only with "
-        f"{_describe_modulus_change(identification, identification.posterior)}"
+        f"{_describe_modulus_change(identification, identification.posterior)}: measure the "
+        "temperature, too"
     )
 
 
