@@ -344,7 +344,7 @@ def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
 
 
 SOUGHT_CHANGE_FACTOR = 3.0
-"""Maximum predicted gap change by more modes, over the tolerance, to search the orbit from.
+"""Maximum predicted gap change by more modes, over the tolerance, for a search from the prediction.
 
 The orbit with more modes gives the exact modal truncation error. While the tolerance chooses the
 modes, a larger prediction is enough to go on to more modes, without a search from this prediction.

@@ -765,6 +765,7 @@ def _make_i_minus_m_solver(
         )
 
     def weighted_i_minus_m_product(weighted_change: np.ndarray) -> np.ndarray:
+        """Return w (I - M) d from w d, with a state change d and energy weights w."""
         return weighted_change - energy_weights * (track @ (weighted_change / energy_weights))
 
     return lambda right_side, tolerance: (
