@@ -7,8 +7,8 @@ the search for the solution started from an orbit, this orbit is taken without N
 
 The distance to the orbit is the error. The orbit is accepted if the relative distance is at most
 0.1 (0.5 if crack faces have no mass), and at most three times the prediction. The motion's Floquet
-multipliers are then taken from the orbit. If crack faces have no mass and no orbit is found, the
-solution with twice or four times the harmonics is assessed instead, up to a distance of 0.5.
+multipliers are then taken from the orbit. Crack faces may have no mass, and no orbit may be found.
+Then the solution with twice or four times the harmonics is assessed, up to a distance of 0.5.
 
 Without an orbit the error is stated from the prediction p as 3 p / (1 + 2 p): three times a small
 prediction, and never below p. Then the exact motion that begins with the solution is followed, and
@@ -455,7 +455,7 @@ def _relative_change_at_load(wave: Wave, change: np.ndarray, motion: np.ndarray)
 
 
 def relative_gap_distance(wave: Wave, orbit: PeriodicOrbit) -> float:
-    """Return the relative distance between a solution's gaps and an orbit's over the period.
+    """Return the relative distance between the gaps of a solution and an orbit.
 
     Root mean square over the period and the pairs, relative to the orbit's gaps plus clearance. In
     this reference the mean counts at most as much as the vibration. The result is 0 if the load

@@ -585,7 +585,7 @@ class FactoredCompliance:
     """
 
     reachable_gap_basis: np.ndarray | None = None
-    """None: no basis of the gaps that modes can make, as all modes take part."""
+    """None: modes can make all gaps, as no mode is left out."""
 
     def __init__(self, structure: Structure, base_omega: float, load_rows: np.ndarray) -> None:
         self.structure, self.load = structure, load_rows

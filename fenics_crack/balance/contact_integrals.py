@@ -67,7 +67,7 @@ class ContactForces(ABC):
 
     @abstractmethod
     def force_change(self, gap_change: np.ndarray) -> np.ndarray:
-        """Return the linearised change of the contact forces for a change of the slow gaps.
+        """Return the linearised force change for a change of the slow gaps.
 
         Both are Fourier coefficients (2H+1, n_pairs) [N], [m]. The slow gap is the gap plus
         residual flexibility times contact force.
@@ -605,7 +605,7 @@ class _KernelForceEvaluator:
 
 
 _kernel_evaluator_for = lru_cache(maxsize=16)(_KernelForceEvaluator)
-"""Return the shared C object for numbers of harmonics and pairs; the last 16 are kept."""
+"""Return the shared C object for numbers of harmonics and pairs. The last 16 are kept."""
 
 
 class _ExactForces(CoupledForces):

@@ -90,7 +90,7 @@ take equally long at 300 to 350 unknowns.
 """
 
 DYNAMIC_TO_SOFT_PAIR_COMPLIANCE = 0.05
-"""Dynamic compliance of the gaps, relative to the series compliance of very soft contact.
+"""Dynamic compliance of the gaps, over the series compliance of softest contact.
 
 A path to the contact law starts at this ratio. The solution there is unique and close to the
 linear one.
@@ -181,7 +181,7 @@ class ContactSystem:
 
     @cached_property
     def compiled_equations(self) -> CompiledEquations | None:
-        """Same equations in the C kernel; None if the contact integrals are not exact."""
+        """Same equations in the C kernel; None without exact contact integrals."""
         if not self.integrals.is_exact:
             return None
         series_compliance = self._start_softness * self.integrals.mean_pair_compliance

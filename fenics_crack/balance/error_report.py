@@ -57,11 +57,11 @@ from fenics_crack.numerics.newton import motion_size_squared, solve_by_full_or_d
 LARGE_ERROR = 0.05
 """Estimated relative error above which a solution has a warning."""
 MIN_HARMONICS_FOR_MODAL_CHANGE = SearchOptions.guess_harmonic_counts[-1]
-"""Minimum harmonics of the load for a modal truncation error from two harmonic-balance solutions.
+"""Minimum harmonics of the load to estimate a modal truncation error by harmonic balance.
 
-The two solutions differ in the number of modes. Measured on 14 plates next to a resonance: with 40
-harmonics the difference is 0.3 to 3 times the difference between the exact orbits. With 20
-harmonics it may be a hundredth.
+The error is the difference between two solutions with different numbers of modes. Measured on 14
+plates next to a resonance, relative to the difference between exact orbits: 0.3 to 3 times with 40
+harmonics; with 20 harmonics it may be a hundredth.
 """
 NOT_CONFIRMED_TEXT = "a prediction that no exact orbit confirms"
 """Words printed with an error report if no exact orbit was found for the truncation error."""
@@ -247,7 +247,7 @@ UNESTIMATED_REPORT = ErrorReport(math.nan, math.nan, math.nan, math.nan, math.na
 
 
 def report_by_more_modes(solution: Wave, more_modes_solution: Wave) -> ErrorReport:
-    """Return the error report of a linear solution, from a solution with more modes (collective).
+    """Return the error report of a linear solution (collective).
 
     ``more_modes_solution`` is the linear solution for the reduced structure's reference, a
     reduction with more modes. The difference between both gives the modal truncation error.
@@ -299,7 +299,7 @@ def _relative_change_at_load(wave: Wave, structure: Structure, displacement: np.
 def relative_rms_of_gap_change(
     gap_change: np.ndarray, point: ContactPoint, clearance: np.ndarray
 ) -> float:
-    """Return the root mean square of a gap change, relative to the solution's gap plus clearance.
+    """Return the root mean square of a gap change, relative to gap plus clearance.
 
     Parameters
     ----------
@@ -362,7 +362,7 @@ def _relative_changes_by_better_system(
     start_slow_gap: np.ndarray,
     structure: Structure,
 ) -> GapAndDisplacementErrors:
-    """Return the relative changes from a solution to one with more harmonics or modes.
+    """Return the relative changes of a solution by more harmonics or modes.
 
     Parameters
     ----------
@@ -478,10 +478,11 @@ def mean_square(coefficients: np.ndarray) -> float:
 
 
 def mean_square_with_limited_mean(coefficients: np.ndarray) -> float:
-    """Return the mean square over a period, summed over n quantities, with a limited mean.
+    """Return the mean square over a period, with a limited mean.
 
-    ``coefficients`` (2H+1, n) have the mean, then cosine and sine of each harmonic. The mean counts
-    at most as much as the vibration. The result is at least 1e-300, for divisions.
+    ``coefficients`` (2H+1, n) have the mean, then cosine and sine of each harmonic; squares are
+    summed over n. The mean counts at most as much as the vibration. The result is at least 1e-300,
+    for divisions.
     """
     vibration_mean_square = 0.5 * np.sum(coefficients[1:] ** 2)
     squared_means_sum = np.sum(coefficients[0] ** 2)

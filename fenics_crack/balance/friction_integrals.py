@@ -68,8 +68,8 @@ SAMPLES_PER_HARMONIC, MIN_SAMPLES = 32, 128
 MAX_MARCH_PERIODS = 20
 """Maximum number of periods over which friction forces are followed until they repeat.
 
-If at no instant all pairs slip or open, an initial error of the slider positions falls to a ninth
-per period (measured: an edge crack in flap). After twelve periods only rounding is left.
+Measured for an edge crack in flap, with some pair sticking at every instant: an initial error of
+the slider positions falls to a ninth per period. After twelve periods only rounding is left.
 """
 
 
@@ -218,7 +218,7 @@ class FrictionForces(CoupledForces):
         return self._force_coefficient_change(sample_period(gap_change, self._integrals.n_instants))
 
     def _force_coefficient_change(self, gap_change_samples: np.ndarray) -> np.ndarray:
-        """Return the linearised change of the force coefficients for changes of the slow gaps.
+        """Return the linearised force change for changes of the slow gaps.
 
         Parameters
         ----------

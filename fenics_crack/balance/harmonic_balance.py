@@ -344,7 +344,7 @@ def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
 
 
 SOUGHT_CHANGE_FACTOR = 3.0
-"""Maximum predicted gap change by more modes, over the tolerance, to search the orbit from.
+"""Maximum predicted gap change over the tolerance, to search an orbit with more modes.
 
 The orbit with more modes gives the exact modal truncation error. While the tolerance chooses the
 modes, a larger prediction is enough to go on to more modes, without a search from this prediction.
@@ -817,13 +817,13 @@ def _with_orbit_by_balance(
     solution_with_harmonics: Callable[[int], PeriodicSolution],
     more_modes: MoreModes | None,
 ) -> MoreModes | None:
-    """Search for the orbit with more modes by harmonic balance, after Newton's method failed.
+    """Search the orbit with more modes by harmonic balance, if Newton's method failed.
 
     Harmonic balance with more modes and 40 harmonics of the load frequency starts from the orbit's
     series. If the solution has an accepted orbit, ``more_modes`` is returned with this orbit.
 
-    ``more_modes`` is returned unchanged if its orbit is known or not wanted
-    (:attr:`MoreModes.is_orbit_left_out`), if crack faces have mass, or without convergence.
+    ``more_modes`` is returned unchanged in three cases: the orbit is known or not wanted
+    (:attr:`MoreModes.is_orbit_left_out`); crack faces have mass; harmonic balance fails.
     """
     if (
         more_modes is None

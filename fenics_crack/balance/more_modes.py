@@ -2,8 +2,8 @@
 
 The reference of a reduced structure is a reduction with more modes
 (:mod:`fenics_crack.model.reduction`). Newton's method searches the reference's orbit, starting from
-the reduced structure's orbit. If crack faces have no mass, the added modes start with their static
-displacements q, Lambda q = f - P lambda, under load f and contact forces lambda. With an orbit, the
+the reduced structure's orbit. If crack faces have no mass, added modes start with their static
+displacements q under load f and contact forces lambda: Lambda q = f - P lambda. With an orbit, the
 change by the added modes is exact. Without an orbit, one Newton step for all instants together
 gives the change linearly. The reference removes only a share of the truncation error. From numbers
 y of the reduced structure and y_ref of the reference, the error is
@@ -131,7 +131,7 @@ class MoreModes:
     The first Newton steps to the orbit with more modes use this solver. None: M is computed.
     """
     allowed_prediction: float = math.inf
-    """Maximum relative change of the gaps, predicted linearly, from which an orbit is searched.
+    """Maximum predicted relative gap change from which an orbit is searched.
 
     With up to 120 modes, Newton's method is first tried from the orbit with fewer modes, without
     this limit.

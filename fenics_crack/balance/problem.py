@@ -323,7 +323,7 @@ class Problem:
         return residual_compliance
 
     def with_common_cutoff(self, cutoff: float) -> Problem:
-        """Return the problem with quasi-static modes that are the same along a curve.
+        """Return the problem with the same quasi-static modes along a curve.
 
         Modes above ``cutoff`` [rad/s] are quasi-static at all points. The problem at this cutoff
         also decides for all points whether pairs have a residual flexibility.
@@ -502,7 +502,7 @@ class Search:
     _residual_rounding: float = ROUNDING
     """Rounding error of the relative residual |F(x)| / |x|."""
     _max_iterations: float = 0.0
-    """Maximum number of iterations for all attempts; raised if a cheap attempt is not counted."""
+    """Maximum iterations of all attempts; cheap attempts, which do not count, raise it."""
     _simpler_point: ContactPoint | None = None
     """Last solution with fewer harmonics, or the point under the forces without friction."""
 
@@ -578,10 +578,11 @@ class Search:
     def _point_after_newton_steps_or_at_guess(
         self, snes: SystemSnes | None, guess: np.ndarray
     ) -> Linearisation:
-        """Take full Newton steps from a guess, set ``has_converged`` and return the last point.
+        """Take full Newton steps from a guess and return the last point.
 
         ``guess`` (2H+1, n_rows) [m] has slow gap coefficients. If ``snes`` is None, the C kernel
         takes the steps; if the steps then fail, the point at the guess is returned.
+        ``has_converged`` is set.
         """
         if snes is not None:
             point, self.has_converged, n_iterations = snes.solve_and_linearise(
@@ -600,7 +601,7 @@ class Search:
         tolerance: float = 0.0,
         parameter: float = 1.0,
     ) -> Linearisation | None:
-        """Take full Newton steps in the C kernel; return the solution, or None if they fail.
+        """Take full Newton steps in the C kernel; return the solution or None.
 
         Parameters
         ----------
@@ -643,7 +644,7 @@ class Search:
     def _yield_start_strategies(
         self, neighbour_slow_gaps: Sequence[np.ndarray]
     ) -> Iterator[StartStrategy]:
-        """Yield the starts of the module's list that suit the problem, in the order of attempts.
+        """Yield the starts that suit the problem, in the module's order.
 
         ``neighbour_slow_gaps`` (2H+1, n_rows) [m] are slow gap coefficients of neighbouring
         solutions, tried first.

@@ -225,6 +225,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         )
 
         def evaluate_at(period_fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            """Return row products, gaps and forces at positions in the period, 0 to 1."""
             return motion_gap_and_force(
                 *self.basis_gaps_and_forces_at_phases(RAD_PER_TURN * period_fractions)
             )
@@ -232,6 +233,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         def motion_gap_and_force(
             basis: np.ndarray, gap: np.ndarray, force: np.ndarray
         ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            """Return row products with the given gaps and forces; ``basis`` is (n, 2H+1)."""
             row_products = basis @ motion_coefficients
             if static_motion_per_force is not None:
                 row_products -= (

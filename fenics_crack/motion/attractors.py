@@ -28,7 +28,7 @@ from fenics_crack.motion.shooting import FlowOrbitEquations
 from fenics_crack.numerics.equations import MAX_LOCATION_RESIDUAL
 
 MAX_SETTLED_CHANGE = 1e-3
-"""Maximum distance of a settled motion's state from an earlier state, relative to the state."""
+"""Maximum relative distance of a settled motion's state from an earlier state."""
 MAX_GROWTH_PERIODS = 35
 """Maximum number of periods over which the growth of a disturbance is measured."""
 IRREGULAR_TOTAL_GROWTH = 1e3

@@ -84,9 +84,10 @@ class BudgetError(ConvergenceError):
 def exact_flow_or_none(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
     """Return the exact flow of a structure and a contact law, or None.
 
-    None for a smooth law, for a large structure, and for rigid contact (or sticking without
-    tangential springs) with a singular residual flexibility, as on faces with mass. A structure is
-    small enough with at most 600 dofs on one rank, or reduced to modes and massless faces.
+    None for a smooth law, and for a large structure. None also if the residual flexibility is
+    singular, as on faces with mass, and contact is rigid (or sticks without tangential springs). A
+    structure is small enough with at most 600 dofs on one rank, or reduced to modes and massless
+    faces.
     """
     return (
         ContactFlow(structure, contact)
@@ -115,7 +116,7 @@ def check_has_exact_flow(structure: Structure, contact: ContactLaw) -> None:
 
 
 def _exact_flow_input_error_or_none(structure: Structure, contact: ContactLaw) -> InputError | None:
-    """Return the error why a structure and a contact law have no exact flow, or None.
+    """Return the reason against an exact flow as an error, or None.
 
     A law that does not fit the structure raises an InputError.
     """
@@ -603,9 +604,10 @@ class Track:
     ratios: np.ndarray | None = None
 
     def mean_time_share(self, is_selected: np.ndarray) -> float:
-        """Return the fraction of time in which a pair is selected, as the mean over the pairs.
+        """Return the fraction of time in which pairs are selected.
 
-        ``is_selected`` (n, n_pairs) is True for the selected pairs in each interval.
+        ``is_selected`` (n, n_pairs) is True for the selected pairs in each interval. The result is
+        the mean over the pairs.
         """
         return float(self.lengths @ is_selected.mean(axis=1) / self.lengths.sum())
 
@@ -668,7 +670,7 @@ class Track:
     def carry_changes(
         self, start_change: np.ndarray, state_jumps: np.ndarray, interval_counts: np.ndarray
     ) -> np.ndarray:
-        """Return a small change d of the state at the ends of consecutive parts of the track.
+        """Return how a small change d of the state evolves along the track.
 
             d_{i+1} = M_i d_i + j_i,    M_i = derivative of the flow over part i
 

@@ -248,6 +248,7 @@ class Record:
         def stack_columns(
             row_products: np.ndarray, gaps: np.ndarray, forces: np.ndarray
         ) -> np.ndarray:
+            """Return the functions of time whose maxima are wanted, as columns."""
             stacked_columns = [row_products, -row_products]
             if n_pairs:
                 gaps, forces = gaps[:, :n_pairs], forces[:, :n_pairs]

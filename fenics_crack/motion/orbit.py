@@ -80,7 +80,7 @@ MAX_MODES_FOR_MONODROMY = 120
 MAX_GMRES_PRODUCTS = 60
 """Maximum products with the monodromy matrix in a solution by GMRES."""
 COMPARED_STEP_GMRES_TOLERANCE = 0.25
-"""Relative residual |A x - r| / |r| by GMRES for a simplified step, needed in the natural test."""
+"""Relative residual of GMRES for a simplified step, needed in the natural test."""
 MULTIPLIER_TOLERANCE = 1e-6
 """Accuracy of Floquet multipliers mu. A smaller distance ||mu| - 1| does not tell the stability.
 Orbits must also close to this relative accuracy."""
@@ -90,7 +90,7 @@ NEUTRAL_MULTIPLIER_TEXT = (
 )
 """Reason for undecided stability if the largest ||mu| - 1| is inconclusive."""
 INSTANTS_PER_BLOCK = 2048
-"""Number of instants with the sines and cosines for all harmonics in memory together."""
+"""Number of instants with sines and cosines in memory together, for all harmonics."""
 INSTANTS_PER_PERIOD = 512
 """Instants per period in the samples of an orbit."""
 OBSERVED_HARMONICS = 40
@@ -768,6 +768,7 @@ def _make_i_minus_m_solver(
         )
 
     def weighted_i_minus_m_product(weighted_change: np.ndarray) -> np.ndarray:
+        """Return w (I - M) d from w d, with a state change d and energy weights w."""
         return weighted_change - energy_weights * (track @ (weighted_change / energy_weights))
 
     return lambda right_side, tolerance: (

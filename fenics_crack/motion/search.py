@@ -213,7 +213,7 @@ class _SearchTask:
 
     @property
     def orbit_equations(self) -> FlowOrbitEquations:
-        """Return the equations z(T) = z(0) of an orbit, with the last tried guess as start.
+        """Return the equations z(T) = z(0), with the last tried guess as start.
 
         Without guesses the start is the zero state.
         """
@@ -242,7 +242,9 @@ def _find_orbits_from_guesses(search_task: _SearchTask) -> list[PeriodicOrbit]:
 
 
 def _find_orbit_after_multiple_shooting_step(search_task: _SearchTask) -> Iterable[PeriodicOrbit]:
-    """Find an orbit by Newton's method after one step for a guess's 32 instants together.
+    """Find an orbit by Newton's method after a multiple-shooting step.
+
+    The step corrects the states at 32 instants of a guess together.
 
     The result has the first orbit from any tried guess, or is empty.
     """
@@ -355,7 +357,7 @@ class Homotopy:
 
 
 def _find_orbit_along_path(search_task: _SearchTask) -> Iterator[PeriodicOrbit]:
-    """Follow the path of :class:`Homotopy` from the last guess, and yield the orbit at p = 1.
+    """Follow the path of :class:`Homotopy` from the last guess to an orbit.
 
     Nothing is yielded without a guess, with more than 120 modes, or if the path does not arrive.
     """

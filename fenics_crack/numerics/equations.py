@@ -203,9 +203,9 @@ class Equations(ABC):
 
     @abstractmethod
     def linearise_evaluated(self, unknown: np.ndarray, parameter: float) -> Linearisation:
-        """Return F and J at the point that the kernel evaluated last, without another evaluation.
+        """Return F and J at the point that the kernel evaluated last.
 
-        ``unknown`` x and ``parameter`` p must be this point.
+        ``unknown`` x and ``parameter`` p must be this point. Nothing is evaluated again.
         """
 
     def run_unchecked(self, loop: Any, *arguments: Any) -> int:

@@ -775,9 +775,9 @@ class Path:
         )
 
     def _restart(self, point: PathPoint, step_length: float) -> None:
-        """Let the next kernel call start at a point with a given step length.
+        """Let the next kernel call start at a point.
 
-        The sign of t_p det J is forgotten.
+        The first step has the given length. The sign of t_p det J is forgotten.
         """
         self._start_points, self._next_step_length, self._orientation = [point], step_length, 0.0
 
