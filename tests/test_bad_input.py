@@ -37,7 +37,11 @@ mesh = { layout = "graded", size = 0.006, lip_elements = 2 }
 TABLE = [
     # command, scene or file and arguments (key=value stands for --set key=value), message
     ("check missing.toml", "scene = 'missing.toml': must be a readable file (No such file or directory)"),
-    ("check folder", "scene = 'folder': must be a readable file (it is no file, but a folder or a device)"),
+    (
+        "check folder",
+        "scene = 'folder': must be a readable file (it is not a regular file, but a folder, link, "
+        "pipe or device)",
+    ),
     ("check bad.toml", "scene = 'bad.toml': must be a TOML file ("),
     ("check empty.toml", "geometry is missing: give a table [geometry]"),
     ("check extra.toml", "x = 1: not allowed; known tables: TABLES"),

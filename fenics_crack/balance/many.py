@@ -312,7 +312,8 @@ def _find_orbit_of_case(
     flow = ContactFlow(problem.structure, problem.contact)
     if not is_orbit_search_affordable(flow, problem.omega):
         raise ConvergenceError(
-            "the search for an exact orbit would take too long: raise omega, or keep fewer modes"
+            "an exact orbit takes too long, as the load is too slow or there are too many modes: "
+            "raise omega, or keep fewer modes"
         )
     is_usable_neighbour = (orbit_table.verdict[neighbour_indices] != "") & (
         orbit_table.load[neighbour_indices] != 0.0

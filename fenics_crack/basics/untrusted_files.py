@@ -107,7 +107,7 @@ def regular_file_size(
     except ValueError as error:  # no name of a file
         raise OSError(str(error)) from None
     if not stat.S_ISREG(file_status.st_mode):
-        raise OSError("it is no file, but a folder or a device")
+        raise OSError("it is not a regular file, but a folder, link, pipe or device")
     if max_bytes is not None and file_status.st_size > max_bytes:
         raise OSError(f"it has more than {max_bytes} bytes")
     return file_status.st_size

@@ -204,8 +204,8 @@ def _check_form(space: Any, key: str, form: Any, n_arguments: int) -> None:
         is_on_space = [argument.ufl_function_space() == space for argument in form.arguments()]
         if len(is_on_space) != n_arguments or not all(is_on_space):
             raise ValueError(
-                f"{sum(is_on_space)} of its {len(is_on_space)} test and trial functions are on "
-                "this space"
+                f"test and trial functions: {len(is_on_space)}, on this space: {sum(is_on_space)}, "
+                f"needed: {n_arguments}"
             )
 
 
