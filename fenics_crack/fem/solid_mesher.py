@@ -168,7 +168,9 @@ def _import_part(path: str, unit: str) -> Tags:
     try:
         solid_dim_tags = gmsh.model.occ.importShapes(path, highestDimOnly=True)
     except Exception as error:
-        raise Refusal("geometry.file", f"a CAD file that gmsh can read ({error})") from None
+        raise Refusal(
+            "geometry.file", f"a CAD file that gmsh can read; export it again ({error})"
+        ) from None
     if len(solid_dim_tags) != 1 or solid_dim_tags[0][0] != 3:
         n_solids = sum(dimension == 3 for dimension, _ in solid_dim_tags)
         raise Refusal("geometry.file", f"a file with one solid; this file has {n_solids or 'none'}")

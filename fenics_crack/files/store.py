@@ -399,7 +399,9 @@ def _read_and_check_result_file(path: Path) -> StoredFile:
 
     def refusal(reason: str) -> InputError:
         """Return the error for an unreadable file, with the reason in brackets."""
-        kinds_text = "an .h5 file that solve, curve or another command wrote"
+        kinds_text = (
+            "an .h5 file that solve, curve or another command wrote; compute a damaged one again"
+        )
         return InputError("path", str(path), f"a readable result file, {kinds_text} ({reason})")
 
     try:

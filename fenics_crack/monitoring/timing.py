@@ -318,7 +318,9 @@ def _conclude_from_track(track: TipTrack) -> tuple[Conclusion, Table, list[str],
         for column_index, column_name in enumerate(track_table.columns)
         if not column_name.startswith("amplitude")
     ]
-    conclusion = Conclusion("run-up tracked", "no vibration is larger than its errors")
+    conclusion = Conclusion(
+        "run-up tracked", f"no vibration of engine order {track.order:g} is larger than its errors"
+    )
     peak_rows, note_texts = [], []
     # Without any vibration, the largest amplitude at n speeds is several errors large.
     allowed_noise_ratio = float(

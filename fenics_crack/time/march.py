@@ -353,7 +353,8 @@ class TimeHistory(ObservedMotion, Tabular):
             raise InputError(
                 "periods",
                 periods,
-                f"less than the {len(watched_period_arrays[0])} recorded periods",
+                f"less than the {len(watched_period_arrays[0])} recorded periods; record more by "
+                "record_periods",
             )
         newest_arrays = [watched_array[-1] for watched_array in watched_period_arrays]
         return _largest_relative_change(
