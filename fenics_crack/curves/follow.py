@@ -387,9 +387,7 @@ def run_to_end(
             if find_other_curve is not None and growing_curve.has_returned:
                 other_growing_curve = find_other_curve(growing_curve)
                 if other_growing_curve is None and not growing_curve.complete:
-                    growing_curve.status += (
-                        " (no other curve was found from the end either: use another start or end)"
-                    )
+                    growing_curve.status += " (from the end no other curve was found)"
                 growing_curve = other_growing_curve or growing_curve
         except ConvergenceError as error:
             growing_curve.status = str(error)
