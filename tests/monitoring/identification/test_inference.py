@@ -279,6 +279,7 @@ def test_picture_of_one_unknown() -> None:
         unknown=keys,
         posterior=posterior,
         estimate=dict(zip(keys, posterior.best_words_and_unknowns[1].tolist(), strict=True)),
+        priors={"confidence": 0.95},
         intervals={key: posterior.compute_interval(place, 0.95) for place, key in enumerate(keys)},
     )
     for key, middle, sigma in (("crack.length", 0.03, 1e-3), ("crack.height", 0.08, 4e-3)):
@@ -290,6 +291,7 @@ def test_picture_of_one_unknown() -> None:
         np.testing.assert_allclose(density[is_near], expected_density[is_near], atol=0.02)
         shaded_x = panel.collections[0].get_paths()[0].vertices[:, 0]
         assert np.ptp(shaded_x) == pytest.approx(2.0 * 1.96 * sigma, rel=0.05)
+        assert panel.collections[0].get_label() == "95 %"
         assert panel.get_xlabel() in ("crack length [mm]", "height of the crack [mm]")
     for wrong_keys in (("crack.length", "crack.length"), ("crack.depth",)):
         catch_error(
