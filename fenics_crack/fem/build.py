@@ -494,10 +494,13 @@ def _watched_pair_by_name(
         if len(cracks) > 1:
             place_name += f" of crack {crack_number + 1}"
         if len(crack_pairs):
-            watched_distance = min(watched_distance, float(distances_on_crack[crack_pairs].max()))
-            pair_by_name[place_name] = int(
-                crack_pairs[np.argmin(np.abs(distances_on_crack[crack_pairs] - watched_distance))]
+            largest_distance = float(distances_on_crack[crack_pairs].max())
+            offsets = np.abs(
+                distances_on_crack[crack_pairs] - min(watched_distance, largest_distance)
             )
+            # Of pairs with equal distances the first, whatever the rounding.
+            is_nearest = offsets <= offsets.min() + RELATIVE_POSITION_TOLERANCE * largest_distance
+            pair_by_name[place_name] = int(crack_pairs[np.argmax(is_nearest)])
     return pair_by_name
 
 
