@@ -268,20 +268,23 @@ def fit_vibration_or_passages(
 ) -> TipFit | TipTrack | tuple[PassageFit, ...]:
     """Fit the vibration in one blade's arrivals, as ``[tip_timing]`` requests.
 
-    At constant speed, fit a frequency in ``frequencies`` if given; otherwise the best engine order
-    of ``orders``, the load's order, or 1 to 24. In a run-up, track the load's order. If the load's
-    order is unknown, or ``orders`` are given with a measured run-up, find the resonances.
+    At constant speed, the first given key decides. With ``frequencies``, fit a frequency between
+    these two. With ``orders``, fit the best engine order among these. Without both keys, fit the
+    load's order. If the load's order is unknown, fit the best order from 1 to 24.
+
+    In a measured run-up with ``orders``, find the resonances. In any other run-up, track the load's
+    order. If the load's order is unknown, find the resonances.
 
     Parameters
     ----------
     timing_table : TipTiming
-        Table ``[tip_timing]``.
+        Table ``[tip_timing]``; its ``order`` precedes the scene's ``excitation.order``.
     arrivals : ArrivalTimes
         Arrivals of the blade.
     scene : Scene, optional
         Scene with the load's order and the rotation.
     run : Run, optional
-        Run with the vibration of computed arrivals; None for measured arrivals.
+        Solution or curve from which the arrivals were computed; None for measured arrivals.
 
     Returns
     -------
@@ -291,8 +294,9 @@ def fit_vibration_or_passages(
     Raises
     ------
     InputError
-        As :func:`fit_order`, :func:`fit_frequency`, :func:`track_order` and :func:`find_passages`;
-        or a key of the table does not belong to this fit.
+        The arrivals do not suffice for :func:`fit_order`, :func:`fit_frequency`,
+        :func:`track_order` or :func:`find_passages`; or a key of the table does not belong to this
+        fit.
     """
     load_order = timing_table.order or (None if scene is None else scene.excitation.order)
     fit_argument_by_name: dict[str, Any] = {

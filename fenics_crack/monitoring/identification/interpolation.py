@@ -725,10 +725,21 @@ def compute_smoothing_factors(
 ) -> np.ndarray:
     """Return factors that make features smooth functions of the unknowns: (m, f).
 
-    Features are natural frequencies and harmonics; feature times factor is interpolated. The
-    factors remove the poles of harmonics, and divide the change of frequencies by the relative
-    crack size. ``relative_crack_sizes`` is (m,), 1 for the largest; other parameters are as in
-    :func:`compute_ratios_and_pole_factors`.
+    Features are natural frequencies and harmonics. The product of feature and factor is
+    interpolated. The factor of a harmonic removes its poles. For a natural frequency with the
+    crack, the interpolated quantity is the change of ln(frequency) by the crack. Its factor is 1
+    over the relative crack size. For a natural frequency without the crack, the factor is 1.
+
+    Parameters
+    ----------
+    features : sequence of Feature
+        f natural frequencies and harmonics.
+    damping_ratio_of_points : (m, 1)
+        Damping ratios at m values of the unknowns.
+    frequency_split_root_and_frequencies : (m, f, 1 + 2 modes)
+        :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each feature.
+    relative_crack_sizes : (m,)
+        Crack sizes, 1 for the largest crack.
     """
     split_exponents = np.array([feature.split_exponent for feature in features])
     is_cracked_frequency = np.array([feature.is_cracked_frequency for feature in features])

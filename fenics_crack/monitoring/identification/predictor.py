@@ -45,21 +45,20 @@ from fenics_crack.sweep.file import KEPT_MODE_NUMBERS
 class ProbeDisplacements:
     """Displacements of a point at phases of the load's period, as probes measure.
 
-    The load's size and phase are unknown. Under a steady load the point's displacement is, at a
-    phase theta of the load's period,
+    Under a steady vibration the displacement is, at a phase theta of the load's period,
 
-        u = A Re sum_k U_k exp(i k (theta - psi)) + c,
+        u = A Re sum_k U_k exp(i k (theta - psi)) + c.
 
-    with the harmonics U_k of the model, the load's size A and phase psi, and a constant c due to
-    probe angles and steady forces. A, psi and c are fitted to the measured displacements, for each
-    value of the crack's unknowns. The fit is the prediction. Its derivatives by A, psi and c are
-    common errors of all displacements.
+    The forward model gives the harmonics U_k. The load's size A and phase psi are unknown. So is
+    the constant c, due to probe angles and steady forces. For each value of the crack's unknowns,
+    A, psi and c are fitted to the measured displacements. The fitted u is the prediction. The
+    remaining uncertainty of A, psi and c adds errors to all predicted displacements together.
 
     Parameters
     ----------
     row_indices : sequence of int
-        Indices of these displacements among all measurements and candidates, the measured ones
-        first.
+        Indices of these displacements in the list of all measurements and candidates. Measured
+        displacements come first.
     measured_rows : sequence of Measurement
         All measurements.
     candidate_rows : sequence of Measurement
@@ -366,10 +365,11 @@ class MeasurementPredictor:
     def with_change_factors(
         self, *, clamp_factor: float, temperature_factor: float
     ) -> MeasurementPredictor:
-        """Return a copy with other prior changes of the plate.
+        """Return a copy with larger or smaller changes of clamp and temperature.
 
-        The factors multiply the changes by the clamp and by an unknown temperature difference,
-        since the plate was measured without the crack.
+        The changes happen between the measurements without the crack and later ones.
+        ``clamp_factor`` multiplies the prior standard deviation of frequency changes by the clamp.
+        ``temperature_factor`` does so for an unknown temperature difference.
         """
         changed_predictor = copy(self)
         changed_predictor.baseline_changes = self.baseline_changes.with_change_factors(
