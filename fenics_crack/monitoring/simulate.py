@@ -213,17 +213,19 @@ def _build_motion(
     result : PeriodicSolution or ResponseCurve
         Steady vibration, or a curve that is a run-up.
     factor_by_dof : dict of int to float
-        Dofs and factors whose sum of products is the tip's displacement in the rotation's
-        direction.
-    speed, order : float [rad/s], int
-        Rotor speed, or load periods in a revolution; None for the other. A curve needs the order.
+        Dofs and their factors; the sum of factors times dofs is the tip's displacement in the
+        direction of rotation.
+    speed : float or None [rad/s]
+        Rotor speed; None if ``order`` is given.
+    order : int or None
+        Load periods in a revolution; None if ``speed`` is given. A curve needs the order.
     n_revolutions : int
         Number of revolutions.
 
     Raises
     ------
     InputError
-        Not exactly one is given, or a curve cannot be a run-up.
+        Speed and order are both missing or both given, or a curve cannot be a run-up.
     """
     if order is not None:
         check_count("order", order, 1)
@@ -261,7 +263,17 @@ def _build_run_up_motion(
 ) -> _TipMotion:
     """Return a blade tip's motion in a run-up or run-down along a curve.
 
-    Parameters are as in :func:`_build_motion`.
+    Parameters
+    ----------
+    curve : ResponseCurve
+        Curve over the load frequency.
+    factor_by_dof : dict of int to float
+        Dofs and their factors; the sum of factors times dofs is the tip's displacement in the
+        direction of rotation.
+    order : int
+        Load periods in a revolution.
+    n_revolutions : int
+        Number of revolutions in total.
 
     Raises
     ------
@@ -298,15 +310,16 @@ def _build_run_up_motion(
 def find_run_up_point_indices(curve: ResponseCurve) -> tuple[np.ndarray, int | None]:
     """Find the points of a curve that a run-up or run-down passes.
 
-    Points pass while the load frequency goes beyond all previous ones. Before a fold the motion may
-    jump from the last stable point (:func:`_mark_jumped_points`).
+    A point is passed if its load frequency lies beyond all previous points. The motion may jump
+    from the last stable point before a fold; the points between are left out.
 
     Returns
     -------
     (k,)
         Indices of the passed points, up to the first unstable or irregular point.
     int or None
-        Index of this point; None without such a point, or if the curve has no stability.
+        Index of this unstable or irregular point. None if there is none, or if the curve's
+        stability is unknown.
     """
     signed_omega = np.sign(curve.omega[-1] - curve.omega[0]) * curve.omega
     highest_previous_omega = np.concatenate([[-np.inf], np.maximum.accumulate(signed_omega)[:-1]])
@@ -330,17 +343,17 @@ def _mark_jumped_points(
 ) -> np.ndarray:
     """Mark the points just before folds that a jump leaves out: (n,) bool.
 
-    Doubtful points in an unbroken row up to a fold are left out, if their load frequency is within
-    1e-3 of the fold's, relative.
+    A point is left out in two conditions together. All points from there to the fold are doubtful.
+    The load frequency differs from the fold's by less than 1e-3 times the fold's.
 
     Parameters
     ----------
     signed_omega : (n,) [rad/s]
         Load frequency of all points, times -1 in a run-down.
     is_passed : (n,) bool
-        Points that go beyond all previous frequencies.
+        True for points beyond all previous load frequencies.
     is_doubtful : (n,) bool
-        Points that are not known to be stable.
+        True for points that are not known to be stable.
     """
     is_jumped = np.zeros(len(signed_omega), dtype=bool)
     for fold_index in np.flatnonzero(is_passed[:-1] & ~is_passed[1:]):
@@ -410,10 +423,11 @@ class _TipMotion:
         )
 
     def bound_backward_slope(self) -> float:
-        """Return an upper bound of -du/dalpha [m] at all known speeds.
+        """Return an upper bound of -du/dalpha [m] at all speeds with known vibration.
 
-        A tip at radius R moves forwards if the bound is below R. The bound is the largest of
-        samples over a period, plus the possible change between two samples.
+        A tip at radius R moves forwards if the bound is below R. -du/dalpha is sampled over a
+        period. The bound is the largest sample, plus the largest possible change between two
+        samples.
         """
         harmonic_orders = np.arange(self.tip_harmonics.shape[1])[:, None]
         harmonics_of_slope = (

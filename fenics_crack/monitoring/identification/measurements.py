@@ -185,7 +185,8 @@ class Measurement:
     def depends_on_shape_alone(self) -> bool:
         """Return True if the measurement does not depend on the load's size.
 
-        True for ratios, and for displacements: the size of their load is fitted.
+        Ratios do not depend on the size. For displacements the size is fitted, so the result is
+        True, too.
         """
         return not self.is_natural_frequency and not self.quantity.startswith("harmonic")
 
@@ -208,10 +209,11 @@ class Measurement:
         return f"{self.quantity} at {self.frequency:g} Hz{phase_text}{point_text}"
 
     def get_load_frequency(self, scene: Scene) -> float:
-        """Return the load frequency [Hz] to solve for this measurement.
+        """Return the load frequency [Hz] of the case that predicts this measurement.
 
-        For a natural frequency at a rotor speed, it is the engine order's frequency at this speed;
-        0 stands for the scene's own speed.
+        A quantity under a load has its own load frequency. A natural frequency at a stated rotor
+        speed has the engine order's frequency at this speed. A natural frequency without a stated
+        speed has 0, for the scene's speed.
         """
         if not self.is_natural_frequency:
             return float(self.frequency)
@@ -373,10 +375,11 @@ class Measurements(Tabular):
     ) -> Measurements:
         """Take the mean displacement of a blade tip at each probe, for an engine order.
 
-        At rotor angle alpha the load is at the phase p alpha of its period. The arrivals give the
-        displacement u there (:class:`ArrivalTimes`). No harmonic is fitted here; the forward model
-        has them. The means are as in :func:`fit_order`: single wrong arrivals have no weight, and
-        vibrations of constant frequency are subtracted.
+        With p load periods in a revolution, the load is at the phase p alpha if the rotor is at the
+        angle alpha. The arrivals at this angle give the displacement (:class:`ArrivalTimes`). No
+        harmonic is fitted here; the forward model predicts the displacements. Single wrong arrivals
+        have no weight in the means, and vibrations of constant frequency are subtracted, as in
+        :func:`fit_order`.
 
         Parameters
         ----------
@@ -389,8 +392,8 @@ class Measurements(Tabular):
         against : bool
             True if the direction of the point is against the rotation.
         noise : float [s]
-            Standard deviation of an arrival time. Default: from the scatter between revolutions and
-            its correlation, with a larger error from few revolutions.
+            Standard deviation of an arrival time. Default: estimated from the scatter between
+            revolutions, including correlation. An estimate from few revolutions is enlarged.
         angle_deviation : float [rad]
             Standard deviation of the probes' angles, the same in every revolution.
 
@@ -524,8 +527,9 @@ class Measurements(Tabular):
         """Fit natural frequencies to the frequency responses of a universal file.
 
         All responses of one structure (datasets 58 and 58b) must have the same frequencies. They
-        are fitted together around their peaks. The standard deviation includes the scatter, and the
-        change of the fit if less of a peak is fitted.
+        are fitted together around their peaks. The standard deviation of a natural frequency has
+        two parts: the scatter about the fit, and the change if only the upper half of a peak is
+        fitted.
 
         Parameters
         ----------
@@ -593,7 +597,10 @@ class Measurements(Tabular):
         return len(self.rows)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns by name, with empty cells, as :meth:`from_csv` reads them."""
+        """Return the columns of a table by name, in the form that :meth:`from_csv` reads.
+
+        A value that does not apply is an empty cell, "".
+        """
         values_by_column = {
             measurement_field.name: [
                 getattr(measurement, measurement_field.name) for measurement in self.rows
@@ -613,10 +620,10 @@ class Measurements(Tabular):
 
 
 def get_crack_removal_changes_or_none(scene: Scene) -> dict[str, Any] | None:
-    """Return the changes that remove the crack from a scene, by key.
+    """Return new values of scene keys that remove the crack, by key.
 
-    None if the crack cannot be removed: from matrices, from mesh files without
-    ``identify.uncracked``, or with several cracks.
+    Return None if the crack cannot be removed. This holds for a structure from matrices, for
+    several cracks, and for mesh files without ``identify.uncracked``.
     """
     value_by_key: dict[str, Any] = dict.fromkeys(
         ("crack", "cracks", "contact", "output.quantities")

@@ -393,10 +393,10 @@ class UncrackedPlate:
         frequency is compared with this plate's frequency of the same mode. A load frequency must
         not seem to be in kHz or mHz, a natural frequency not in rad/s, kHz or mHz.
 
-        ``may_be_other_plate`` is True if an unknown changes more than the crack, such as the
-        thickness. The unit rad/s then causes an error only if all natural frequencies seem to have
-        this unit. If ``may_be_other_plate`` is False, the modes are checked, too: a frequency
-        without the crack must be nearer to this plate's frequency of its mode than to any other.
+        ``may_be_other_plate`` is True if an unknown belongs neither to crack nor to contact, for
+        example the thickness. The unit rad/s then causes an error only if all natural frequencies
+        seem to have this unit. If ``may_be_other_plate`` is False, the modes are checked, too: a
+        frequency without the crack must be nearest to this plate's frequency of the stated mode.
         """
         for row in [
             row for row in measurements.rows if load_frequencies and not row.is_natural_frequency
@@ -475,8 +475,8 @@ def _guess_frequency_unit_or_empty(frequency_ratio: float) -> str:
 class BaselineChanges:
     """Changes of the plate since the baseline, the measurements without the crack.
 
-    The attributes hold changes of q predictions; n is the number of modes of the plate. Changes are
-    0 for predictions of other quantities than natural frequencies, and for modes above n.
+    The attributes hold changes of q predictions; n is the number of modes of the plate. Only
+    natural frequencies of these modes change; all remaining entries are 0 (factors 1).
 
     Attributes
     ----------
@@ -666,7 +666,7 @@ def compute_deviations_from_equivalent_crack(
 
     The equivalent crack is straight and sharp, and has the same effect on vibration. ``x`` (m, d)
     are m values of the d unknowns ``unknown_keys``. Crack size and crack height have a standard
-    deviation in the unit of the unknown; all other unknowns have 0.
+    deviation in the unit of the unknown; all remaining unknowns have 0.
     """
     identify_table = scene.given("identify")
     equivalence_deviations = np.zeros_like(x)

@@ -285,8 +285,8 @@ class Optimum:
 class PosteriorBranch:
     """Posterior on a grid of the unknowns with numbers, for one choice of text values.
 
-    Some unknowns have text values, such as "left" for crack.edge; each choice has its own branch.
-    The grid has more points around the best optima.
+    An unknown with text values is, for example, crack.edge, with "left" or "right". Each choice has
+    its own branch. The grid has more points around the best optima.
 
     Attributes
     ----------
@@ -561,8 +561,8 @@ def _find_optima(
 class Posterior:
     """Posterior of all unknowns: one branch for each choice of text values.
 
-    Some unknowns have text values, such as "left" for crack.edge. All choices of text values have
-    the same prior probability.
+    An unknown with text values is, for example, crack.edge, with "left" or "right". All choices
+    have the same prior probability.
 
     Parameters
     ----------
@@ -675,7 +675,7 @@ class Posterior:
         """Return the log-likelihood at the border of a credible region.
 
         The region consists of the grid points with the largest likelihood. Their posterior
-        probability sums to ``probability``.
+        probability sums to at least ``probability``.
         """
         indices_most_likely_first = np.argsort(-self._log_likelihood_of_points)
         cumulative_masses = np.cumsum(self._mass_of_points[indices_most_likely_first])
@@ -717,9 +717,9 @@ class Posterior:
     def compute_marginal_values_and_masses(
         self, unknown_index: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the grid values of one unknown, and their probabilities: (n,) each.
+        """Return the grid values of an unknown, and their probabilities: (n,) each.
 
-        Values are in ascending order. The probabilities are summed over all other unknowns.
+        Values are in ascending order. The probabilities are summed over all remaining unknowns.
         """
         unknown_values = np.concatenate(
             [branch.axes[unknown_index] for branch in self.branch_by_words.values()]
@@ -761,8 +761,8 @@ class Posterior:
         -------
         list of (str, (d,), float)
             For each part: text values joined with ", ", the middle, and the probability. The middle
-            is the mean of the d unknowns over the part. If a bent part does not contain its mean,
-            the middle is the part's grid point nearest to the mean.
+            is the posterior mean of the d unknowns in the part. If a bent part does not contain the
+            mean, the middle is the part's grid point nearest to the mean.
         """
         border_log_likelihood = self.find_region_border_log_likelihood(probability)
         region_parts = []
@@ -795,10 +795,11 @@ class Posterior:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return probability and density over two unknowns: (n_first, n_second) each.
 
-        An unknown may have text values, such as "left" for crack.edge. ``words_text`` chooses these
-        values, joined with ", ". ``first_unknown_index`` and ``second_unknown_index`` are positions
-        among the unknowns with numbers. The probability is summed over all other unknowns. The
-        density is the posterior probability over the prior probability.
+        ``words_text`` has the values of unknowns with text, joined with ", ", as "left" for
+        crack.edge. Both results hold for these values alone. ``first_unknown_index`` and
+        ``second_unknown_index`` are positions among the unknowns with numbers. The probability is
+        summed over all remaining unknowns. The density is the posterior probability over the prior
+        probability.
         """
         pair_mass, pair_prior = (
             np.moveaxis(point_array, (first_unknown_index, second_unknown_index), (0, 1)).sum(
