@@ -236,8 +236,9 @@ def describe_scene_difference_or_empty(scene: Scene, run: Run[Any]) -> str:
 def list_arrival_remarks(arrivals: ArrivalTimes) -> list[str]:
     """Return remarks on measured arrivals that seem to have wrong units.
 
-    One remark is about a tip speed outside 1 to 1000 m/s. The other is about several probes all
-    below 6.28 degrees, as if angles in rad are read as degrees. Otherwise the list is empty.
+    A remark follows if the tip speed is outside 1 to 1000 m/s. Another follows if there are several
+    probes, all below 6.28 degrees: angles in rad may have been read as degrees. Otherwise the list
+    is empty.
     """
     remark_texts, tip_speed = [], arrivals.mean_speed * arrivals.tip_radius
     if not MIN_PLAUSIBLE_TIP_SPEED < tip_speed < MAX_PLAUSIBLE_TIP_SPEED:
@@ -479,7 +480,7 @@ def _compute_campbell_diagram(scene: Scene, arrivals: ArrivalTimes) -> Campbell:
 def find_tip_factor_by_dof(
     timing_table: TipTiming, run: Run, blade_number: int = 0
 ) -> dict[int, float]:
-    """Return the dofs, and their factors, of the displacement that the probes measure (collective).
+    """Return dofs and factors of the tip displacement that the probes measure (collective).
 
     The displacement in the direction of rotation is the sum of all factors times their dofs.
 

@@ -61,11 +61,10 @@ def tip_timing(
     (Heath and Imregun, International Journal of Mechanical Sciences 38, 1996, 1047). At time 0 the
     rotor's angle is 0 and the load begins its period.
 
-    A curve is a run-up, or a run-down if followed downwards: the speed changes at constant
-    acceleration from the first point to the last. The vibration is taken to be the steady one at
-    each speed, interpolated between the points, which holds for slow sweeps alone. If the curve
-    turns back at a fold, the motion jumps to the part beyond the fold, from the last stable point
-    before it.
+    A curve is a run-up, or a run-down if its load frequency falls. The speed changes at constant
+    acceleration from the first point to the last. At each speed the vibration is steady,
+    interpolated between the points; this holds for slow sweeps alone. If the curve turns back at a
+    fold, the motion jumps beyond the fold, from the last stable point before the fold.
 
     Parameters
     ----------
@@ -82,16 +81,16 @@ def tip_timing(
     speed : float [rad/s]
         Rotor speed W, if the load frequency is no multiple of the speed (asynchronous).
     order : int
-        In place of ``speed``: periods of the load in a revolution (engine order), W = omega /
-        order. A curve requires the order.
+        Periods of the load in a revolution (engine order), instead of ``speed``: W = omega / order,
+        with the load frequency omega. A curve requires the order.
     revolutions : int
         Number of revolutions, for a run-up in total.
     noise : float [s]
         Standard deviation of normal errors in the arrivals; shorter than a revolution. The
         once-per-revolution times of the shaft have no errors.
     clock : float [s]
-        Resolution: arrivals are rounded to multiples of this time, shorter than a revolution; 0:
-        no rounding.
+        Resolution: arrivals are rounded to multiples of this time, shorter than a revolution; 0: no
+        rounding.
     seed : int
         Seed of the random errors.
 
@@ -370,11 +369,13 @@ def _mark_jumped_points(
 
 @dataclass(frozen=True)
 class _TipMotion:
-    """Displacement u of a blade tip over the rotor angle, along the rotation.
+    """Displacement u of a blade tip over the rotor angle alpha, along the rotation.
 
-    The rotor turns at constant acceleration, from angle alpha = 0 at time 0:
+    With q periods of the response in a revolution, the displacement is
 
         u(alpha) = Re sum_k U_k exp(i k q alpha).
+
+    The rotor turns at constant acceleration, from the angle alpha = 0 at time 0.
 
     Attributes
     ----------
@@ -383,8 +384,8 @@ class _TipMotion:
     n_revolutions : int
         Number of revolutions.
     rotor_speeds : (n,) [rad/s]
-        Increasing speeds with known vibration. Between two speeds U_k is linear; outside it is
-        constant.
+        Increasing speeds with known vibration. The harmonics U_k are linear between two speeds, and
+        constant outside all speeds.
     tip_harmonics : (n, H+1) complex [m]
         Harmonics U_k at these speeds, k = 0 to H.
     periods_per_revolution : float
@@ -416,7 +417,8 @@ class _TipMotion:
     def compute_times(self, rotor_angles: np.ndarray) -> np.ndarray:
         """Return the times [s] at which the rotor has given angles [rad].
 
-        The formula is 2 alpha / (W_0 + W(alpha)), without cancellation at small accelerations.
+        The time at the angle alpha is 2 alpha / (W_0 + W(alpha)), with the rotor speeds W_0 at time
+        0 and W(alpha). This formula has no cancellation at small accelerations.
         """
         return np.asarray(
             2.0 * rotor_angles / (self.end_speeds[0] + self.compute_rotor_speeds(rotor_angles))

@@ -390,7 +390,7 @@ def _conclude_from_fits(timing: Timing) -> tuple[Conclusion, list[str], list[str
     Returns
     -------
     Conclusion
-        Amplitude and frequency; for several blades, of the largest amplitude.
+        Amplitude and frequency of the blade with the largest amplitude.
     list of str
         Notes for the reader.
     list of str

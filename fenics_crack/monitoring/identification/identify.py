@@ -50,20 +50,20 @@ def identify(
 ) -> Identification:
     """Find a crack, or other keys of a scene, from measurements (collective).
 
-    The scene is solved on a grid of the unknowns once, and on a finer mesh at a few grid points.
-    Files in ``folder`` keep both, and a killed run continues from these files. A rotor's natural
-    frequencies may be at several speeds; all are solved. Under a steady load or a clearance, the
-    grid becomes denser around cracks that meet a resonance between grid points. If interpolation
-    causes more than a fifth of a variance, the grid also becomes denser around cracks that explain
-    the measurements.
+    The scene is solved at all points of a grid of the unknowns, and with a finer mesh at a few
+    points. The results are kept in files in ``folder``, from which a killed run continues. A
+    rotor's natural frequencies may be measured at several speeds; all speeds are solved. Under a
+    steady load or a clearance, the grid becomes denser around cracks that meet a resonance between
+    grid points. The grid also becomes denser if interpolation causes more than a fifth of a
+    measurement's variance. Points are then added around cracks that explain the measurements.
 
     Cross-validation, and a few cases halfway between the grid points, estimate the interpolation
-    error. It is added to the measurement error, together with the remaining mesh error. Suppose
-    that elements smaller by a factor f change a quantity by d. A mesh error of first order then
-    leaves d / (f - 1), an error of high order nothing. The predictions are therefore corrected by
-    d + d / (2 f - 2), with the standard deviation d / (2 f - 2). Least squares from several starts
-    find the estimate, and a posterior on a grid gives the credible regions. The likelihood's
-    integral over the prior, the evidence, decides between crack and no crack.
+    error. This error and the remaining mesh error are added to the measurement error. Suppose that
+    elements smaller by a factor f change a quantity by d. A mesh error of first order is then still
+    d / (f - 1) on the finer mesh; an error of high order is 0. The predictions are corrected by the
+    mean, d + d / (2 f - 2), with the standard deviation d / (2 f - 2). Least squares from several
+    starts find the estimate, and a posterior on a grid gives the credible regions. The evidence is
+    the integral of the likelihood over the prior. It decides between crack and no crack.
 
     Parameters
     ----------
@@ -72,8 +72,8 @@ def identify(
     measurements : Measurements or path
         Measurements, or their file (:meth:`Measurements.read`).
     unknown : mapping, optional
-        Keys of the scene with the values to solve, instead of the table ``[identify.unknown]``.
-        The prior is uniform between the first and last value.
+        Keys of the scene with the values to solve, instead of the table ``[identify.unknown]``. The
+        prior is uniform between the first and last value.
     folder : path
         Folder of the sweeps' files.
     comm : MPI.Comm
@@ -89,7 +89,8 @@ def identify(
     Raises
     ------
     InputError
-        There are no unknowns, a measurement does not fit the scene, or as :func:`run_sweep`.
+        There are no unknowns, a measurement does not fit the scene, or the cases cannot be solved
+        (:func:`run_sweep`).
     ConvergenceError
         Too few cases were solved to predict any measurement made after the crack began.
     StoppedError

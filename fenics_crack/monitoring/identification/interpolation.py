@@ -123,8 +123,9 @@ def _fit_spline(axis_values: np.ndarray, node_values: np.ndarray) -> Any:
 def compute_leave_one_out_errors(axis_values: np.ndarray, node_values: np.ndarray) -> np.ndarray:
     """Return a spline's error at each grid node if this node is left out.
 
-    ``axis_values`` (n,) are the nodes, ``node_values`` (n, ...) the quantities there; errors have
-    the shape (n, ...). The two ends are never left out, and get their neighbours' errors.
+    ``axis_values`` (n,) are the nodes; ``node_values`` (n, ...) are the quantities at the nodes.
+    The errors have the shape (n, ...), in the units of the quantities. An end node is never left
+    out, and gets its neighbour's error.
     """
     node_errors = np.zeros_like(node_values)
     for node_index in range(1, len(axis_values) - 1):

@@ -80,14 +80,16 @@ class Measurement:
     Attributes
     ----------
     quantity : str
-        Natural frequencies of mode ``mode`` [Hz] are "frequency_open" (crack always open),
-        "frequency_tied" (bonded) and "frequency_bilinear" by the bilinear formula. A measured
-        resonance of a breathing crack, near the formula, is "frequency_resonance".
-        "frequency_uncracked" is from the same plate before it had a crack, and calibrates the other
-        frequencies of the mode. Quantities of a point under the scene's load at ``frequency`` are,
-        as in :class:`Indicators`, "harmonic_1" to "harmonic_3" [m], "ratio_2_1" and "ratio_3_1". A
-        "displacement" [m] of the point is at ``phase``, as probes measure. For all displacements
-        of a point at a frequency, the load's size and phase and a constant are fitted.
+        Name of the quantity. Natural frequencies of mode ``mode`` [Hz] are: "frequency_open" with
+        the crack always open, "frequency_tied" with the crack always closed, "frequency_bilinear"
+        by the bilinear formula from both, "frequency_resonance" at a measured resonance of a
+        breathing crack, and "frequency_uncracked" before the plate had a crack. The last calibrates
+        the plate.
+
+        Quantities of a point under the scene's load at ``frequency`` are, as in
+        :class:`Indicators`, "harmonic_1" to "harmonic_3" [m], "ratio_2_1" and "ratio_3_1". A
+        "displacement" [m] is the point's displacement at ``phase``, as probes measure. The load's
+        size and phase and a constant are fitted to all displacements of a point at a frequency.
     value, deviation : float
         Measured value, and its standard deviation > 0, in the same unit.
     mode : int
@@ -102,8 +104,8 @@ class Measurement:
     rpm : float [1/min]
         Rotor speed at which a natural frequency was measured, 0 at rest; nan: the scene's own.
     temperature : float [K or °C]
-        Temperature of the structure when a natural frequency was measured. All have one unit, since
-        only their differences matter; nan if unknown.
+        Temperature of the structure when a natural frequency was measured; nan if unknown. All
+        measurements use the same unit, since only temperature differences matter.
 
     Raises
     ------
@@ -192,9 +194,10 @@ class Measurement:
 
     @property
     def harmonic_orders(self) -> tuple[int, ...]:
-        """Return the orders of the quantity's harmonics, the numerator first.
+        """Return the orders of the harmonics from which the quantity is computed.
 
-        The tuple is empty for natural frequencies, and for displacements, which have all harmonics.
+        For a ratio, the numerator's order comes first. The tuple is empty for natural frequencies,
+        and for displacements, which have all harmonics.
         """
         return () if self.is_natural_frequency else tuple(map(int, self.quantity.split("_")[1:]))
 
@@ -212,8 +215,9 @@ class Measurement:
         """Return the load frequency [Hz] of the case that predicts this measurement.
 
         A quantity under a load has its own load frequency. A natural frequency at a stated rotor
-        speed has the engine order's frequency at this speed. A natural frequency without a stated
-        speed has 0, for the scene's speed.
+        speed has the engine order's frequency at this speed. At the scene's speed, or without a
+        stated speed, a natural frequency has 0. At rest, it has a thousandth of the scene's load
+        frequency.
         """
         if not self.is_natural_frequency:
             return float(self.frequency)
@@ -319,7 +323,7 @@ class Measurements(Tabular):
         Parameters
         ----------
         quantity : str
-            As in :class:`Measurement`.
+            Name of the quantity, an attribute of :class:`Measurement`.
         values : (n,)
             Measured values.
         deviations : (n,) or float
@@ -576,9 +580,9 @@ class Measurements(Tabular):
         return cls.from_responses(path, modes) if is_universal else cls.from_csv(path)
 
     def check(self, scene: Scene) -> None:
-        """Raise InputError if measurements do not fit a scene.
+        """Raise InputError if a measurement does not fit a scene.
 
-        The error is also raised if all are frequencies without the crack.
+        The error is also raised if all measurements are natural frequencies without the crack.
         """
         if all(measurement.quantity == "frequency_uncracked" for measurement in self.rows):
             raise InputError(

@@ -87,10 +87,11 @@ class ForwardModel:
         )  # 0.01 if the damping is given as a matrix
 
     def compute_crack_sizes_relative_to_largest(self, x: np.ndarray) -> np.ndarray:
-        """Return crack sizes at values x (m, d), relative to the largest: (m,).
+        """Return crack sizes at m values x (m, d) of the unknowns, 1 for the largest: (m,).
 
-        A size is the product of length and depth, each over its upper bound; 1 if neither is an
-        unknown.
+        If crack length or depth is an unknown, the size is the unknown over its upper bound. If
+        both are unknowns, the size is the product of both ratios. If neither is an unknown, the
+        size is 1.
         """
         size_unknown_indices = [
             unknown_index
@@ -293,10 +294,11 @@ class FeaturePredictor:
         return covariances
 
     def _evaluate_smooth_features(self, solved_cases: SolvedCases) -> np.ndarray:
-        """Return smooth forms of all features at the grid nodes of solved cases: (n, 2f).
+        """Return smooth forms of all f features at n grid nodes of solved cases: (n, 2f).
 
         Features are natural frequencies and harmonics. A smooth form is feature times factor
-        (:func:`compute_smoothing_factors`); real and imaginary parts alternate.
+        (:func:`compute_smoothing_factors`). For a natural frequency with the crack, the feature
+        here is the change of ln(frequency) by the crack. Real and imaginary parts alternate.
         """
         feature_values = np.stack(
             [feature.get_node_values(solved_cases) for feature in self.features], axis=1
@@ -439,7 +441,7 @@ def _correlate_errors(errors: np.ndarray) -> list[np.ndarray]:
 
 
 def _build_error_group_matrix(features: Sequence[Feature]) -> np.ndarray:
-    """Return the group membership of features with a common mesh error: (2f, groups).
+    """Return the membership of features in groups with a common mesh error: (2f, groups).
 
     Each of the f features, a natural frequency or a harmonic, has two equal rows: for its real and
     its imaginary part. An entry is 1 if the feature is in the group

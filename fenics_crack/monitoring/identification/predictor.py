@@ -387,14 +387,14 @@ class MeasurementPredictor:
         """Yield predictions for each possible motion of the crack faces.
 
         Under a steady load, a preload or a clearance a crack may always stay open or closed. The
-        motion then has no higher harmonics. If one of two neighbouring solved cracks breathes and
-        the other does not, a crack between them may do either.
+        motion then has no higher harmonics. Between a solved crack that breathes and a neighbour
+        that does not, a crack may do either.
 
-        At a resonance, the motions of :func:`_list_face_states` are possible. The crack breathes
-        for half of the period, breathes for another part of the period, stays open, or stays
-        closed, with the same probability each. The other part of the period is either common to
-        all resonances or different at each, with half of the probability each. If the motion is
-        proportional to the load, the crack breathes for half of the period.
+        At a resonance, up to four motions are possible, with the same probability
+        (:func:`_list_face_states`). The crack is open for half of the period, for an unknown part
+        of the period, always, or never. The unknown part may be common to all resonances, or differ
+        between resonances, with half of the probability each. If the motion is proportional to the
+        load, the crack is open for half of the period.
 
         Parameters
         ----------
@@ -406,9 +406,9 @@ class MeasurementPredictor:
         point_indices : (n,)
             Indices of the values in x for which this motion is possible.
         probabilities : (n,)
-            Probability of the motion there.
+            Probability of the motion at these values.
         MeasurementPrediction
-            Predictions there.
+            Predictions at these values, with this motion.
         """
         motionless_fractions = np.zeros((len(x), 0))
         if self._motionless_fraction_interpolator is not None:

@@ -101,9 +101,9 @@ class Identification(Tabular):
     def _branch_and_unknowns_of_estimate(self) -> tuple[PosteriorBranch, np.ndarray]:
         """Return the posterior branch with the estimate, and the estimate (d,).
 
-        A branch is the posterior for one choice of text values, as crack.edge = "left". The
-        estimate is the middle of the most probable part of the credible region. If all parts are
-        too improbable, the estimate is the maximum of the likelihood.
+        A branch is the posterior for one choice of text values, as "left" for crack.edge. The
+        estimate is the middle of the most probable part of the credible region. If all parts have a
+        probability below 0.03, the estimate is the maximum of the likelihood.
         """
         words_text, x = (
             self._region_parts[0][:2]
@@ -178,7 +178,7 @@ class Identification(Tabular):
 
     @cached_property
     def _verdict_and_reason(self) -> tuple[str, str]:
-        """Return verdict and reason.
+        """Return the verdict, and the reason for it, as texts.
 
         Both follow from the p-values with and without a crack, the log Bayes factor, and the
         intervals.
@@ -259,14 +259,14 @@ class Identification(Tabular):
         ]
 
     def contains(self, values: Mapping[str, Any], share: float | None = None) -> bool:
-        """Return True if given values lie in the credible region.
+        """Return True if given values of the unknowns lie in the credible region.
 
         Parameters
         ----------
         values : mapping of str to number or str
             Values of all unknowns by key.
         share : float, optional
-            Probability of the region; default: ``identify.confidence``.
+            Probability of the credible region; default: ``identify.confidence``.
 
         Raises
         ------

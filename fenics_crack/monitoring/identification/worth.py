@@ -103,14 +103,15 @@ def rank_measurements_by_information(
     Parameters
     ----------
     likelihood : Likelihood
-        Measurements made, and their predictor.
+        Likelihood of the measurements made, with their predictor.
     x : (d,)
         Estimate of the unknowns.
     measurements : sequence of Measurement, optional
-        Candidates; None for the default ones: natural frequencies, ratios of harmonics, and
-        displacements at further probes.
+        Candidates. Default: natural frequencies, ratios of harmonics, and displacements at further
+        phases (:func:`_list_default_candidates`).
     default_relative_deviations : (float, float)
-        Relative standard deviations of default candidates: frequencies, and ratios of harmonics.
+        Relative standard deviations of the default candidates: first of natural frequencies, then
+        of ratios of harmonics.
 
     Raises
     ------
@@ -355,11 +356,12 @@ def _compute_information_and_deviations(
 def _list_default_candidates(
     model: ForwardModel, measured_rows: Sequence[Measurement]
 ) -> list[Measurement]:
-    """List candidates for further measurements.
+    """List default candidates for further measurements.
 
     Candidates are natural frequencies of all modes, and the ratios of harmonics "ratio_2_1" and
-    "ratio_3_1" at all points and solved load frequencies. If displacements were measured, further
-    ones are at 24 phases of the load's period, with the median of the standard deviations.
+    "ratio_3_1" at all points and solved load frequencies. If a point's displacements were measured
+    at a load frequency, more of them are added, at 24 phases of the load's period. Their standard
+    deviation is the median of the measured ones.
     """
     coarse_cases = model.coarse_cases
     quantity_names = ["frequency_open", "frequency_tied", "frequency_resonance"]
