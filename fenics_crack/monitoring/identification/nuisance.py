@@ -94,7 +94,7 @@ class UncrackedPlate:
     elastic_and_rotation_stiffness : (2, r, r) [1/s^2]
         Projected stiffness at rest; then the projected addition by rotation at the rotor speed.
     clamp_reactions : (r, d)
-        Forces and moments of the clamp on the plate in each motion. Forces come first, multiplied
+        Forces and moments at the clamp in each motion. Forces come first, multiplied
         by the clamp's radius of gyration. d = 0 if the clamped nodes are unknown.
     n_reaction_forces : int
         Number of forces among the d reactions.

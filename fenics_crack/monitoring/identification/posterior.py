@@ -719,7 +719,8 @@ class Posterior:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the grid values of an unknown, and their probabilities: (n,) each.
 
-        Values are in ascending order. The probabilities are summed over all remaining unknowns.
+        Values are in ascending order. The probabilities are summed over all remaining unknowns with
+        numbers. With several choices of text values, each choice has its own grid values.
         """
         unknown_values = np.concatenate(
             [branch.axes[unknown_index] for branch in self.branch_by_words.values()]
