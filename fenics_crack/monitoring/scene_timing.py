@@ -76,22 +76,25 @@ def arrivals_of_blades(
     scene : Scene
         With [tip_timing].
     source : mapping of int to ArrivalTimes, or path, optional
-        Measured arrivals by blade number, which are returned; or the file of a result of ``solve``
-        or ``curve``. A run-up along a curve ends before the curve becomes unstable. Default: the
-        scene is solved for its steady vibration.
+        Mapping: measured arrivals by blade number, which are returned unchanged. Path: file of a
+        result of ``solve`` or ``curve``, from which arrivals are computed. Default: the scene is
+        solved for its steady vibration. A run-up along a curve ends before the curve becomes
+        unstable.
     comm : MPI.Comm
         Ranks that share the structure.
 
     Returns
     -------
-    dict of int to ArrivalTimes, Run or None
-        Arrivals by blade number from 1, and the run with their vibration; None for measured
-        arrivals.
+    arrivals : dict of int to ArrivalTimes
+        Arrivals by blade number from 1.
+    run : Run or None
+        Run with the vibration of computed arrivals; None for measured arrivals.
 
     Raises
     ------
     InputError
-        The scene has no ``[tip_timing]``, the source is another result, or as :func:`tip_timing`.
+        The scene has no ``[tip_timing]``, the file has another kind of result, or arrivals cannot
+        be computed (:func:`tip_timing`).
 
     Examples
     --------
@@ -135,9 +138,9 @@ def _load_or_solve_run(scene: Scene, source_path: Path | None, comm: MPI.Comm) -
 
 
 def get_response_curve_or_none(run: Run[Any] | None) -> ResponseCurve | None:
-    """Return the response curve if the result ``run`` has one, else None.
+    """Return the response curve of a run; None if its result is no curve.
 
-    ``run`` is None for measured arrivals; the result is then None.
+    ``run`` is None for measured arrivals; None is then returned.
     """
     result = None if run is None else run.result
     return result if isinstance(result, ResponseCurve) else None
@@ -193,7 +196,7 @@ def _compute_arrivals(
 def describe_run_up_end_or_empty(scene: Scene, run: Run[Any]) -> str:
     """Describe the speed at which a computed run-up becomes unstable.
 
-    Return "" without a curve, and for a curve that is stable all the way.
+    Return "" if the result is no curve, or if the whole curve is stable.
     """
     if (curve := get_response_curve_or_none(run)) is None:
         return ""
@@ -211,9 +214,9 @@ def describe_run_up_end_or_empty(scene: Scene, run: Run[Any]) -> str:
 
 
 def describe_scene_difference_or_empty(scene: Scene, run: Run[Any]) -> str:
-    """Describe how a result's scene differs from a given scene (collective).
+    """Describe how the scene of a run differs from a given scene (collective).
 
-    Tables :data:`IGNORED_SCENE_TABLE_NAMES` do not count. Return "" if nothing differs.
+    The tables in :data:`IGNORED_SCENE_TABLE_NAMES` are not compared. Return "" if nothing differs.
     """
     compared_scenes = [
         scene_with_full_paths(scene).replace(dict.fromkeys(IGNORED_SCENE_TABLE_NAMES))
@@ -233,8 +236,9 @@ def describe_scene_difference_or_empty(scene: Scene, run: Run[Any]) -> str:
 def list_arrival_remarks(arrivals: ArrivalTimes) -> list[str]:
     """Return remarks on measured arrivals that seem to have wrong units.
 
-    One remark is about a tip speed outside 1 to 1000 m/s. The other is about several probes all
-    below 6.28 degrees, as if angles in rad are read as degrees. Otherwise the list is empty.
+    A remark follows if the tip speed is outside 1 to 1000 m/s. Another follows if there are several
+    probes, all below 6.28 degrees: angles in rad may have been read as degrees. Otherwise the list
+    is empty.
     """
     remark_texts, tip_speed = [], arrivals.mean_speed * arrivals.tip_radius
     if not MIN_PLAUSIBLE_TIP_SPEED < tip_speed < MAX_PLAUSIBLE_TIP_SPEED:
@@ -268,20 +272,23 @@ def fit_vibration_or_passages(
 ) -> TipFit | TipTrack | tuple[PassageFit, ...]:
     """Fit the vibration in one blade's arrivals, as ``[tip_timing]`` requests.
 
-    At constant speed, fit a frequency in ``frequencies`` if given; otherwise the best engine order
-    of ``orders``, the load's order, or 1 to 24. In a run-up, track the load's order. If the load's
-    order is unknown, or ``orders`` are given with a measured run-up, find the resonances.
+    At constant speed, the first given key decides. With ``frequencies``, fit a frequency between
+    these two. With ``orders``, fit the best engine order among these. Without both keys, fit the
+    load's order. If the load's order is unknown, fit the best order from 1 to 24.
+
+    In a measured run-up with ``orders``, find the resonances. In any other run-up, track the load's
+    order. If the load's order is unknown, find the resonances.
 
     Parameters
     ----------
     timing_table : TipTiming
-        Table ``[tip_timing]``.
+        Table ``[tip_timing]``; its ``order`` precedes the scene's ``excitation.order``.
     arrivals : ArrivalTimes
         Arrivals of the blade.
     scene : Scene, optional
         Scene with the load's order and the rotation.
     run : Run, optional
-        Run with the vibration of computed arrivals; None for measured arrivals.
+        Solution or curve from which the arrivals were computed; None for measured arrivals.
 
     Returns
     -------
@@ -291,8 +298,9 @@ def fit_vibration_or_passages(
     Raises
     ------
     InputError
-        As :func:`fit_order`, :func:`fit_frequency`, :func:`track_order` and :func:`find_passages`;
-        or a key of the table does not belong to this fit.
+        The arrivals do not suffice for :func:`fit_order`, :func:`fit_frequency`,
+        :func:`track_order` or :func:`find_passages`; or a key of the table does not belong to this
+        fit.
     """
     load_order = timing_table.order or (None if scene is None else scene.excitation.order)
     fit_argument_by_name: dict[str, Any] = {
@@ -351,13 +359,14 @@ def find_passages_and_modes(
     Returns
     -------
     list of (PassageFit, int, str)
-        Resonance, number of the scene's mode from 1, and ""; or resonance, 0, and the reason why no
-        mode matches.
+        For each resonance: the fit, the number of the scene's mode from 1, and a reason. If no mode
+        matches, the number is 0, and the reason says why; otherwise the reason is "".
 
     Raises
     ------
     InputError
-        As :func:`find_passages`; or the scene has no ``[rotation]`` or no ``excitation.order``.
+        The resonances cannot be found (:func:`find_passages`); or the scene has no ``[rotation]``
+        or no ``excitation.order``.
     """
     if scene.rotation is None or scene.excitation.order is None:
         requirement_text = (
@@ -375,8 +384,8 @@ def find_passages_and_modes(
 def describe_passage(passage_fit: PassageFit, mode: int, reason_text: str) -> str:
     """Describe a resonance in a run-up, its mode, and doubts in brackets.
 
-    ``mode`` is a number from 1, or 0 for a resonance that is not used. ``reason_text`` tells why;
-    "" with a mode.
+    ``mode`` is the mode's number from 1, or 0 if the resonance is not used. ``reason_text`` says
+    why the resonance is not used; "" if a mode is given.
     """
     doubt_texts = [
         "another vibration is near this resonance, and frequency and damping may be wrong"
@@ -390,9 +399,10 @@ def describe_passage(passage_fit: PassageFit, mode: int, reason_text: str) -> st
 def match_mode_or_give_reason(passage_fit: PassageFit, diagram: Campbell) -> tuple[int, str]:
     """Match a measured resonance with a mode of the Campbell diagram.
 
-    A mode reaches from its frequency with open crack to that with bonded crack. The nearest mode
-    must be within 10 % of the resonance frequency, and the second nearest not within 5 %. No other
-    order that explains the arrivals may meet a mode within 10 %.
+    A mode covers the range from its frequency with open crack to its frequency with bonded crack.
+    Three conditions must hold. The range of the nearest mode is within 10 % of the resonance
+    frequency. The range of the second nearest mode is not within 5 %. If further orders explain the
+    arrivals equally well, none of them gives a frequency within 10 % of a mode.
 
     Returns
     -------
@@ -448,8 +458,8 @@ def _fit_passages(
 ) -> tuple[PassageFit, ...]:
     """Find the resonances in a run-up, with the stiffening by rotation.
 
-    The stiffening is ``tip_timing.stiffening``, or else from the Campbell diagram. With None for
-    the diagram, the stiffening is 0.
+    If ``tip_timing.stiffening`` is given, this is the stiffening. Otherwise it comes from the
+    Campbell diagram. Without a diagram, the stiffening is 0.
     """
     stiffening_or_function: float | StiffeningFunction = timing_table.stiffening or 0.0
     if timing_table.stiffening is None and diagram_or_none is not None:
@@ -470,9 +480,9 @@ def _compute_campbell_diagram(scene: Scene, arrivals: ArrivalTimes) -> Campbell:
 def find_tip_factor_by_dof(
     timing_table: TipTiming, run: Run, blade_number: int = 0
 ) -> dict[int, float]:
-    """Return the dofs and factors for the tip displacement at the probes (collective).
+    """Return dofs and factors of the tip displacement that the probes measure (collective).
 
-    The sum of factors times dofs is the displacement in the direction of rotation.
+    The displacement in the direction of rotation is the sum of all factors times their dofs.
 
     Parameters
     ----------
@@ -571,10 +581,10 @@ def find_probed_displacement_and_reversal(scene: Scene) -> tuple[str, bool]:
 
 
 def _get_solid_tip_rotation_or_none(timing_table: TipTiming, scene: Scene) -> Rotation | None:
-    """Return ``[rotation]`` of a solid whose tip moves around the axis.
+    """Return the table ``[rotation]`` if it gives the direction of a solid's tip displacement.
 
-    None for plates, without rotation, or with ``tip_timing.tangential``. The tip displacement is
-    then the watched displacement times ``tip_timing.tangential`` (default 1).
+    Return None for plates, without rotation, or if ``tip_timing.tangential`` is given. The tip
+    displacement is then the watched displacement times ``tip_timing.tangential`` (default 1).
     """
     return scene.rotation if timing_table.tangential is None and scene.dimension == 3 else None
 
@@ -609,13 +619,13 @@ def _choose_speed_or_order_argument(
 ) -> dict[str, Any]:
     """Choose the argument ``speed`` or ``order`` of :func:`tip_timing`.
 
-    Return a dict with one entry: the rotor speed [rad/s], or the load periods in a revolution.
-    ``source_path`` is the file of the run, or None.
+    The result is a dict with one entry: ``speed``, the rotor speed [rad/s], or ``order``, the load
+    periods in a revolution. ``source_path`` is the file of the run; None if the run was solved now.
 
     Raises
     ------
     InputError
-        Neither or both are given (:func:`get_engine_order`), or the rotor has one speed along the
+        Rotor speed and order are both missing, or both given; or the rotor has one speed along the
         whole curve.
     """
     owner_text = "" if source_path is None else f" of {str(source_path)!r}"

@@ -61,11 +61,10 @@ def tip_timing(
     (Heath and Imregun, International Journal of Mechanical Sciences 38, 1996, 1047). At time 0 the
     rotor's angle is 0 and the load begins its period.
 
-    A curve is a run-up, or a run-down if followed downwards: the speed changes at constant
-    acceleration from the first point to the last. The vibration is taken to be the steady one at
-    each speed, interpolated between the points, which holds for slow sweeps alone. If the curve
-    turns back at a fold, the motion jumps to the part beyond the fold, from the last stable point
-    before it.
+    A curve is a run-up, or a run-down if its load frequency falls. The speed changes at constant
+    acceleration from the first point to the last. At each speed the vibration is steady,
+    interpolated between the points; this holds for slow sweeps alone. If the curve turns back at a
+    fold, the motion jumps beyond the fold, from the last stable point before the fold.
 
     Parameters
     ----------
@@ -82,16 +81,16 @@ def tip_timing(
     speed : float [rad/s]
         Rotor speed W, if the load frequency is no multiple of the speed (asynchronous).
     order : int
-        In place of ``speed``: periods of the load in a revolution (engine order), W = omega /
-        order. A curve requires the order.
+        Periods of the load in a revolution (engine order), instead of ``speed``: W = omega / order,
+        with the load frequency omega. A curve requires the order.
     revolutions : int
         Number of revolutions, for a run-up in total.
     noise : float [s]
         Standard deviation of normal errors in the arrivals; shorter than a revolution. The
         once-per-revolution times of the shaft have no errors.
     clock : float [s]
-        Resolution: arrivals are rounded to multiples of this time, shorter than a revolution; 0:
-        no rounding.
+        Resolution: arrivals are rounded to multiples of this time, shorter than a revolution; 0: no
+        rounding.
     seed : int
         Seed of the random errors.
 
@@ -213,17 +212,19 @@ def _build_motion(
     result : PeriodicSolution or ResponseCurve
         Steady vibration, or a curve that is a run-up.
     factor_by_dof : dict of int to float
-        Dofs and factors whose sum of products is the tip's displacement in the rotation's
-        direction.
-    speed, order : float [rad/s], int
-        Rotor speed, or load periods in a revolution; None for the other. A curve needs the order.
+        Dofs and their factors; the sum of factors times dofs is the tip's displacement in the
+        direction of rotation.
+    speed : float or None [rad/s]
+        Rotor speed; None if ``order`` is given.
+    order : int or None
+        Load periods in a revolution; None if ``speed`` is given. A curve needs the order.
     n_revolutions : int
         Number of revolutions.
 
     Raises
     ------
     InputError
-        Not exactly one is given, or a curve cannot be a run-up.
+        Speed and order are both missing or both given, or a curve cannot be a run-up.
     """
     if order is not None:
         check_count("order", order, 1)
@@ -261,7 +262,17 @@ def _build_run_up_motion(
 ) -> _TipMotion:
     """Return a blade tip's motion in a run-up or run-down along a curve.
 
-    Parameters are as in :func:`_build_motion`.
+    Parameters
+    ----------
+    curve : ResponseCurve
+        Curve over the load frequency.
+    factor_by_dof : dict of int to float
+        Dofs and their factors; the sum of factors times dofs is the tip's displacement in the
+        direction of rotation.
+    order : int
+        Load periods in a revolution.
+    n_revolutions : int
+        Number of revolutions in total.
 
     Raises
     ------
@@ -298,15 +309,16 @@ def _build_run_up_motion(
 def find_run_up_point_indices(curve: ResponseCurve) -> tuple[np.ndarray, int | None]:
     """Find the points of a curve that a run-up or run-down passes.
 
-    Points pass while the load frequency goes beyond all previous ones. Before a fold the motion may
-    jump from the last stable point (:func:`_mark_jumped_points`).
+    A point is passed if its load frequency lies beyond all previous points. The motion may jump
+    from the last stable point before a fold; the points between are left out.
 
     Returns
     -------
     (k,)
         Indices of the passed points, up to the first unstable or irregular point.
     int or None
-        Index of this point; None without such a point, or if the curve has no stability.
+        Index of this unstable or irregular point. None if there is none, or if the curve's
+        stability is unknown.
     """
     signed_omega = np.sign(curve.omega[-1] - curve.omega[0]) * curve.omega
     highest_previous_omega = np.concatenate([[-np.inf], np.maximum.accumulate(signed_omega)[:-1]])
@@ -330,17 +342,17 @@ def _mark_jumped_points(
 ) -> np.ndarray:
     """Mark the points just before folds that a jump leaves out: (n,) bool.
 
-    Doubtful points in an unbroken row up to a fold are left out, if their load frequency is within
-    1e-3 of the fold's, relative.
+    A point is left out in two conditions together. All points from there to the fold are doubtful.
+    The load frequency differs from the fold's by less than 1e-3 times the fold's.
 
     Parameters
     ----------
     signed_omega : (n,) [rad/s]
         Load frequency of all points, times -1 in a run-down.
     is_passed : (n,) bool
-        Points that go beyond all previous frequencies.
+        True for points beyond all previous load frequencies.
     is_doubtful : (n,) bool
-        Points that are not known to be stable.
+        True for points that are not known to be stable.
     """
     is_jumped = np.zeros(len(signed_omega), dtype=bool)
     for fold_index in np.flatnonzero(is_passed[:-1] & ~is_passed[1:]):
@@ -357,11 +369,13 @@ def _mark_jumped_points(
 
 @dataclass(frozen=True)
 class _TipMotion:
-    """Displacement u of a blade tip over the rotor angle, along the rotation.
+    """Displacement u of a blade tip over the rotor angle alpha, along the rotation.
 
-    The rotor turns at constant acceleration, from angle alpha = 0 at time 0:
+    With q periods of the response in a revolution, the displacement is
 
         u(alpha) = Re sum_k U_k exp(i k q alpha).
+
+    The rotor turns at constant acceleration, from the angle alpha = 0 at time 0.
 
     Attributes
     ----------
@@ -370,8 +384,8 @@ class _TipMotion:
     n_revolutions : int
         Number of revolutions.
     rotor_speeds : (n,) [rad/s]
-        Increasing speeds with known vibration. Between two speeds U_k is linear; outside it is
-        constant.
+        Increasing speeds with known vibration. The harmonics U_k are linear between two speeds, and
+        constant outside all speeds.
     tip_harmonics : (n, H+1) complex [m]
         Harmonics U_k at these speeds, k = 0 to H.
     periods_per_revolution : float
@@ -403,17 +417,19 @@ class _TipMotion:
     def compute_times(self, rotor_angles: np.ndarray) -> np.ndarray:
         """Return the times [s] at which the rotor has given angles [rad].
 
-        The formula is 2 alpha / (W_0 + W(alpha)), without cancellation at small accelerations.
+        The time at the angle alpha is 2 alpha / (W_0 + W(alpha)), with the rotor speeds W_0 at time
+        0 and W(alpha). This formula has no cancellation at small accelerations.
         """
         return np.asarray(
             2.0 * rotor_angles / (self.end_speeds[0] + self.compute_rotor_speeds(rotor_angles))
         )
 
     def bound_backward_slope(self) -> float:
-        """Return an upper bound of -du/dalpha [m] at all known speeds.
+        """Return an upper bound of -du/dalpha [m] at all speeds with known vibration.
 
-        A tip at radius R moves forwards if the bound is below R. The bound is the largest of
-        samples over a period, plus the possible change between two samples.
+        A tip at radius R moves forwards if the bound is below R. -du/dalpha is sampled over a
+        period. The bound is the largest sample, plus the largest possible change between two
+        samples.
         """
         harmonic_orders = np.arange(self.tip_harmonics.shape[1])[:, None]
         harmonics_of_slope = (

@@ -94,8 +94,9 @@ class Timing(SavedResult):
     def to_dict(self) -> dict[str, Any]:
         """Return the table's columns by name.
 
-        Rows are resonances, or blades at constant speed. A single blade has the columns of the fit
-        itself, with rows for harmonics or speeds. Without resonances the columns are empty.
+        For a run-up with resonances, each row is a resonance; without any resonance the columns are
+        empty. For a single blade with any different fit, the rows are the fit's own: harmonics or
+        speeds. For several blades at constant speed, each row is a blade.
         """
         if self.of_resonances:
             table_rows = [
@@ -146,8 +147,9 @@ def _is_second_harmonic_fitted(fit: TipFit) -> bool:
 def _make_fit_row_by_column(fit: TipFit, has_harmonic_ratio: bool) -> dict[str, float]:
     """Return a blade's table row by column: amplitude, order and ratio of harmonics.
 
-    Amplitudes belong to the first fitted harmonic. ``has_harmonic_ratio`` adds the ratio of the
-    second harmonic to the first, with the standard error.
+    The amplitude [m] and its standard error belong to the first fitted harmonic. If
+    ``has_harmonic_ratio``, the row also has the ratio of the second harmonic to the first, with its
+    standard error.
     """
     amplitudes, amplitude_errors = fit.amplitudes, fit.amplitude_errors
     value_by_column = {
@@ -206,12 +208,12 @@ def _conclude_from_passages(
 ) -> tuple[Conclusion, list[str], list[str]]:
     """Conclude from the resonances of all blades in a run-up.
 
-    ``passages_by_blade`` has the resonances by blade number, the clearest first.
+    ``passages_by_blade`` has the resonances by blade number, the clearest resonance first.
 
     Returns
     -------
     Conclusion
-        Number of resonances, and the clearest.
+        Number of resonances, and a description of the first blade's clearest resonance.
     list of str
         Notes for the reader.
     list of str
@@ -273,7 +275,10 @@ def _conclude_from_passages(
 
 
 def _describe_orders(statement_text: str, orders: Iterable[float]) -> str:
-    """Return the text "orders that STATEMENT: 5, 7"."""
+    """Return a list of engine orders as text, for example "orders that fit, too: 5, 7".
+
+    ``statement_text`` is the text between "that" and the colon.
+    """
     return f"orders that {statement_text}: {format_first_orders([*orders])}"
 
 
@@ -385,7 +390,7 @@ def _conclude_from_fits(timing: Timing) -> tuple[Conclusion, list[str], list[str
     Returns
     -------
     Conclusion
-        Amplitude and frequency; for several blades, of the largest amplitude.
+        Amplitude and frequency of the blade with the largest amplitude.
     list of str
         Notes for the reader.
     list of str

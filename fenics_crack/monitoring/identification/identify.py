@@ -50,20 +50,20 @@ def identify(
 ) -> Identification:
     """Find a crack, or other keys of a scene, from measurements (collective).
 
-    The scene is solved on a grid of the unknowns once, and on a finer mesh at a few grid points.
-    Files in ``folder`` keep both, and a killed run continues from these files. A rotor's natural
-    frequencies may be at several speeds; all are solved. Under a steady load or a clearance, the
-    grid becomes denser around cracks that meet a resonance between grid points. If interpolation
-    causes more than a fifth of a variance, the grid also becomes denser around cracks that explain
-    the measurements.
+    The scene is solved at all points of a grid of the unknowns, and with a finer mesh at a few
+    points. The results are kept in files in ``folder``, from which a killed run continues. A
+    rotor's natural frequencies may be measured at several speeds; all speeds are solved. Under a
+    steady load or a clearance, the grid becomes denser around cracks that meet a resonance between
+    grid points. The grid also becomes denser if interpolation causes more than a fifth of a
+    measurement's variance. Points are then added around cracks that explain the measurements.
 
     Cross-validation, and a few cases halfway between the grid points, estimate the interpolation
-    error. It is added to the measurement error, together with the remaining mesh error. Suppose
-    that elements smaller by a factor f change a quantity by d. A mesh error of first order then
-    leaves d / (f - 1), an error of high order nothing. The predictions are therefore corrected by
-    d + d / (2 f - 2), with the standard deviation d / (2 f - 2). Least squares from several starts
-    find the estimate, and a posterior on a grid gives the credible regions. The likelihood's
-    integral over the prior, the evidence, decides between crack and no crack.
+    error. This error and the remaining mesh error are added to the measurement error. Suppose that
+    elements smaller by a factor f change a quantity by d. A mesh error of first order is then still
+    d / (f - 1) on the finer mesh; an error of high order is 0. The predictions are corrected by the
+    mean, d + d / (2 f - 2), with the standard deviation d / (2 f - 2). Least squares from several
+    starts find the estimate, and a posterior on a grid gives the credible regions. The evidence is
+    the integral of the likelihood over the prior. It decides between crack and no crack.
 
     Parameters
     ----------
@@ -72,8 +72,8 @@ def identify(
     measurements : Measurements or path
         Measurements, or their file (:meth:`Measurements.read`).
     unknown : mapping, optional
-        Keys of the scene with the values to solve, instead of the table ``[identify.unknown]``.
-        The prior is uniform between the first and last value.
+        Keys of the scene with the values to solve, instead of the table ``[identify.unknown]``. The
+        prior is uniform between the first and last value.
     folder : path
         Folder of the sweeps' files.
     comm : MPI.Comm
@@ -89,7 +89,8 @@ def identify(
     Raises
     ------
     InputError
-        There are no unknowns, a measurement does not fit the scene, or as :func:`run_sweep`.
+        There are no unknowns, a measurement does not fit the scene, or the cases cannot be solved
+        (:func:`run_sweep`).
     ConvergenceError
         Too few cases were solved to predict any measurement made after the crack began.
     StoppedError
@@ -180,7 +181,8 @@ def infer_unknowns(
 ) -> Identification:
     """Infer the unknowns from measurements, with solved forward models.
 
-    Measurements without a prediction are left out; ``doubts`` of the result name each one.
+    Measurements that the models cannot predict are left out. ``doubts`` of the result name these
+    measurements.
 
     Raises
     ------
@@ -231,9 +233,9 @@ def infer_unknowns(
 def _select_predictable_measurements(
     forward_models: SolvedForwardModels, measurements: Measurements
 ) -> tuple[Measurements, tuple[str, ...]]:
-    """Select the measurements that every model predicts, with a crack and without.
+    """Select the measurements that all forward models can predict.
 
-    Both hypotheses, crack and no crack, must be compared by the same measurements.
+    The models with and without the crack are compared by the same measurements.
 
     Returns
     -------
@@ -298,10 +300,12 @@ def _select_predictable_measurements(
 def list_measurement_limit_remarks(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
     """List remarks on what these measurements cannot determine, as sentences.
 
-    A remark follows in three cases. Natural frequencies alone cannot distinguish a crack from the
-    left edge and the right edge. Mesh files have no estimate of the mesh error. The shape of the
-    motion depends on the load's size, and the measurements do not contain this size. The measured
-    values do not matter.
+    Only the kinds of measurements matter, not the measured values. The first remark follows if all
+    are natural frequencies: they are the same for a crack from the left and from the right edge. It
+    needs a scene that gives the edge, not as an unknown. The second remark follows for mesh files:
+    the intervals do not include the mesh error. The third remark follows for ratios and
+    displacements, if the motion's shape depends on the load's size. The scene must then have the
+    real load.
     """
     identify_table = scene.given("identify")
     crack, measurement_rows = scene.crack, measurements.rows
@@ -335,10 +339,10 @@ def _yield_unresolved_resonance_remarks(
 ) -> Iterator[str]:
     """Yield remarks on cracks that vibrate much more than all solved cracks.
 
-    A remark is a sentence for a load, a point, and a crack between solved cracks, near a resonance.
-    The vibration exceeds :attr:`Options.allowed_vibration_ratio` (2) times the largest in solved
-    cases, and the crack may breathe as no solved crack does. If the motion is proportional to the
-    load, no remark follows.
+    A remark is a sentence about a crack between solved cracks, near a resonance. It names the load
+    and the vibration. The vibration exceeds twice the largest of all solved cracks
+    (:attr:`Options.allowed_vibration_ratio`). The crack may then open and close unlike every solved
+    crack. If the motion is proportional to the load, there is no remark.
     """
     if has_load_independent_motion_shape(forward_models.scene):
         return
@@ -368,17 +372,18 @@ def _yield_unresolved_resonance_remarks(
 def _find_most_interpolated_measurement_or_none(
     identification: Identification,
 ) -> tuple[str, np.ndarray, np.ndarray] | None:
-    """Find the measurement whose variance is due to interpolation most of all.
+    """Find the measurement with the largest fraction of variance due to interpolation.
 
-    The fraction of the variance is a mean over the cracks that explain the measurements. The
-    posterior is no weight here: it is small at cracks with a large interpolation error.
+    The fraction is a mean over the cracks that explain the measurements. The posterior does not
+    weight this mean, since it is small at cracks with a large interpolation error.
 
     Returns
     -------
     tuple or None
-        Name of the measurement; fractions due to interpolation along each unknown (d,); cracks that
-        explain the measurements (m, d). None if the largest fraction is at most
-        :attr:`Options.allowed_interpolation_share` (0.2), or no crack explains the measurements.
+        Name of the measurement; its fractions of variance due to interpolation along each unknown
+        (d,); unknowns of the cracks that explain the measurements (m, d). None if the sum of
+        fractions is at most :attr:`Options.allowed_interpolation_share` (0.2), or no crack explains
+        the measurements.
     """
     branch_points_and_shares = [
         branch.compute_explaining_points_and_shares()

@@ -86,7 +86,10 @@ class UnknownGrid:
 
     @cached_property
     def nodes(self) -> np.ndarray:
-        """Return all grid nodes, combinations of values, the last unknown fastest: (n, d)."""
+        """Return all grid nodes, the combinations of the unknowns' values: (n, d).
+
+        The last unknown varies fastest.
+        """
         value_grids = np.array(np.meshgrid(*self.axes, indexing="ij"), dtype=float)
         return value_grids.reshape(len(self.axes), math.prod(self.shape)).T
 
@@ -96,10 +99,11 @@ class UnknownGrid:
         return tuple(len(axis_values) for axis_values in self.axes)
 
     def find_node_coordinates(self, x: np.ndarray) -> np.ndarray:
-        """Convert values of the unknowns to positions on the axes: (m, d) each.
+        """Convert values of the unknowns to positions on the axes.
 
-        The i-th value on an axis has the position i, from 0. Positions between two values are
-        interpolated linearly.
+        ``x`` (m, d) has m values of the d unknowns; the result has the same shape. The i-th value
+        on an axis has the position i, counted from 0. Positions between two values are interpolated
+        linearly.
         """
         coordinate_columns = [
             np.interp(x_column, axis_values, np.arange(len(axis_values)))
@@ -109,9 +113,9 @@ class UnknownGrid:
 
 
 def _fit_spline(axis_values: np.ndarray, node_values: np.ndarray) -> Any:
-    """Fit a cubic spline to values (n, ...) on an axis (n,).
+    """Return a cubic spline through values (n, ...) at the points of an axis (n,).
 
-    With fewer than four values the degree is n - 1.
+    The spline is a function of points on the axis. With fewer than four values the degree is n - 1.
     """
     return make_interp_spline(axis_values, node_values, k=min(3, len(axis_values) - 1))
 
@@ -119,8 +123,9 @@ def _fit_spline(axis_values: np.ndarray, node_values: np.ndarray) -> Any:
 def compute_leave_one_out_errors(axis_values: np.ndarray, node_values: np.ndarray) -> np.ndarray:
     """Return a spline's error at each grid node if this node is left out.
 
-    ``axis_values`` (n,) are the nodes, ``node_values`` (n, ...) the quantities there; errors have
-    the shape (n, ...). The two ends are never left out, and get their neighbours' errors.
+    ``axis_values`` (n,) are the nodes; ``node_values`` (n, ...) are the quantities at the nodes.
+    The errors have the shape (n, ...), in the units of the quantities. An end node is never left
+    out, and gets its neighbour's error.
     """
     node_errors = np.zeros_like(node_values)
     for node_index in range(1, len(axis_values) - 1):
@@ -135,6 +140,8 @@ def compute_leave_one_out_errors(axis_values: np.ndarray, node_values: np.ndarra
 class Interpolation:
     """Interpolation of q quantities over the unknowns by splines, with its errors.
 
+    A grid node is known for a quantity if the case there was solved.
+
     Parameters
     ----------
     unknown_grid : UnknownGrid
@@ -145,9 +152,10 @@ class Interpolation:
     Attributes
     ----------
     has_enough_known_nodes : (q,) bool
-        True for a quantity with enough known grid nodes (:func:`_fill_unknown_nodes`).
+        True for a quantity with enough known nodes to fill its failed cases
+        (:func:`_fill_unknown_nodes`).
     has_only_inner_gaps : (q,) bool
-        True if every unknown grid node lies between two known ones along an axis.
+        True for a quantity if every failed case lies between two known nodes along an axis.
     """
 
     def __init__(self, unknown_grid: UnknownGrid, node_values: np.ndarray) -> None:
@@ -196,11 +204,11 @@ class Interpolation:
         return np.asarray(node_weights @ self._node_values)
 
     def list_weighted_node_errors(self, x: np.ndarray) -> np.ndarray:
-        """Return interpolation errors of q quantities: (m, k, q).
+        """Return independent interpolation errors of q quantities: (m, k, q).
 
-        The k independent errors come from the grid nodes around the values x (m, d) of the
-        unknowns, along each axis, and from failed cases. The sum of their squares over k is the
-        variance of each quantity.
+        ``x`` (m, d) has m values of the unknowns. The k errors of a quantity come from grid nodes
+        around each value: one error per node and axis, and one per node for failed cases. The sum
+        of the k squares is the quantity's variance.
         """
         errors_along_axes = self.list_weighted_node_errors_along_axes(x)
         return (
@@ -210,10 +218,10 @@ class Interpolation:
         )
 
     def list_weighted_node_errors_along_axes(self, x: np.ndarray) -> list[np.ndarray]:
-        """Return the errors of :meth:`list_weighted_node_errors` by axis: (m, k, q) each.
+        """Return the errors of :meth:`list_weighted_node_errors`, an array (m, k, q) per axis.
 
-        A last array has the errors at failed cases, if there are any. The list is empty without
-        unknowns.
+        ``x`` (m, d) has m values of the unknowns. If a case failed, a last array has the errors at
+        failed cases. Without unknowns the list is empty.
         """
         if not self.unknown_grid.axes:
             return []
@@ -236,9 +244,10 @@ class Interpolation:
 
 
 def _has_only_inner_gaps(unknown_grid: UnknownGrid, is_known: np.ndarray) -> np.ndarray:
-    """Return True for each quantity whose unknown grid nodes lie between known ones: (q,).
+    """Return True for each quantity whose failed cases lie between solved cases: (q,).
 
-    ``is_known`` (n, q) marks the known nodes. Known nodes on both sides along any axis suffice.
+    Each failed case must have solved cases on both sides along at least one axis. ``is_known`` (n,
+    q) is True for solved cases at n grid nodes.
     """
     is_known_on_grid = is_known.reshape(*unknown_grid.shape, is_known.shape[1])
     is_known_or_between = is_known_on_grid.copy()
@@ -255,10 +264,18 @@ def _has_only_inner_gaps(unknown_grid: UnknownGrid, is_known: np.ndarray) -> np.
 def _fill_unknown_nodes(
     unknown_grid: UnknownGrid, node_values: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fill the values of failed cases by a thin-plate spline through known ones.
+    """Fill the values of failed cases by a thin-plate spline through the solved cases.
 
-    At least half of the n grid nodes must be known, and one more than the (d + 1)(d + 2) / 2 terms
-    of a quadratic polynomial. ``node_values`` (n, q) has nan for failed cases.
+    A quantity has enough known nodes if at least half of the n grid nodes are solved. The number of
+    solved nodes must also exceed (d + 1)(d + 2) / 2, the number of terms in a quadratic polynomial
+    of d unknowns. A quantity without failed cases always has enough.
+
+    Parameters
+    ----------
+    unknown_grid : UnknownGrid
+        Grid with n nodes.
+    node_values : (n, q)
+        Quantities at the nodes; nan for failed cases.
 
     Returns
     -------
@@ -267,7 +284,7 @@ def _fill_unknown_nodes(
     has_enough_known_nodes : (q,) bool
         True for a quantity with enough known nodes.
     fill_errors : (n, q)
-        Errors at filled nodes, otherwise 0.
+        Estimated errors at filled nodes; 0 at solved nodes.
     """
     is_known, n_unknowns = np.isfinite(node_values), len(unknown_grid.axes)
     min_known_nodes = max((n_unknowns + 1) * (n_unknowns + 2) // 2 + 1, len(node_values) / 2)
@@ -320,24 +337,24 @@ MESH_AXIS_KEY = "mesh.file"
 
 
 class SweptLoads:
-    """Loads at which the forward model is solved, the last axis of sweeps.
+    """Loads at which the forward model is solved, as the last axis of its sweeps.
 
-    If the load is an engine order, each load frequency has a rotor speed. The first load has the
-    scene's speed, which is the default for natural frequencies.
+    If the load has an engine order, each load frequency belongs to a rotor speed. The first load
+    then has the scene's rotor speed. Natural frequencies without a stated speed are taken there.
 
     Attributes
     ----------
     frequencies : tuple of float
         Load frequencies [Hz].
     sweep_axis : Axis
-        Axis of a sweep over load frequencies [Hz], or over rotor speeds [rpm].
+        Axis of a sweep over load frequencies [Hz]; with an engine order, over rotor speeds [rpm].
     """
 
     def __init__(self, scene: Scene, frequencies: Sequence[float]) -> None:
-        """Take load frequencies [Hz], each one once.
+        """Take load frequencies [Hz], each value once.
 
-        If the load is an engine order, the scene's own load frequency is added as the first. If
-        not, it is added only if ``frequencies`` is empty.
+        If the load has an engine order, the scene's own load frequency comes first. Without an
+        engine order, the scene's frequency is taken only if ``frequencies`` is empty.
         """
         engine_order, sorted_frequencies = scene.excitation.order, sorted(set(frequencies))
         scene_frequency = float(
@@ -514,16 +531,17 @@ class SolvedCases:
 
     @cached_property
     def frequency_split_root_and_frequencies(self) -> np.ndarray:
-        """Return data for the poles of harmonics: (n, n_loads, 1 + 2 modes).
+        """Return sqrt(s) and natural frequencies, for the poles of harmonics.
 
-        At all n combinations of the unknowns and all loads, columns are sqrt(s), the bilinear
-        frequencies [Hz], and the uncracked frequencies [Hz]; nan for a missing frequency. The split
-        s measures how much the crack changes the stiffness, from bonded and open frequencies w_b,
-        w_o:
+        The array (n, n_loads, 1 + 2 modes) is for n grid nodes, all combinations of the unknowns.
+        Column 0 is sqrt(s). Then come the bilinear frequency of each mode, and the uncracked
+        frequency of each mode [Hz]; nan if missing. The split s measures how much the crack changes
+        the stiffness:
 
             s = sum_j (w_b,j - w_o,j) / w_b,j (w_b,1 / w_b,j)^2.
 
-        sqrt(s) is 1 if s is below 1e-9, as without a crack.
+        Mode j has the frequency w_b,j with the crack bonded and w_o,j with the crack open. sqrt(s)
+        is replaced by 1 if s is below 1e-9, as without a crack.
         """
         bonded_frequencies, open_frequencies, bilinear_frequencies, uncracked_frequencies = (
             np.stack(
@@ -603,10 +621,11 @@ class Feature:
 
     @property
     def error_group_key(self) -> tuple[float, float, float]:
-        """Return the key of a group of features with a common mesh error.
+        """Return a key that is equal for features with a common mesh error.
 
-        A group has all natural frequencies of a mode, or a harmonic of all points at a load. The
-        key is (mode, load frequency [Hz], harmonic order); numbers that do not apply are 0.
+        A common mesh error belongs to all natural frequencies of a mode, or to a harmonic at all
+        points under a load. The key is (mode, load frequency [Hz], harmonic order). The last two
+        are 0 for a natural frequency, the mode is 0 for a harmonic.
         """
         return (
             self.mode,
@@ -635,10 +654,11 @@ class Feature:
 
     @property
     def split_exponent(self) -> int:
-        """Return the exponent n if the harmonic is proportional to s^n.
+        """Return the exponent n of a feature that is proportional to s^n for short cracks.
 
-        The split s is in :attr:`SolvedCases.frequency_split_root_and_frequencies`. n is 1 for even
-        harmonics, 2 for odd ones above 1, and 0 for the first harmonic and natural frequencies.
+        The split s measures how much the crack changes the stiffness
+        (:attr:`SolvedCases.frequency_split_root_and_frequencies`). n is 1 for even harmonics, and 2
+        for odd harmonics above the first. n is 0 for the first harmonic and natural frequencies.
         """
         return 1 + self.harmonic_order % 2 if self.harmonic_order > 1 else 0
 
@@ -658,11 +678,11 @@ def compute_ratios_and_pole_factors(
     damping_ratio_of_points: np.ndarray,
     frequency_split_root_and_frequencies: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return frequency ratios r and pole factors of each mode: (m, f, modes) each.
+    """Return frequency ratios r and pole factors, for each mode: (m, f, modes) each.
 
-    The pole factor is 1 - r^2 + 2 i z r, and r = k W / w_j. Here k is the order of a harmonic, W
-    the load frequency, w_j a bilinear frequency, and z the damping ratio. For natural frequencies
-    and missing modes, r is 0 and the factor 1.
+    For harmonic k at the load frequency W, the ratio to mode j is r = k W / w_j. The pole factor is
+    1 - r^2 + 2 i z r, with the damping ratio z. w_j is the bilinear frequency of mode j. For
+    natural frequencies and missing modes, r is 0 and the factor 1.
 
     Parameters
     ----------
@@ -690,11 +710,12 @@ def compute_ratios_and_pole_factors(
 def compute_log_factors_by_first_harmonic(
     first_harmonic_logs: np.ndarray, features: Sequence[Feature]
 ) -> np.ndarray:
-    """Return logarithms of the factors that first harmonics add to higher harmonics.
+    """Return logarithms of the factors by which first harmonics change higher harmonics.
 
-    A factor p of the first harmonic becomes abs(p) exp(i k arg p) for order k.
-    ``first_harmonic_logs`` (m, f, ...) has ln p for each feature. First harmonics and natural
-    frequencies have 0.
+    The first harmonic drives the harmonics k > 1. A factor p on the first harmonic becomes the
+    factor abs(p) exp(i k arg p) on harmonic k. ``first_harmonic_logs`` (m, f, ...) has ln p for
+    each of f features. The result has the same shape; first harmonics and natural frequencies get
+    0.
     """
     harmonic_orders = np.array(
         [feature.harmonic_order if feature.harmonic_order > 1 else 0 for feature in features]
@@ -707,10 +728,10 @@ def compute_log_factors_by_first_harmonic(
 
 
 def replace_by_driving_first_harmonics(features: Sequence[Feature]) -> list[Feature]:
-    """List the first harmonic at the point and load of each higher harmonic.
+    """Replace each higher harmonic by the first harmonic at the same point and load.
 
-    Natural frequencies and first harmonics get order 0, for which
-    :func:`compute_ratios_and_pole_factors` returns 0 and 1.
+    Natural frequencies and first harmonics get the harmonic order 0. For this order
+    :func:`compute_ratios_and_pole_factors` returns the ratio 0 and the factor 1.
     """
     return [
         replace(feature, harmonic_order=int(feature.harmonic_order > 1)) for feature in features
@@ -725,10 +746,21 @@ def compute_smoothing_factors(
 ) -> np.ndarray:
     """Return factors that make features smooth functions of the unknowns: (m, f).
 
-    Features are natural frequencies and harmonics; feature times factor is interpolated. The
-    factors remove the poles of harmonics, and divide the change of frequencies by the relative
-    crack size. ``relative_crack_sizes`` is (m,), 1 for the largest; other parameters are as in
-    :func:`compute_ratios_and_pole_factors`.
+    Features are natural frequencies and harmonics. The product of feature and factor is
+    interpolated. The factor of a harmonic removes its poles. For a natural frequency with the
+    crack, the interpolated quantity is the change of ln(frequency) by the crack. Its factor is 1
+    over the relative crack size. For a natural frequency without the crack, the factor is 1.
+
+    Parameters
+    ----------
+    features : sequence of Feature
+        f natural frequencies and harmonics.
+    damping_ratio_of_points : (m, 1)
+        Damping ratios at m values of the unknowns.
+    frequency_split_root_and_frequencies : (m, f, 1 + 2 modes)
+        :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each feature.
+    relative_crack_sizes : (m,)
+        Crack sizes, 1 for the largest crack.
     """
     split_exponents = np.array([feature.split_exponent for feature in features])
     is_cracked_frequency = np.array([feature.is_cracked_frequency for feature in features])

@@ -80,14 +80,16 @@ class Measurement:
     Attributes
     ----------
     quantity : str
-        Natural frequencies of mode ``mode`` [Hz] are "frequency_open" (crack always open),
-        "frequency_tied" (bonded) and "frequency_bilinear" by the bilinear formula. A measured
-        resonance of a breathing crack, near the formula, is "frequency_resonance".
-        "frequency_uncracked" is from the same plate before it had a crack, and calibrates the other
-        frequencies of the mode. Quantities of a point under the scene's load at ``frequency`` are,
-        as in :class:`Indicators`, "harmonic_1" to "harmonic_3" [m], "ratio_2_1" and "ratio_3_1". A
-        "displacement" [m] of the point is at ``phase``, as probes measure. For all displacements
-        of a point at a frequency, the load's size and phase and a constant are fitted.
+        Name of the quantity. Natural frequencies of mode ``mode`` [Hz] are: "frequency_open" with
+        the crack always open, "frequency_tied" with the crack always closed, "frequency_bilinear"
+        by the bilinear formula from both, "frequency_resonance" at a measured resonance of a
+        breathing crack, and "frequency_uncracked" before the plate had a crack. The last calibrates
+        the plate.
+
+        Quantities of a point under the scene's load at ``frequency`` are, as in
+        :class:`Indicators`, "harmonic_1" to "harmonic_3" [m], "ratio_2_1" and "ratio_3_1". A
+        "displacement" [m] is the point's displacement at ``phase``, as probes measure. The load's
+        size and phase and a constant are fitted to all displacements of a point at a frequency.
     value, deviation : float
         Measured value, and its standard deviation > 0, in the same unit.
     mode : int
@@ -102,8 +104,8 @@ class Measurement:
     rpm : float [1/min]
         Rotor speed at which a natural frequency was measured, 0 at rest; nan: the scene's own.
     temperature : float [K or °C]
-        Temperature of the structure when a natural frequency was measured. All have one unit, since
-        only their differences matter; nan if unknown.
+        Temperature of the structure when a natural frequency was measured; nan if unknown. All
+        measurements use the same unit, since only temperature differences matter.
 
     Raises
     ------
@@ -185,15 +187,17 @@ class Measurement:
     def depends_on_shape_alone(self) -> bool:
         """Return True if the measurement does not depend on the load's size.
 
-        True for ratios, and for displacements: the size of their load is fitted.
+        Ratios do not depend on the size. For displacements the size is fitted, so the result is
+        True, too.
         """
         return not self.is_natural_frequency and not self.quantity.startswith("harmonic")
 
     @property
     def harmonic_orders(self) -> tuple[int, ...]:
-        """Return the orders of the quantity's harmonics, the numerator first.
+        """Return the orders of the harmonics from which the quantity is computed.
 
-        The tuple is empty for natural frequencies, and for displacements, which have all harmonics.
+        For a ratio, the numerator's order comes first. The tuple is empty for natural frequencies,
+        and for displacements, which have all harmonics.
         """
         return () if self.is_natural_frequency else tuple(map(int, self.quantity.split("_")[1:]))
 
@@ -208,10 +212,12 @@ class Measurement:
         return f"{self.quantity} at {self.frequency:g} Hz{phase_text}{point_text}"
 
     def get_load_frequency(self, scene: Scene) -> float:
-        """Return the load frequency [Hz] to solve for this measurement.
+        """Return the load frequency [Hz] of the case that predicts this measurement.
 
-        For a natural frequency at a rotor speed, it is the engine order's frequency at this speed;
-        0 stands for the scene's own speed.
+        A quantity under a load has its own load frequency. A natural frequency at a stated rotor
+        speed has the engine order's frequency at this speed. At the scene's speed, or without a
+        stated speed, a natural frequency has 0. At rest, it has a thousandth of the scene's load
+        frequency.
         """
         if not self.is_natural_frequency:
             return float(self.frequency)
@@ -317,7 +323,7 @@ class Measurements(Tabular):
         Parameters
         ----------
         quantity : str
-            As in :class:`Measurement`.
+            Name of the quantity, an attribute of :class:`Measurement`.
         values : (n,)
             Measured values.
         deviations : (n,) or float
@@ -373,10 +379,11 @@ class Measurements(Tabular):
     ) -> Measurements:
         """Take the mean displacement of a blade tip at each probe, for an engine order.
 
-        At rotor angle alpha the load is at the phase p alpha of its period. The arrivals give the
-        displacement u there (:class:`ArrivalTimes`). No harmonic is fitted here; the forward model
-        has them. The means are as in :func:`fit_order`: single wrong arrivals have no weight, and
-        vibrations of constant frequency are subtracted.
+        With p load periods in a revolution, the load is at the phase p alpha if the rotor is at the
+        angle alpha. The arrivals at this angle give the displacement (:class:`ArrivalTimes`). No
+        harmonic is fitted here; the forward model predicts the displacements. Single wrong arrivals
+        have no weight in the means, and vibrations of constant frequency are subtracted, as in
+        :func:`fit_order`.
 
         Parameters
         ----------
@@ -389,8 +396,8 @@ class Measurements(Tabular):
         against : bool
             True if the direction of the point is against the rotation.
         noise : float [s]
-            Standard deviation of an arrival time. Default: from the scatter between revolutions and
-            its correlation, with a larger error from few revolutions.
+            Standard deviation of an arrival time. Default: estimated from the scatter between
+            revolutions, including correlation. An estimate from few revolutions is enlarged.
         angle_deviation : float [rad]
             Standard deviation of the probes' angles, the same in every revolution.
 
@@ -524,8 +531,9 @@ class Measurements(Tabular):
         """Fit natural frequencies to the frequency responses of a universal file.
 
         All responses of one structure (datasets 58 and 58b) must have the same frequencies. They
-        are fitted together around their peaks. The standard deviation includes the scatter, and the
-        change of the fit if less of a peak is fitted.
+        are fitted together around their peaks. The standard deviation of a natural frequency has
+        two parts: the scatter about the fit, and the change if only the upper half of a peak is
+        fitted.
 
         Parameters
         ----------
@@ -572,9 +580,9 @@ class Measurements(Tabular):
         return cls.from_responses(path, modes) if is_universal else cls.from_csv(path)
 
     def check(self, scene: Scene) -> None:
-        """Raise InputError if measurements do not fit a scene.
+        """Raise InputError if a measurement does not fit a scene.
 
-        The error is also raised if all are frequencies without the crack.
+        The error is also raised if all measurements are natural frequencies without the crack.
         """
         if all(measurement.quantity == "frequency_uncracked" for measurement in self.rows):
             raise InputError(
@@ -593,7 +601,10 @@ class Measurements(Tabular):
         return len(self.rows)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns by name, with empty cells, as :meth:`from_csv` reads them."""
+        """Return the columns of a table by name, in the form that :meth:`from_csv` reads.
+
+        A value that does not apply is an empty cell, "".
+        """
         values_by_column = {
             measurement_field.name: [
                 getattr(measurement, measurement_field.name) for measurement in self.rows
@@ -613,10 +624,10 @@ class Measurements(Tabular):
 
 
 def get_crack_removal_changes_or_none(scene: Scene) -> dict[str, Any] | None:
-    """Return the changes that remove the crack from a scene, by key.
+    """Return new values of scene keys that remove the crack, by key.
 
-    None if the crack cannot be removed: from matrices, from mesh files without
-    ``identify.uncracked``, or with several cracks.
+    Return None if the crack cannot be removed. This holds for a structure from matrices, for
+    several cracks, and for mesh files without ``identify.uncracked``.
     """
     value_by_key: dict[str, Any] = dict.fromkeys(
         ("crack", "cracks", "contact", "output.quantities")

@@ -69,10 +69,11 @@ class ForwardModel:
         self.unknown_grid = coarse_cases.unknown_grid
 
     def get_damping_ratio_of_points(self, x: np.ndarray) -> np.ndarray:
-        """Return the damping ratio at values x (m, d) of the unknowns: (m, 1).
+        """Return the damping ratio at m values x (m, d) of the unknowns: (m, 1).
 
-        An unknown damping ratio is in x. Otherwise all are equal: the scene's ratio, the mean of
-        the scene's ratios, or 0.01 without either.
+        If ``damping.ratio`` is an unknown, the ratios are a column of x. Otherwise all points have
+        the scene's ``damping.ratio``, or the mean of ``damping.ratios``. Without both keys the
+        ratio is 0.01.
         """
         if "damping.ratio" in self.unknown_keys:
             return x[:, [self.unknown_keys.index("damping.ratio")]]
@@ -86,10 +87,11 @@ class ForwardModel:
         )  # 0.01 if the damping is given as a matrix
 
     def compute_crack_sizes_relative_to_largest(self, x: np.ndarray) -> np.ndarray:
-        """Return crack sizes at values x (m, d), relative to the largest: (m,).
+        """Return crack sizes at m values x (m, d) of the unknowns, 1 for the largest: (m,).
 
-        A size is the product of length and depth, each over its upper bound; 1 if neither is an
-        unknown.
+        If crack length or depth is an unknown, the size is the unknown over its upper bound. If
+        both are unknowns, the size is the product of both ratios. If neither is an unknown, the
+        size is 1.
         """
         size_unknown_indices = [
             unknown_index
@@ -104,15 +106,19 @@ class ForwardModel:
         )
 
     def compute_deviations_from_equivalent_crack(self, x: np.ndarray) -> np.ndarray:
-        """Return standard deviations of a real crack from the equivalent straight, sharp one.
+        """Return standard deviations of a real crack about its equivalent crack: (m, d).
 
-        Shape (m, d), at values x (m, d) of the unknowns.
+        The equivalent crack is straight and sharp, and has the same effect on vibration. ``x`` (m,
+        d) has m values of the unknowns.
         """
         return compute_deviations_from_equivalent_crack(x, self.unknown_keys, self.scene)
 
 
 class FeaturePrediction(NamedTuple):
     """Prediction of f features at m values of the unknowns.
+
+    A feature is a natural frequency or a harmonic. Its smooth form is feature times smoothing
+    factor; a smooth form is interpolated without kinks and poles.
 
     Attributes
     ----------
@@ -121,13 +127,13 @@ class FeaturePrediction(NamedTuple):
     frequency_split_root_and_frequencies : (m, f, 1 + 2 modes)
         :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each feature.
     smoothing_factors : (m, f)
-        Factors that make features smooth (:func:`compute_smoothing_factors`).
+        Smoothing factors (:func:`compute_smoothing_factors`).
     feature_values : (m, f)
-        Features: logarithms of natural frequencies [Hz], and complex harmonics [m].
+        Logarithms of natural frequencies [Hz], and complex harmonics [m].
     interpolation_variances : (m, f)
-        Mean squares of the features' interpolation errors.
+        Variances of the features due to interpolation.
     smooth_form_covariance : (m, 2f, 2f)
-        Covariance of smooth forms (feature times factor), real and imaginary parts in turn.
+        Covariance of the smooth forms; real and imaginary parts alternate.
     """
 
     damping_ratio_of_points: np.ndarray
@@ -139,19 +145,21 @@ class FeaturePrediction(NamedTuple):
 
 
 class FeaturePredictor:
-    """Predictor of natural frequencies and harmonics, with the covariance of their errors.
+    """Predictor of natural frequencies and harmonics (features), with their covariance.
 
     Attributes
     ----------
     features : tuple of Feature
-        f features: the requested ones. Then, for each natural frequency with the crack, the same
-        mode's frequency without the crack.
+        f features: first the requested features. Then, for each natural frequency with the crack,
+        the frequency of the same mode without the crack.
     is_known : (f,) bool
         True for a feature that the solved cases can predict.
-    cracked_indices, uncracked_indices : list of int
-        Indices of natural frequencies with the crack, and of the same modes' without.
+    cracked_indices : list of int
+        Indices of the natural frequencies with the crack.
+    uncracked_indices : list of int
+        For each of ``cracked_indices``, index of the same mode's frequency without the crack.
     load_indices : list of int
-        Index of each feature's load among the solved ones.
+        For each feature, index of its load among the solved loads.
     """
 
     def __init__(self, model: ForwardModel, features: Sequence[Feature]) -> None:
@@ -269,9 +277,11 @@ class FeaturePredictor:
         )
 
     def list_interpolation_covariances(self, x: np.ndarray) -> list[np.ndarray]:
-        """Return covariances of smooth forms by interpolation along each unknown: (m, 2f, 2f) each.
+        """Return covariances due to interpolation, an array (m, 2f, 2f) for each unknown.
 
-        ``x`` (m, d) are values of the unknowns.
+        Each covariance belongs to the smooth forms of f features (:class:`FeaturePrediction`). The
+        error is due to interpolation along this unknown alone. ``x`` (m, d) has m values of the
+        unknowns.
         """
         covariances = []
         for weighted_errors in self._coarse_interpolation.list_weighted_node_errors_along_axes(x)[
@@ -284,10 +294,11 @@ class FeaturePredictor:
         return covariances
 
     def _evaluate_smooth_features(self, solved_cases: SolvedCases) -> np.ndarray:
-        """Return smooth forms of all features at the grid nodes of solved cases: (n, 2f).
+        """Return smooth forms of all f features at n grid nodes of solved cases: (n, 2f).
 
         Features are natural frequencies and harmonics. A smooth form is feature times factor
-        (:func:`compute_smoothing_factors`); real and imaginary parts alternate.
+        (:func:`compute_smoothing_factors`). For a natural frequency with the crack, the feature
+        here is the change of ln(frequency) by the crack. Real and imaginary parts alternate.
         """
         feature_values = np.stack(
             [feature.get_node_values(solved_cases) for feature in self.features], axis=1
@@ -302,12 +313,12 @@ class FeaturePredictor:
         )
 
     def _estimate_interpolation_error_scales(self) -> np.ndarray:
-        """Return factors (>= 1) on the estimated interpolation errors: (2f,).
+        """Return factors (>= 1) that enlarge the estimated interpolation errors: (2f,).
 
-        A factor is a ratio for a feature: its root-mean-square error at cases halfway between grid
-        nodes, over the estimated error there. All factors are 1 without such cases. The estimate is
-        too small for a feature with more waves along an unknown than grid nodes, as higher modes
-        over the height of the crack.
+        Cases halfway between grid nodes show the real error of each of f features. The factor is
+        the real root-mean-square error over the estimate there. Without halfway cases all factors
+        are 1. The estimate is too small for a feature with more waves along an unknown than grid
+        nodes. An example is a high mode over the height of the crack.
         """
         halfway_cases = self.model.halfway_cases
         if halfway_cases is None:
@@ -335,10 +346,18 @@ class FeaturePredictor:
     def _compute_smoothing_factors(
         self, x: np.ndarray, frequency_split_root_and_frequencies: np.ndarray
     ) -> np.ndarray:
-        """Return factors that make features smooth, at values x (m, d): (m, f).
+        """Return the factors that make f features smooth: (m, f).
 
-        x are values of the unknowns. Both meshes get the factors of the coarse mesh
+        Results on the finer mesh get the same factors as on the coarse mesh
         (:func:`compute_smoothing_factors`).
+
+        Parameters
+        ----------
+        x : (m, d)
+            m values of the unknowns.
+        frequency_split_root_and_frequencies : (m, f, 1 + 2 modes)
+            :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each feature, on
+            the coarse mesh.
         """
         return compute_smoothing_factors(
             self.features,
@@ -348,9 +367,11 @@ class FeaturePredictor:
         )
 
     def _interpolate_frequency_split_and_frequencies(self, x: np.ndarray) -> np.ndarray:
-        """Interpolate :attr:`SolvedCases.frequency_split_root_and_frequencies` to values x (m, d).
+        """Interpolate the split and the frequencies for poles of harmonics: (m, f, 1 + 2 modes).
 
-        Shape (m, f, 1 + 2 modes), at the load of each feature; nan without enough solved cases.
+        They are :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each of f
+        features. ``x`` (m, d) has m values of the unknowns. Quantities without enough solved cases
+        are nan.
         """
         frequency_split_root_and_frequencies = np.where(
             self._split_root_and_frequency_interpolation.has_enough_known_nodes,
@@ -366,17 +387,17 @@ class FeaturePredictor:
     ) -> list[np.ndarray]:
         """List independent errors of smooth forms by mesh and contact: (m, 2f, r) each.
 
-        Each of the r columns is an error in all smooth forms; the sum of the columns' outer
-        products is the covariance. Half of the mesh variance is common to all features, half to the
-        features of a group (:attr:`Feature.error_group_key`). Half of the contact variance is
-        common to a group, half belongs to a single harmonic.
+        Each of the r columns is an independent error, with its effect on all smooth forms of f
+        features (:class:`FeaturePrediction`). Half of the mesh variance is common to all features.
+        The second half is common to the features of a group (:attr:`Feature.error_group_key`). Half
+        of the contact variance is common to a group, the second half belongs to a single harmonic.
 
         Parameters
         ----------
         smooth_features : (m, 2f)
-            Smooth forms, real and imaginary parts in turn.
+            Smooth forms; real and imaginary parts alternate.
         remaining_mesh_errors : (m, 2f)
-            Errors of the mesh after its correction.
+            Mesh errors of the smooth forms after the mesh correction.
         """
         root_of_half = np.sqrt(0.5)
         error_blocks = [
@@ -404,9 +425,14 @@ class FeaturePredictor:
 def _correlate_errors(errors: np.ndarray) -> list[np.ndarray]:
     """Split the variance of errors into a correlated half and an independent half.
 
-    ``errors`` (m, k, 2f) are k independent errors of 2f smooth forms. The two results have a column
-    for each independent error. In the first, (m, 2f, k), all forms change together; in the second,
-    (m, 2f, 2f), each form changes alone.
+    ``errors`` (m, k, 2f) has k independent errors of 2f smooth forms (:class:`FeaturePrediction`).
+
+    Returns
+    -------
+    list of (m, 2f, k) and (m, 2f, 2f)
+        Errors of the 2f smooth forms in columns. In the first array, a column is an error that
+        changes all smooth forms together. In the second array, a column changes one smooth form
+        alone.
     """
     return [
         np.sqrt(0.5) * errors.transpose(0, 2, 1),
@@ -415,7 +441,7 @@ def _correlate_errors(errors: np.ndarray) -> list[np.ndarray]:
 
 
 def _build_error_group_matrix(features: Sequence[Feature]) -> np.ndarray:
-    """Return the group membership of features with a common mesh error: (2f, groups).
+    """Return the membership of features in groups with a common mesh error: (2f, groups).
 
     Each of the f features, a natural frequency or a harmonic, has two equal rows: for its real and
     its imaginary part. An entry is 1 if the feature is in the group

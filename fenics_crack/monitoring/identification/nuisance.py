@@ -78,23 +78,26 @@ FACTOR_FROM_HZ_BY_UNIT = {"rad/s": 2.0 * np.pi, "kHz": 1e-3, "mHz": 1e3}
 
 
 class UncrackedPlate:
-    """Plate without its crack, and how its frequencies change with the priors.
+    """Plate without its crack, and frequency changes by uncertain properties of the plate.
 
-    A crack that cannot be removed is bonded. The plate is solved on this rank alone. Priors are the
-    standard deviations in ``[identify]``: material, thickness, clamp, model error, and rotation.
+    A crack that cannot be removed is bonded. The plate is solved on this rank alone. The uncertain
+    properties are material, thickness, clamp, model error and stiffening by rotation. Each has a
+    prior, a normal distribution with the standard deviation in ``[identify]``.
+
+    The stiffness matrices are projected on r motions: the modes at rest and at the scene's rotor
+    speed, made orthogonal, with modal mass 1.
 
     Attributes
     ----------
     rotor_speed : float [rad/s]
         Rotor speed of the scene.
     elastic_and_rotation_stiffness : (2, r, r) [1/s^2]
-        Stiffness at rest, and the addition by rotation at the rotor speed, in r mass-normalised
-        motions.
+        Projected stiffness at rest; then the projected addition by rotation at the rotor speed.
     clamp_reactions : (r, d)
-        Forces times the clamp's radius of gyration, then moments, at the clamp by these motions.
-        d = 0 if the clamped nodes are unknown.
+        Forces and moments at the clamp in each motion. Forces come first, multiplied
+        by the clamp's radius of gyration. d = 0 if the clamped nodes are unknown.
     n_reaction_forces : int
-        Number of forces among the d reactions; they precede the moments.
+        Number of forces among the d reactions.
     identify_table : Identify
         Table ``[identify]`` with the priors.
     """
@@ -147,16 +150,17 @@ class UncrackedPlate:
     def solve_modes_at(
         self, speed_ratio: float, modulus_ratio: float = 1.0
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Solve the plate's modes at another speed and Young's modulus.
+        """Solve the plate's modes at another rotor speed and Young's modulus.
 
-        Speed and modulus are given as ratios, relative to the scene's values.
+        ``speed_ratio`` and ``modulus_ratio`` are relative to the scene's rotor speed and Young's
+        modulus.
 
         Returns
         -------
         omega : (n,) [rad/s]
             Natural frequencies in ascending order.
         mode_vectors : (r, n)
-            Modes in the r mass-normalised motions.
+            Amplitudes of the r motions (:class:`UncrackedPlate`) in each of the n modes.
         """
         squared_omega, mode_vectors = eigh(
             modulus_ratio * self.elastic_and_rotation_stiffness[0]
@@ -166,7 +170,7 @@ class UncrackedPlate:
         return np.sqrt(np.maximum(squared_omega[:n_modes], 0.0)), mode_vectors[:, :n_modes]
 
     def compute_elastic_fractions(self, speed_ratio: float) -> np.ndarray:
-        """Return the elastic part e_j of each squared natural frequency: (n,).
+        """Return the fraction e_j of each squared natural frequency due to elasticity: (n,).
 
         The rest, 1 - e_j, comes from rotation. ``speed_ratio`` is the rotor speed over the scene's.
         """
@@ -179,21 +183,22 @@ class UncrackedPlate:
     def compute_frequency_factors_by_modulus(
         self, speed_ratio: float, modulus_ratio: float
     ) -> np.ndarray:
-        """Return factors on natural frequencies by a factor on Young's modulus: (n,).
+        """Return the ratios of natural frequencies after and before a modulus change: (n,).
 
-        ``modulus_ratio`` is this factor, ``speed_ratio`` the rotor speed over the scene's.
+        ``modulus_ratio`` is Young's modulus after the change over the scene's. ``speed_ratio`` is
+        the rotor speed over the scene's.
         """
         return (
             self.solve_modes_at(speed_ratio, modulus_ratio)[0] / self.solve_modes_at(speed_ratio)[0]
         )
 
     def compute_clamp_sensitivities(self, speed_ratio: float) -> np.ndarray:
-        """Return relative changes of natural frequencies by a soft clamp: (n, 2).
+        """Return scaled reductions of n natural frequencies by a soft clamp: (n, 2).
 
-        The columns are for a turning clamp and a moving clamp. They are relative to the change of
-        the first frequency by both, root sum square, at the scene's speed. Without known clamped
-        nodes the first column has the elastic parts, the second 0. ``speed_ratio`` is the rotor
-        speed over the scene's.
+        The first column is for a clamp that turns, the second for a clamp that moves. Both have the
+        same scale. With this scale, the first row at the scene's rotor speed has the root sum
+        square 1. If the clamped nodes are unknown, the first column has the elastic fractions e_j,
+        the second 0. ``speed_ratio`` is the rotor speed over the scene's.
         """
         if not self.clamp_reactions.shape[1]:
             return np.outer(self.compute_elastic_fractions(speed_ratio), [1.0, 0.0])
@@ -213,11 +218,12 @@ class UncrackedPlate:
         )
 
     def compute_prior_sensitivities(self, speed_ratio: float) -> np.ndarray:
-        """Return relative changes of natural frequencies by the priors: (n, s).
+        """Return relative changes of n natural frequencies by uncertain properties: (n, s).
 
-        Each column is for one standard deviation: Young's modulus, density, thickness, clamp (2),
-        model error (n) and stiffening by rotation (n). ``speed_ratio`` is the rotor speed over the
-        scene's.
+        Each of the s columns is for a change by one prior standard deviation. The columns are
+        Young's modulus, density, thickness, a turning clamp and a moving clamp. Then follow n
+        columns for the model error of each mode, and n for the stiffening of each mode by rotation.
+        ``speed_ratio`` is the rotor speed over the scene's.
         """
         young_deviation, density_deviation, _ = self._young_density_thickness_deviations
         elastic_fractions = self.compute_elastic_fractions(speed_ratio)
@@ -242,16 +248,18 @@ class UncrackedPlate:
         frequency_split_root_and_frequencies: np.ndarray,
         mode_sensitivities: np.ndarray,
     ) -> np.ndarray:
-        """Return relative changes of features by the priors: (m, f, s + n + 1).
+        """Return relative changes of features by uncertain properties: (m, f, s + n + 1).
 
-        Each column is for one standard deviation: the s priors in ``mode_sensitivities``, the
-        crack's effect on each of n modes by itself, and damping. A natural frequency of the cracked
-        plate stands here for the change of ln(frequency) by the crack.
+        Features are natural frequencies and harmonics. Each column is for a change by one prior
+        standard deviation. First come the s columns of ``mode_sensitivities``. Then follow n
+        columns for the error of the crack's effect on each mode. The last column is damping. A
+        natural frequency with the crack is an exception: for it, the feature is the change of
+        ln(frequency) by the crack.
 
         Parameters
         ----------
         features : sequence of Feature
-            f features: natural frequencies and harmonics.
+            f natural frequencies and harmonics.
         damping_ratio_of_points : (m, 1)
             Damping ratios at m values of the unknowns.
         frequency_split_root_and_frequencies : (m, f, 1 + 2 n)
@@ -335,19 +343,21 @@ class UncrackedPlate:
     def compute_clamp_and_temperature_sensitivities(
         self, speed_ratio: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return relative frequency changes between the baseline and later measurements.
+        """Return relative changes of natural frequencies by changes of clamp and temperature.
 
-        The baseline was measured before the crack. ``speed_ratio`` is the rotor speed over the
-        scene's.
+        The changes happen between the baseline, measured before the crack, and later measurements.
+        ``speed_ratio`` is the rotor speed over the scene's.
 
         Returns
         -------
-        (n, 3 + n)
-            Changes of n frequencies by one standard deviation each: a turning clamp, a moving
-            clamp, the stiffening of all modes by rotation, and each mode by itself.
-        (n, 1 + n)
-            Changes by 1 K [1/K] (column 0). Then one standard deviation of this change [1/K] in a
-            column for each mode, due to the uncertain stiffening by rotation.
+        clamp_sensitivities : (n, 3 + n)
+            Relative changes of n frequencies, each column by one standard deviation. The columns
+            are a turning clamp, a moving clamp, the stiffening of all modes by rotation, and a
+            change of each mode alone.
+        temperature_sensitivities : (n, 1 + n) [1/K]
+            Column 0: relative change of each frequency by 1 K. Column j: standard deviation of this
+            change for mode j, 0 for other modes. It comes from the uncertain stiffening by
+            rotation.
         """
         identify_table = self.identify_table
         elastic_fractions = self.compute_elastic_fractions(speed_ratio)
@@ -377,15 +387,16 @@ class UncrackedPlate:
         *,
         may_be_other_plate: bool,
     ) -> None:
-        """Raise InputError for frequencies that seem to have a wrong unit or mode.
+        """Raise InputError for measured frequencies that seem to have a wrong unit or mode.
 
-        Load frequencies are compared with ``load_frequencies`` [Hz] of the scene, natural
-        frequencies with those of this plate. Measured values must not seem to be in kHz, mHz or,
-        for natural frequencies, rad/s.
+        A load frequency is compared with the nearest of ``load_frequencies`` [Hz]. A natural
+        frequency is compared with this plate's frequency of the same mode. A load frequency must
+        not seem to be in kHz or mHz, a natural frequency not in rad/s, kHz or mHz.
 
-        ``may_be_other_plate`` is True if an unknown changes more than the crack, as the thickness.
-        rad/s is then refused only if all natural frequencies seem to be in rad/s. If it is False, a
-        frequency without the crack must be nearest to this plate's frequency of the same mode.
+        ``may_be_other_plate`` is True if an unknown belongs neither to crack nor to contact, for
+        example the thickness. The unit rad/s then causes an error only if all natural frequencies
+        seem to have this unit. If ``may_be_other_plate`` is False, the modes are checked, too: a
+        frequency without the crack must be nearest to this plate's frequency of the stated mode.
         """
         for row in [
             row for row in measurements.rows if load_frequencies and not row.is_natural_frequency
@@ -462,25 +473,26 @@ def _guess_frequency_unit_or_empty(frequency_ratio: float) -> str:
 
 
 class BaselineChanges:
-    """Changes of the plate since it was measured without the crack (baseline).
+    """Changes of the plate since the baseline, the measurements without the crack.
 
-    The attributes tell how q predicted measurements change. Changes are 0 for measurements other
-    than natural frequencies, and for modes above those of the plate.
+    The attributes hold changes of q predictions; n is the number of modes of the plate. Only
+    natural frequencies of these modes change; all remaining entries are 0 (factors 1).
 
     Attributes
     ----------
     temperature_frequency_factors : (q,)
-        Factors on predictions by known temperature differences between baseline and now.
+        Factor on each prediction, from its stated temperature relative to the present temperature.
     clamp_frequency_changes : (q, 3 + n)
-        Relative changes of baseline frequencies by clamp, stiffening by rotation, and each of n
-        modes by itself, one standard deviation each
-        (:meth:`UncrackedPlate.compute_clamp_and_temperature_sensitivities`).
+        Relative changes of baseline frequencies, each column by one standard deviation
+        (:meth:`UncrackedPlate.compute_clamp_and_temperature_sensitivities`). The columns are a
+        turning clamp, a moving clamp, the stiffening by rotation, and each mode alone.
     unknown_temperature_frequency_changes : (q, 1 + n)
-        Relative changes by one standard deviation of an unknown temperature difference (column 0),
-        and their uncertainties due to rotation, by mode.
+        Column 0: relative changes by one standard deviation of an unknown temperature difference.
+        Column j: uncertainty of this change for mode j, from the stiffening by rotation.
     temperature_error_frequency_changes : (q, 2 + n)
-        Relative changes by errors in known temperature differences, one standard deviation each:
-        temperature coefficient, thermometer, and stiffening by rotation for each of n modes.
+        Relative changes by errors of known temperature differences, each column by one standard
+        deviation. The columns are the temperature coefficient, the thermometer, and the stiffening
+        of each mode by rotation.
     """
 
     def __init__(
@@ -489,10 +501,11 @@ class BaselineChanges:
         speed_ratios: Sequence[float],
         uncracked_plate: UncrackedPlate,
     ) -> None:
-        """Take measurements, and the rotor speed of each over the scene's.
+        """Take q measurements, and the rotor speed of each over the scene's.
 
         The present temperature is the mean of the temperatures stated for measurements with the
-        crack. The difference from the baseline is unknown unless both have stated temperatures.
+        crack. A baseline measurement has a known temperature difference if its temperature and the
+        present temperature are stated; otherwise the difference is unknown.
         """
         identify_table = uncracked_plate.identify_table
         n_modes = len(uncracked_plate.natural_frequencies_hz)
@@ -553,10 +566,10 @@ class BaselineChanges:
 
     @property
     def frequency_changes(self) -> np.ndarray:
-        """Return all relative changes of q predicted measurements: (q, s).
+        """Return all relative changes of q predictions since the baseline: (q, s).
 
-        Each of the s columns is for one standard deviation of a change since the plate was measured
-        without the crack: temperature, clamp, and errors of temperatures.
+        Each of the s columns is for a change by one standard deviation. The order is unknown
+        temperature, clamp, errors of known temperatures.
         """
         return np.hstack(
             [
@@ -569,7 +582,11 @@ class BaselineChanges:
     def with_change_factors(
         self, clamp_factor: float, temperature_factor: float
     ) -> BaselineChanges:
-        """Return a copy with the changes by clamp and unknown temperature multiplied."""
+        """Return a copy with larger or smaller standard deviations of the changes.
+
+        ``clamp_factor`` multiplies the frequency changes by the clamp. ``temperature_factor``
+        multiplies the frequency changes by an unknown temperature difference.
+        """
         scaled_changes = copy(self)
         scaled_changes.clamp_frequency_changes = clamp_factor * self.clamp_frequency_changes
         scaled_changes.unknown_temperature_frequency_changes = (
@@ -586,13 +603,14 @@ def _solve_plate_modes(scene: Scene) -> Modes:
 
 
 def _build_rigid_clamp_motions(modes: Modes) -> tuple[np.ndarray, int]:
-    """Build rigid motions of the plate about the clamp's middle.
+    """Build rigid motions of the plate about the middle of its clamped nodes.
 
     Returns
     -------
     motion_columns : (n, d)
-        Translations times the clamp's radius of gyration, then rotations, as displacements of n
-        dofs. d = 0 if fewer than two nodes are clamped, or the nodes are unknown.
+        Displacements of n dofs in d rigid motions: translations, then rotations by 1 rad. A
+        translation is as long as the clamp's radius of gyration. d = 0 if fewer than two nodes are
+        clamped, or the nodes are unknown.
     n_translations : int
         Number of translations.
     """
@@ -618,10 +636,19 @@ def _differentiate_harmonic_logs(
     damping_ratio_of_points: np.ndarray,
     frequency_split_root_and_frequencies: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return derivatives of ln(harmonic) through the poles: two arrays (m, f, modes).
+    """Return derivatives of ln(harmonic) through its poles: two arrays (m, f, modes).
 
-    The first is by ln w_j, with the natural frequency w_j of each mode; the second by ln z, with
-    the damping ratio z. Parameters are as in :func:`compute_ratios_and_pole_factors`.
+    The first array has the derivatives by ln w_j, with the natural frequency w_j of mode j. The
+    second has the share of mode j in the derivative by ln z, with the damping ratio z.
+
+    Parameters
+    ----------
+    features : sequence of Feature
+        f natural frequencies and harmonics; derivatives of natural frequencies are 0.
+    damping_ratio_of_points : (m, 1)
+        Damping ratios z at m values of the unknowns.
+    frequency_split_root_and_frequencies : (m, f, 1 + 2 modes)
+        :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each feature.
     """
     harmonic_to_mode_ratios, pole_factors = compute_ratios_and_pole_factors(
         features, damping_ratio_of_points, frequency_split_root_and_frequencies
@@ -635,11 +662,11 @@ def _differentiate_harmonic_logs(
 def compute_deviations_from_equivalent_crack(
     x: np.ndarray, unknown_keys: Sequence[str], scene: Scene
 ) -> np.ndarray:
-    """Return standard deviations between a real crack and the equivalent crack: (m, d).
+    """Return standard deviations of a real crack about its equivalent crack: (m, d).
 
-    The equivalent crack is straight and sharp, with the same effect on vibration. ``x`` (m, d) are
-    values of the unknowns. Size and height of the crack have a standard deviation, other unknowns
-    0.
+    The equivalent crack is straight and sharp, and has the same effect on vibration. ``x`` (m, d)
+    are m values of the d unknowns ``unknown_keys``. Crack size and crack height have a standard
+    deviation in the unit of the unknown; all remaining unknowns have 0.
     """
     identify_table = scene.given("identify")
     equivalence_deviations = np.zeros_like(x)

@@ -73,12 +73,13 @@ class Likelihood:
     predictor: MeasurementPredictor
 
     def compute_residuals(self, x: np.ndarray) -> np.ndarray:
-        """Return residuals at values x (m, d) of the unknowns: (m, q + 1).
+        """Return residuals at m values x (m, d) of the unknowns: (m, q + 1).
 
-        The first q are L^-1 (m - s) / e, with measured values m, their standard deviations e, and
-        predictions s. The squares sum to chi^2. V = diag(e) L L^T diag(e) is the covariance of
-        measurements and predictions. The last residual is the root of log(det L L^T / p^2). All are
-        for the most probable motion of the crack faces, with its probability p.
+        Measured values y have standard deviations e; predictions are s. The covariance of
+        measurements and predictions together is V = diag(e) C C^T diag(e), with a lower triangular
+        C. The first q residuals are C^-1 ((y - s) / e); their squares sum to chi^2. The last
+        residual is the root of log(det(C C^T) / p^2). Here p is the probability of the motion of
+        the crack faces. The motion with the smallest sum of squares is taken.
         """
         residual_rows = np.full((len(x), len(self.measurement_values) + 1), np.inf)
         for point_indices, state_residuals, _ in self._iterate_state_residuals(x):
@@ -89,9 +90,9 @@ class Likelihood:
         return residual_rows
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Return the log-likelihood at values x (m, d) of the unknowns: (m,).
+        """Return the log-likelihood at m values x (m, d) of the unknowns: (m,).
 
-        A constant is left out.
+        An additive constant is left out.
         """
         log_likelihoods = np.full(len(x), -np.inf)
         for point_indices, state_residuals, _ in self._iterate_state_residuals(x):
@@ -117,14 +118,17 @@ class Likelihood:
     ) -> Iterator[tuple[np.ndarray, np.ndarray, MeasurementPrediction]]:
         """Yield residuals for each possible motion of the crack faces.
 
+        ``x`` (m, d) are m values of the unknowns.
+
         Yields
         ------
-        (n,)
-            Indices of the values in x (m, d) for which the motion is possible.
-        (n, q + 1)
-            Residuals there, as in :meth:`compute_residuals`.
-        MeasurementPrediction
-            Predictions there.
+        point_indices : (n,)
+            Indices in x for which the motion is possible.
+        residuals : (n, q + 1)
+            Residuals of q measurements at these values; then the residual of the determinant
+            (:meth:`compute_residuals`).
+        prediction : MeasurementPrediction
+            Predictions at these values.
         """
         for (
             point_indices,
@@ -155,10 +159,11 @@ class Likelihood:
             )
 
     def compute_normalised_temperature_change(self, x: np.ndarray) -> float:
-        """Return the posterior mean of the unknown temperature change.
+        """Return the posterior mean of an unknown temperature change of the plate.
 
-        The change is since the plate was measured without the crack, in standard deviations of the
-        prior. x (d,) are values of the unknowns.
+        The change is from the measurements without the crack to the later ones, positive if the
+        plate is warmer now. Its unit is the prior standard deviation. ``x`` (d,) are values of the
+        unknowns.
         """
         prediction = self.predict_most_probable(x)
         temperature_slopes = (
@@ -186,10 +191,11 @@ class Likelihood:
         )
 
     def compute_chi_square_and_p_value(self, x: np.ndarray) -> tuple[float, float]:
-        """Return chi^2 and its p-value at the best values x (d,).
+        """Return (chi^2, p-value) at the fitted values x (d,) of the unknowns.
 
-        Degrees of freedom are the measurements less the d unknowns, and less 3 for each group of
-        displacements (load's size, phase and a constant); at least 1.
+        The degrees of freedom are the number of measurements, less the d unknowns. Each group of
+        displacements subtracts 3 more, for the load's size and phase and a constant. The minimum is
+        1.
         """
         chi_squares, p_values = self._compute_chi_squares_and_p_values(x[None], len(x))
         return float(chi_squares[0]), float(p_values[0])
@@ -197,9 +203,10 @@ class Likelihood:
     def _compute_chi_squares_and_p_values(
         self, x: np.ndarray, n_fitted_unknowns: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return chi^2 and its p-value at values x (m, d): (m,) each.
+        """Return chi^2 and its p-values at m values x (m, d) of the unknowns: (m,) each.
 
-        ``n_fitted_unknowns`` reduces the degrees of freedom.
+        ``n_fitted_unknowns`` is subtracted from the number of measurements in the degrees of
+        freedom.
         """
         chi_squares = np.sum(self.compute_residuals(x)[:, :-1] ** 2, axis=1)
         degrees_of_freedom = (
@@ -210,7 +217,7 @@ class Likelihood:
         return chi_squares, np.asarray(chdtrc(max(degrees_of_freedom, 1), chi_squares))
 
     def without_measurement(self, omitted_row_index: int) -> Likelihood:
-        """Return the likelihood of all measurements but the one with an index."""
+        """Return the likelihood without the measurement at index ``omitted_row_index``."""
         is_kept = np.arange(len(self.measurement_values)) != omitted_row_index
         kept_rows = [
             measurement
@@ -230,8 +237,9 @@ def compute_scaled_covariance(
 ) -> np.ndarray:
     """Return the covariance V of measurements and predictions, scaled: (m, q, q).
 
-    V is divided by products of the measurements' standard deviations (q,). Measurements without a
-    prediction get a prediction error of ten times the sum of value and standard deviation.
+    The entry i, j is V_ij / (e_i e_j), with the standard deviations e of the q measurements at m
+    values of the unknowns. A measurement that cannot be predicted gets a large prediction error:
+    ten times the sum of its absolute value and its standard deviation.
     """
     is_predictable_pair = np.outer(prediction.is_predictable, prediction.is_predictable)
     prediction_covariance = (
@@ -257,9 +265,9 @@ class Optimum:
     Attributes
     ----------
     x : (d,)
-        Values of the unknowns.
+        Values of the unknowns at the maximum.
     log_likelihood : float
-        log L.
+        Log-likelihood at the maximum.
     covariance : (d, d)
         Covariance of the unknowns, from the slopes of the residuals and the prior.
     """
@@ -275,10 +283,10 @@ class Optimum:
 
 
 class PosteriorBranch:
-    """Posterior on a grid of the unknowns, for one choice of text values.
+    """Posterior on a grid of the unknowns with numbers, for one choice of text values.
 
-    The grid has more points around the best optima. An unknown with text values is, for instance,
-    crack.edge.
+    An unknown with text values is, for example, crack.edge, with "left" or "right". Each choice has
+    its own branch. The grid has more points around the best optima.
 
     Attributes
     ----------
@@ -286,12 +294,12 @@ class PosteriorBranch:
         Likelihood of the unknowns.
     optima : list of Optimum
         Distinct maxima of the likelihood, best first.
-    axes : tuple of arrays
-        Values of each unknown in the grid.
-    grid_log_likelihood : array
-        Log-likelihood on the grid, convolved with the distribution of a real crack about the
-        equivalent crack.
-    prior_masses : array
+    axes : tuple of (n_i,)
+        Grid values of each unknown.
+    grid_log_likelihood : (n_1, ..., n_d)
+        Log-likelihood at the grid points, convolved with the distribution of a real crack about the
+        equivalent straight, sharp crack.
+    prior_masses : (n_1, ..., n_d)
         Prior probability of each grid point; the sum is 1.
     """
 
@@ -356,9 +364,9 @@ class PosteriorBranch:
         return float(logsumexp(self.grid_log_likelihood, b=self.prior_masses))
 
     def get_unknown_values_by_key(self, x: np.ndarray) -> dict[str, Any]:
-        """Return values of all unknowns by key: numbers x (d,), and text values.
+        """Return the values of all unknowns by key.
 
-        Text values are, for instance, "left" for crack.edge.
+        ``x`` (d,) are the numbers. This branch adds the text values, such as "left" for crack.edge.
         """
         model = self.likelihood.predictor.model
         return model.word_by_key | dict(zip(model.unknown_keys, x.tolist(), strict=True))
@@ -375,16 +383,16 @@ class PosteriorBranch:
         return float(RegularGridInterpolator(self.axes, self.grid_log_likelihood)(bounded_x)[0])
 
     def compute_explaining_points_and_shares(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return cracks that explain the measurements, and variances due to interpolation.
+        """Find cracks that explain the measurements, and their errors by interpolation.
 
         Returns
         -------
-        (m, d)
-            Values of the unknowns, among the first grid and the optima, that explain the
-            measurements (:meth:`Likelihood.explains_measurements`).
-        (m, d, q)
-            Fraction of each measurement's variance, prediction included, due to interpolation along
-            each unknown.
+        explaining_points : (m, d)
+            Values of the unknowns that explain the measurements
+            (:meth:`Likelihood.explains_measurements`), from the first grid and the optima.
+        interpolation_shares : (m, d, q)
+            Fraction of the variance of measurement plus prediction that comes from interpolation
+            along each of d unknowns, for each of q measurements.
         """
         likelihood, explaining_point_arrays = self.likelihood, [np.zeros((0, len(self.axes)))]
         share_arrays = [np.zeros((0, len(self.axes), len(likelihood.measurement_values)))]
@@ -418,18 +426,19 @@ def _convolve_with_crack_deviations(
     Parameters
     ----------
     log_likelihood : (n_1, ..., n_d)
-        log L on the grid.
+        Log-likelihood at the grid points.
     axes : list of (n_i,)
-        Values of each unknown.
+        Grid values of each unknown.
     axis_weights : list of (n_i,)
         Integration weights of these values.
     crack_deviations : (n, d)
-        Standard deviations at all n grid points (:func:`compute_deviations_from_equivalent_crack`).
+        Standard deviations of the normal distributions at all n grid points
+        (:func:`compute_deviations_from_equivalent_crack`).
 
     Returns
     -------
     (n_1, ..., n_d)
-        Log of the convolved likelihood.
+        Logarithm of the convolved likelihood.
     """
     largest_log_likelihood = log_likelihood.max()
     relative_likelihood = np.exp(log_likelihood - largest_log_likelihood)
@@ -462,7 +471,8 @@ def _convolve_with_crack_deviations(
 def build_first_grid(unknown_grid: UnknownGrid) -> UnknownGrid:
     """Return the posterior's first grid, equally spaced along each unknown.
 
-    The number of values is in :data:`FIRST_GRID_COUNT_BY_DIMENSION`.
+    The bounds are those of ``unknown_grid``. The number of values of each unknown is
+    :data:`FIRST_GRID_COUNT_BY_DIMENSION` (9 if not listed there).
     """
     n_values = FIRST_GRID_COUNT_BY_DIMENSION.get(len(unknown_grid.axes), 9)
     return UnknownGrid(
@@ -490,9 +500,9 @@ def _find_optima(
 ) -> list[Optimum]:
     """Find maxima of the likelihood by least squares.
 
-    The best 8 local maxima of ``log_likelihood`` on ``first_grid`` are starts. Left out are optima
-    within one standard deviation of a better one in every unknown, and optima with a log-likelihood
-    more than 8 below the best.
+    Least squares start at the best 8 local maxima of ``log_likelihood``, given on ``first_grid``.
+    An optimum is left out if a better optimum is within one standard deviation in every unknown. It
+    is also left out if its log-likelihood is more than 8 below the best.
     """
     local_maximum_indices = np.flatnonzero(
         log_likelihood == maximum_filter(log_likelihood, size=3, mode="nearest")
@@ -549,14 +559,16 @@ def _find_optima(
 
 
 class Posterior:
-    """Posterior of all unknowns, with text values of equal prior probability.
+    """Posterior of all unknowns: one branch for each choice of text values.
 
-    An unknown with text values is, for instance, crack.edge.
+    An unknown with text values is, for example, crack.edge, with "left" or "right". All choices
+    have the same prior probability.
 
     Parameters
     ----------
     branch_by_words : dict of str to PosteriorBranch
-        Posterior for each choice of text values, by these values joined with ", "; "" without any.
+        Branch for each choice. Keys are the text values, joined with ", "; "" if all unknowns are
+        numbers.
     """
 
     def __init__(self, branch_by_words: Mapping[str, PosteriorBranch]) -> None:
@@ -578,9 +590,10 @@ class Posterior:
 
     @property
     def best_words_and_unknowns(self) -> tuple[str, np.ndarray]:
-        """Return the text values, and unknowns (d,), with the largest likelihood.
+        """Return the text values, and the numbers (d,), with the largest likelihood.
 
-        Text values are joined with ", ", as "left" for crack.edge; "" without any.
+        The first item has the values of unknowns such as crack.edge, joined with ", ". It is "" if
+        all unknowns are numbers. The second item has the values of the d unknowns with numbers.
         """
         words_text = max(
             self.branch_by_words,
@@ -596,15 +609,15 @@ class Posterior:
 
     @cached_property
     def misfit(self) -> tuple[float, float]:
-        """Return chi^2 and its p-value at the maximum of the likelihood."""
+        """Return (chi^2, p-value) at the maximum of the likelihood."""
         likelihood, x = self._best_likelihood_and_unknowns
         return likelihood.compute_chi_square_and_p_value(x)
 
     @cached_property
     def misfits_without_each_measurement(self) -> list[tuple[float, float]]:
-        """Return chi^2 and its p-value without each of the measurements in turn.
+        """Return a pair (chi^2, p-value) for each measurement, without this measurement.
 
-        The unknowns are those at the maximum of the likelihood for all measurements.
+        The unknowns stay at the maximum of the likelihood for all measurements.
         """
         likelihood, x = self._best_likelihood_and_unknowns
         return [
@@ -615,11 +628,12 @@ class Posterior:
     def compute_misfit_with_change_factors(
         self, *, clamp_factor: float = 1.0, temperature_factor: float = 1.0
     ) -> tuple[float, float]:
-        """Return chi^2 and its p-value with other prior changes of the plate.
+        """Return (chi^2, p-value) for larger or smaller changes of clamp and temperature.
 
-        The factors multiply the changes by the clamp and by an unknown temperature, since the plate
-        was measured without the crack. The unknowns are those at the maximum of the likelihood
-        without factors.
+        The changes happen between the measurements without the crack and later ones.
+        ``clamp_factor`` multiplies the prior standard deviation of frequency changes by the clamp.
+        ``temperature_factor`` does so for an unknown temperature difference. The unknowns stay at
+        the maximum of the likelihood with both factors 1.
         """
         likelihood, x = self._best_likelihood_and_unknowns
         predictor = likelihood.predictor.with_change_factors(
@@ -629,10 +643,11 @@ class Posterior:
 
     @cached_property
     def mean_normalised_temperature_change(self) -> float:
-        """Return the posterior mean of the unknown temperature change.
+        """Return the posterior mean of an unknown temperature change of the plate.
 
-        The change is since the plate was measured without the crack, in standard deviations of the
-        prior, at the maximum of the likelihood.
+        The change is from the measurements without the crack to the later ones, positive if the
+        plate is warmer now. Its unit is the prior standard deviation. The unknowns are at the
+        maximum of the likelihood.
         """
         likelihood, x = self._best_likelihood_and_unknowns
         return likelihood.compute_normalised_temperature_change(x)
@@ -659,7 +674,8 @@ class Posterior:
     def find_region_border_log_likelihood(self, probability: float) -> float:
         """Return the log-likelihood at the border of a credible region.
 
-        The region has a given probability, and the points with the largest likelihood.
+        The region consists of the grid points with the largest likelihood. Their posterior
+        probability sums to at least ``probability``.
         """
         indices_most_likely_first = np.argsort(-self._log_likelihood_of_points)
         cumulative_masses = np.cumsum(self._mass_of_points[indices_most_likely_first])
@@ -669,15 +685,17 @@ class Posterior:
         return float(self._log_likelihood_of_points[indices_most_likely_first[border_index]])
 
     def iterate_reached_bounds(self, probability: float) -> Iterator[tuple[int, str, float]]:
-        """Yield the bounds that the credible region with a probability reaches.
+        """Yield the bounds of the unknowns that a credible region reaches.
+
+        ``probability`` is the posterior probability of the region.
 
         Yields
         ------
-        int
-            Index of the unknown.
-        str
+        unknown_index : int
+            Position of the unknown.
+        side : str
             "below" for a lower bound, "above" for an upper bound.
-        float
+        bound : float
             Value of the bound.
         """
         border_log_likelihood = self.find_region_border_log_likelihood(probability)
@@ -699,7 +717,11 @@ class Posterior:
     def compute_marginal_values_and_masses(
         self, unknown_index: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return an unknown's grid values in ascending order, with probabilities: (n,) each."""
+        """Return the grid values of an unknown, and their probabilities: (n,) each.
+
+        Values are in ascending order. The probabilities are summed over all remaining unknowns with
+        numbers. With several choices of text values, each choice has its own grid values.
+        """
         unknown_values = np.concatenate(
             [branch.axes[unknown_index] for branch in self.branch_by_words.values()]
         )
@@ -715,7 +737,11 @@ class Posterior:
         return unknown_values[sorted_value_indices], value_masses[sorted_value_indices]
 
     def compute_interval(self, unknown_index: int, probability: float) -> tuple[float, float]:
-        """Return the equal-tailed credible interval of an unknown with a probability."""
+        """Return lower and upper end of an unknown's credible interval.
+
+        The unknown is in the interval with the given ``probability``. Both tails outside have the
+        same probability.
+        """
         unknown_values, value_masses = self.compute_marginal_values_and_masses(unknown_index)
         cumulative_masses = np.cumsum(value_masses) - 0.5 * value_masses
         tail_probability = 0.5 * (1.0 - probability)
@@ -727,11 +753,17 @@ class Posterior:
     def find_region_parts(
         self, probability: float, min_probability: float
     ) -> list[tuple[str, np.ndarray, float]]:
-        """Return the separate parts of the credible region with a probability, largest first.
+        """Return the separate parts of a credible region, most probable first.
 
-        Each part is a tuple of text values, middle (d,) and probability. Parts with less than
-        ``min_probability`` are left out. The middle is the mean; if a bent part does not contain
-        the mean, the part's nearest grid point.
+        The region has the given ``probability``. Parts with less than ``min_probability`` are left
+        out.
+
+        Returns
+        -------
+        list of (str, (d,), float)
+            For each part: text values joined with ", ", the middle, and the probability. The middle
+            is the posterior mean of the d unknowns in the part. If a bent part does not contain the
+            mean, the middle is the part's grid point nearest to the mean.
         """
         border_log_likelihood = self.find_region_border_log_likelihood(probability)
         region_parts = []
@@ -764,8 +796,11 @@ class Posterior:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return probability and density over two unknowns: (n_first, n_second) each.
 
-        Both are for one choice of text values, ``words_text``, as "left" for crack.edge. The
-        density is the posterior probability over the prior probability.
+        ``words_text`` has the values of unknowns with text, joined with ", ", as "left" for
+        crack.edge. Both results hold for these values alone. ``first_unknown_index`` and
+        ``second_unknown_index`` are positions among the unknowns with numbers. The probability is
+        summed over all remaining unknowns. The density is the posterior probability over the prior
+        probability.
         """
         pair_mass, pair_prior = (
             np.moveaxis(point_array, (first_unknown_index, second_unknown_index), (0, 1)).sum(

@@ -45,21 +45,20 @@ from fenics_crack.sweep.file import KEPT_MODE_NUMBERS
 class ProbeDisplacements:
     """Displacements of a point at phases of the load's period, as probes measure.
 
-    The load's size and phase are unknown. Under a steady load the point's displacement is, at a
-    phase theta of the load's period,
+    Under a steady vibration the displacement is, at a phase theta of the load's period,
 
-        u = A Re sum_k U_k exp(i k (theta - psi)) + c,
+        u = A Re sum_k U_k exp(i k (theta - psi)) + c.
 
-    with the harmonics U_k of the model, the load's size A and phase psi, and a constant c due to
-    probe angles and steady forces. A, psi and c are fitted to the measured displacements, for each
-    value of the crack's unknowns. The fit is the prediction. Its derivatives by A, psi and c are
-    common errors of all displacements.
+    The forward model gives the harmonics U_k. The load's size A and phase psi are unknown. So is
+    the constant c, due to probe angles and steady forces. For each value of the crack's unknowns,
+    A, psi and c are fitted to the measured displacements. The fitted u is the prediction. The
+    remaining uncertainty of A, psi and c adds errors to all predicted displacements together.
 
     Parameters
     ----------
     row_indices : sequence of int
-        Indices of these displacements among all measurements and candidates, the measured ones
-        first.
+        Indices of these displacements in the list of all measurements and candidates. Measured
+        displacements come first.
     measured_rows : sequence of Measurement
         All measurements.
     candidate_rows : sequence of Measurement
@@ -107,10 +106,10 @@ class ProbeDisplacements:
         ]
 
     def compute_displacement_covariances(self, harmonic_orders: np.ndarray) -> np.ndarray:
-        """Return covariances of displacements by harmonics of random phase: (k, n, n).
+        """Return covariances of n displacements by harmonics of random phase: (k, n, n).
 
-        Each of the k ``harmonic_orders`` has an amplitude with mean square 1; n is the number of
-        displacements.
+        Each of the k ``harmonic_orders`` gives a covariance. The amplitude of its harmonic has the
+        mean square 1.
         """
         phase_differences = self._probe_phases[:, None] - self._probe_phases
         return np.asarray(0.5 * np.cos(np.multiply.outer(harmonic_orders, phase_differences)))
@@ -118,21 +117,21 @@ class ProbeDisplacements:
     def fit_load_to_displacements(
         self, model_harmonics: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Fit the load's size and phase, and a constant, to measured displacements.
+        """Fit the load's size A, its phase psi and a constant c to measured displacements.
 
-        A is the size, psi the phase and c the constant. ``model_harmonics`` (m, K) [m] has the
-        harmonics U_k at m values of the unknowns.
+        ``model_harmonics`` (m, K) [m] has the harmonics U_k of the model, for m values of the
+        unknowns. n is the number of measured displacements and candidates.
 
         Returns
         -------
         displacements : (m, n) [m]
-            Predicted displacements, with those of candidates.
+            Predicted displacements.
         displacement_slopes : (m, n, K)
             Slopes t_k by the harmonics: u = Re sum_k t_k U_k + c.
         load_induced_changes : (m, n, 3) [m]
             Changes of the displacements by one prior standard deviation of A, psi and c.
         load_sizes : (m,)
-            A; 1 without measured displacements.
+            Size A; 1 without measured displacements.
         """
         harmonic_orders = np.arange(1, model_harmonics.shape[1] + 1)
         phase_factors = np.exp(1j * np.multiply.outer(self._probe_phases, harmonic_orders))
@@ -243,15 +242,19 @@ class ProbeDisplacements:
 class CrackFaceState(NamedTuple):
     """Motion of the crack faces at resonances: breathing, always open or always closed.
 
+    Each motion has a frequency for each mode. The standard deviations below describe resonances
+    about this frequency. They are relative to the difference between the mode's bonded and open
+    frequency.
+
     Attributes
     ----------
     resonance_state : str
-        One of :data:`RESONANCE_STATE_NAMES`: "bilinear" (breathing), "open", "tied" (closed).
-    common_deviation, independent_deviation : float
-        Standard deviations of resonances from the frequency of this state, relative to the
-        difference between bonded and open frequency. The first is common to all resonances, the
-        second independent. For breathing faces, the deviation for each mode in ``[identify]`` is
-        added.
+        "bilinear" (breathing), "open" or "tied" (closed), from :data:`RESONANCE_STATE_NAMES`.
+    common_deviation : float
+        Standard deviation of an error common to all resonances.
+    independent_deviation : float
+        Standard deviation of an error that each resonance has alone. For breathing faces, each mode
+        has a further error, with the standard deviation in ``[identify]``.
     prior_weight : float
         Prior probability, up to a common factor.
     """
@@ -277,8 +280,8 @@ class MeasurementPrediction:
     covariance : (m, q, q)
         Covariance of the errors of the values.
     load_induced_changes : (m, q, s)
-        Changes of the values by one standard deviation of each unknown load size, load phase and
-        constant (:class:`ProbeDisplacements`).
+        Changes of the values by one standard deviation of the fitted load. The s columns are size,
+        phase and constant for each group of displacements (:class:`ProbeDisplacements`).
     is_predictable : (q,) bool
         True for a measurement with a prediction.
     """
@@ -366,10 +369,11 @@ class MeasurementPredictor:
     def with_change_factors(
         self, *, clamp_factor: float, temperature_factor: float
     ) -> MeasurementPredictor:
-        """Return a copy with other prior changes of the plate.
+        """Return a copy with larger or smaller changes of clamp and temperature.
 
-        The factors multiply the changes by the clamp and by an unknown temperature difference,
-        since the plate was measured without the crack.
+        The changes happen between the measurements without the crack and later ones.
+        ``clamp_factor`` multiplies the prior standard deviation of frequency changes by the clamp.
+        ``temperature_factor`` does so for an unknown temperature difference.
         """
         changed_predictor = copy(self)
         changed_predictor.baseline_changes = self.baseline_changes.with_change_factors(
@@ -383,14 +387,14 @@ class MeasurementPredictor:
         """Yield predictions for each possible motion of the crack faces.
 
         Under a steady load, a preload or a clearance a crack may always stay open or closed. The
-        motion then has no higher harmonics. If one of two neighbouring solved cracks breathes and
-        the other does not, a crack between them may do either.
+        motion then has no higher harmonics. Between a solved crack that breathes and a neighbour
+        that does not, a crack may do either.
 
-        At a resonance, the motions of :func:`_list_face_states` are possible. The crack breathes
-        for half of the period, breathes for another part of the period, stays open, or stays
-        closed, with the same probability each. The other part of the period is either common to
-        all resonances or different at each, with half of the probability each. If the motion is
-        proportional to the load, the crack breathes for half of the period.
+        At a resonance, up to four motions are possible, with the same probability
+        (:func:`_list_face_states`). The crack is open for half of the period, for an unknown part
+        of the period, always, or never. The unknown part may be common to all resonances, or differ
+        between resonances, with half of the probability each. If the motion is proportional to the
+        load, the crack is open for half of the period.
 
         Parameters
         ----------
@@ -402,9 +406,9 @@ class MeasurementPredictor:
         point_indices : (n,)
             Indices of the values in x for which this motion is possible.
         probabilities : (n,)
-            Probability of the motion there.
+            Probability of the motion at these values.
         MeasurementPrediction
-            Predictions there.
+            Predictions at these values, with this motion.
         """
         motionless_fractions = np.zeros((len(x), 0))
         if self._motionless_fraction_interpolator is not None:
@@ -438,10 +442,10 @@ class MeasurementPredictor:
                     )
 
     def __call__(self, x: np.ndarray) -> MeasurementPrediction:
-        """Return predictions at values x (m, d) of the unknowns.
+        """Return predictions at m values x (m, d) of the unknowns.
 
         At resonances several motions of the crack faces may be possible. The predictions are for
-        the first (:func:`_list_face_states`), with the largest standard deviation.
+        the first motion in :func:`_list_face_states`, with the largest standard deviation.
         """
         return self._predict_measurements(
             self._feature_predictor(x), self._no_feature_mask, self._face_states[0]
@@ -489,8 +493,14 @@ class MeasurementPredictor:
     ) -> MeasurementPrediction:
         """Predict all measurements from features, for a motion of the crack faces.
 
-        Features are natural frequencies and harmonics. Those marked in ``is_zero_feature`` (f,) are
-        0.
+        Parameters
+        ----------
+        feature_prediction : FeaturePrediction
+            Prediction of f natural frequencies and harmonics.
+        is_zero_feature : (f,) bool
+            True for features that are set to 0: higher harmonics of faces that stay open or closed.
+        face_state : CrackFaceState
+            Motion of the crack faces at resonances.
         """
         smoothing_factors = feature_prediction.smoothing_factors
         feature_values, interpolation_variances = (
@@ -563,13 +573,17 @@ class MeasurementPredictor:
         damping_ratio_of_points: np.ndarray,
         frequency_split_root_and_frequencies: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Estimate the harmonics above those of the solved cases, at resonances of modes.
+        """Estimate the mean squares of harmonics above the solved orders.
 
-        Harmonics of the contact force fall like 1 / k. They act on modes with static compliances 1
-        / w_j^2: |U_k|^2 = c^2 sum_j |w_j^2 - (k W)^2 + 2 i z w_j k W|^-2 / k^2. Here c^2 is the
-        mean over the upper half of the known harmonics. A test had 150 cracks under loads of 120 to
-        1500 Hz, with 30 harmonics. With twelve known harmonics, the root mean square of the others
-        was 1.0 times this estimate; with six known harmonics, 1.3 times.
+        Harmonics of the contact force fall like 1 / k. They act on modes with natural frequencies
+        w_j, damping ratio z and static compliances 1 / w_j^2, at the load frequency W:
+
+            |U_k|^2 = c^2 sum_j |w_j^2 - (k W)^2 + 2 i z w_j k W|^-2 / k^2.
+
+        The constant c^2 is fitted as the mean over the upper half of the known harmonics. A test
+        had 150 cracks under loads of 120 to 1500 Hz, with 30 harmonics. With twelve known
+        harmonics, the root mean square of the omitted ones was 1.0 times this estimate. With six it
+        was 1.3 times.
 
         Parameters
         ----------
@@ -646,9 +660,11 @@ class MeasurementPredictor:
         Parameters
         ----------
         damping_ratio_of_points : (m, 1)
-            Damping ratio at each of m points, the values of the unknowns.
-        feature_values, smoothing_factors : (m, f)
-            As in :class:`FeaturePrediction`.
+            Damping ratio at each of m values of the unknowns.
+        feature_values : (m, f)
+            Logarithms of natural frequencies [Hz], and complex harmonics [m].
+        smoothing_factors : (m, f)
+            Factors by which features are multiplied to become smooth forms S.
         face_state : CrackFaceState
             Motion of the crack faces.
 
@@ -657,12 +673,11 @@ class MeasurementPredictor:
         predictions : (m, q)
             Predicted values; 0 for displacements and without a prediction.
         complex_slopes : (m, q, f)
-            Slopes t by the smooth forms S, feature times smoothing factor: the change of a value is
-            Re sum t dS.
+            Slopes t of the predictions by the smooth forms: a prediction changes by Re sum t dS.
         common_errors : (m, q, 1 + modes)
             Errors common to all resonances (column 0), and to the resonances of each mode.
         independent_variances : (m, q)
-            Variances of independent errors.
+            Variances of errors that each measurement has alone.
         """
         feature_sizes, size_slopes = _compute_sizes_and_slopes(
             self._features, feature_values, smoothing_factors
@@ -720,8 +735,8 @@ def _find_harmonic_masks_and_motionless_nodes(
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """Find the loads under which some solved cracks do not breathe.
 
-    The faces of such a crack stay open or closed, and its higher harmonics are zero. A load is left
-    out if all solved cracks breathe, or none does.
+    The faces of a crack that does not breathe stay open or closed, and its higher harmonics are
+    zero. A load is left out if all solved cracks breathe, or none does.
 
     Parameters
     ----------
@@ -735,10 +750,10 @@ def _find_harmonic_masks_and_motionless_nodes(
     Returns
     -------
     harmonic_masks : list of (f,) bool
-        For each of the n loads found, True for the features that are its higher harmonics.
+        For each of the n loads, True for features that are higher harmonics under this load.
     motionless_grids : (..., n)
-        For each of these loads, 1 at grid nodes of the unknowns without higher harmonics, otherwise
-        0; an empty array without loads.
+        For each of these loads, 1 at grid nodes with a crack that does not breathe, otherwise 0. An
+        empty array without loads.
     """
     harmonic_masks, motionless_grids = [], []
     is_higher_harmonic = np.array([feature.harmonic_order > 1 for feature in features], dtype=bool)
@@ -761,9 +776,10 @@ def _find_harmonic_masks_and_motionless_nodes(
 def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
     """List the possible motions of the crack faces at resonances, with prior weights.
 
-    The weights sum to 1. The faces breathe for half of the period. If the motion's shape depends on
-    the load's size, they may breathe for any part of the period. They may then also stay open if
-    any solved crack is open for some time, and stay closed if any is closed for some time.
+    The weights sum to 1. If the motion is proportional to the load, the only motion is breathing,
+    open for half of the period. Otherwise the faces may also be open for an unknown part of the
+    period. They may stay open if any solved crack is open for some time. They may stay closed if
+    any solved crack is closed for some time.
     """
     if has_load_independent_motion_shape(model.scene):
         return (BREATHING_STATE,)
@@ -795,10 +811,18 @@ def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
 def _compute_sizes_and_slopes(
     features: Sequence[Feature], feature_values: np.ndarray, smoothing_factors: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return sizes of f features, and slopes by their smooth forms: (m, f) each.
+    """Return sizes of f features, and slopes of the sizes by smooth forms: (m, f) each.
 
-    Sizes are natural frequencies [Hz] and amplitudes [m]. ``feature_values`` and
-    ``smoothing_factors`` (m, f) are as in :class:`FeaturePrediction`.
+    Sizes are natural frequencies [Hz], and amplitudes of harmonics [m].
+
+    Parameters
+    ----------
+    features : sequence of Feature
+        f natural frequencies and harmonics.
+    feature_values : (m, f)
+        Logarithms of natural frequencies [Hz], and complex harmonics [m].
+    smoothing_factors : (m, f)
+        Factors by which features are multiplied to become smooth forms.
     """
     is_natural_frequency = np.array([feature.is_natural_frequency for feature in features])
     frequencies = np.exp(np.where(is_natural_frequency, feature_values.real, 0.0))
@@ -817,24 +841,25 @@ def _compute_sizes_and_slopes(
 def _combine_features_with_slopes(
     measurement: Measurement, feature_sizes: np.ndarray, state_index: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute a measured quantity from features, with slopes.
+    """Compute a measured quantity from the sizes of its features, with slopes.
 
     Parameters
     ----------
     measurement : Measurement
         Natural frequency, harmonic, or ratio of two harmonics.
     feature_sizes : (m, k)
-        Natural frequencies [Hz], or amplitudes [m], from
+        Natural frequencies [Hz], or amplitudes [m], of the k features from
         :meth:`Feature.list_features_of_measurement`.
     state_index : int
-        Index in :data:`RESONANCE_STATE_NAMES` for a resonance, otherwise 0.
+        For a resonance, index of the crack faces' motion in :data:`RESONANCE_STATE_NAMES`;
+        otherwise 0.
 
     Returns
     -------
     (m,)
-        Measured quantity.
+        Predicted quantity.
     (m, k)
-        Slopes by the sizes.
+        Derivatives of the quantity by the sizes.
     """
     if measurement.is_natural_frequency or feature_sizes.shape[1] == 1:
         return feature_sizes[:, state_index], np.eye(1, feature_sizes.shape[1], state_index).repeat(

@@ -156,8 +156,16 @@ def _parse_response(
 ) -> FrequencyResponse:
     """Parse a frequency response from a dataset 58 or 58b.
 
-    Parameters are as yielded by :func:`_iterate_response_datasets`, with the heading decoded.
-    Raises ValueError for invalid data, such as real numbers or a wrong count.
+    Invalid data, for example real instead of complex numbers, or a wrong count, raise ValueError.
+
+    Parameters
+    ----------
+    heading_texts : list of str
+        Line with the dataset's number, and the eleven heading lines.
+    number_bytes : bytes
+        Numbers of the dataset, as text or binary.
+    byte_order : str
+        Byte order of binary numbers, "<" or ">"; "" for text.
     """
     number_type_code, n_spectral_lines, is_equally_spaced = (
         int(heading_texts[7][start_column : start_column + 10]) for start_column in (0, 10, 20)
@@ -216,8 +224,9 @@ def _parse_response(
 def fit_resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
     """Fit natural frequencies and damping ratios to the peaks of frequency responses.
 
-    Responses at the same frequencies are fitted together. A peak counts if its power falls to half
-    on both sides, and the fit gives the frequency to a tenth of the peak's width.
+    All responses are fitted together. Power means the squared velocity over force, summed over the
+    responses. A peak counts if its power falls to half on both sides. The standard deviation of its
+    frequency must also be less than a tenth of the peak's width, damping ratio times frequency.
 
     Returns
     -------
@@ -228,7 +237,7 @@ def fit_resonances(responses: Sequence[FrequencyResponse]) -> np.ndarray:
     Raises
     ------
     InputError
-        The responses have different frequencies, or no such peak.
+        The responses have different frequencies, or no peak counts.
     """
     frequencies = responses[0].frequencies
     if any(not np.array_equal(response.frequencies, frequencies) for response in responses):
@@ -285,14 +294,16 @@ def _find_line_slice_around_peak(
 ) -> slice:
     """Find the frequencies around a peak at which the power is large enough.
 
+    The slice of indices also ends before a frequency with more power than the peak.
+
     Parameters
     ----------
     response_power : (n,)
-        Power at all frequencies.
+        Squared velocity over force at n frequencies, summed over the responses.
     peak_index : int
         Index of the peak.
     min_power : float
-        Minimum power. The slice also ends before a frequency with more power than the peak.
+        Minimum power.
     """
     is_excluded = (response_power < min_power) | (response_power > response_power[peak_index])
     excluded_indices = np.concatenate([[-1], np.flatnonzero(is_excluded), [len(response_power)]])
@@ -312,15 +323,15 @@ def _fit_mode_or_none(
     receptances : (responses, n) complex
         Displacements over the force.
     peak_index : int
-        Index of the peak.
+        Index of the frequency at the peak.
     line_slice : slice
-        Frequencies to fit.
+        Indices of the frequencies to fit.
 
     Returns
     -------
     tuple or None
-        Frequency [Hz], its standard deviation [Hz] and damping ratio. None with too few frequencies
-        or without a stable mode.
+        Frequency [Hz], its standard deviation [Hz] and damping ratio. None if the frequencies are
+        too few, or the fitted mode has no positive stiffness and damping.
     """
     r, receptances_in_slice = omega[line_slice] / omega[peak_index], receptances[:, line_slice]
     n_responses, n_spectral_lines = receptances_in_slice.shape

@@ -89,8 +89,9 @@ class Identification(Tabular):
     def _region_parts(self) -> list[tuple[str, np.ndarray, float]]:
         """Return separate parts of the credible region, most probable first.
 
-        Each has text values (as "left" for crack.edge), middle (d,) and probability. Parts with
-        less than 0.03 (:attr:`Options.min_part_probability`) are left out.
+        Each part has text values (as "left" for crack.edge), the middle (d,) of the unknowns with
+        numbers, and the probability. Parts with a probability below 0.03
+        (:attr:`Options.min_part_probability`) are left out.
         """
         return self.posterior.find_region_parts(
             self._identify_table.confidence, OPTIONS.min_part_probability
@@ -100,9 +101,9 @@ class Identification(Tabular):
     def _branch_and_unknowns_of_estimate(self) -> tuple[PosteriorBranch, np.ndarray]:
         """Return the posterior branch with the estimate, and the estimate (d,).
 
-        A branch is the posterior for one choice of text values, as crack.edge = "left". The
-        estimate is the middle of the most probable part of the credible region. If all parts are
-        too improbable, the estimate is the maximum of the likelihood.
+        A branch is the posterior for one choice of text values, as "left" for crack.edge. The
+        estimate is the middle of the most probable part of the credible region. If all parts have a
+        probability below 0.03, the estimate is the maximum of the likelihood.
         """
         words_text, x = (
             self._region_parts[0][:2]
@@ -147,8 +148,9 @@ class Identification(Tabular):
     def verdict(self) -> str:
         """Return the verdict: "crack", "no crack" or "undecided".
 
-        The absolute value of :attr:`log_bayes_factor` must exceed ``identify.log_bayes_factor`` for
-        one of the first two. :attr:`reason` explains the verdict.
+        The verdict "crack" needs a :attr:`log_bayes_factor` above ``identify.log_bayes_factor``;
+        "no crack" needs it below the negative value. Misfits can also leave the verdict undecided;
+        :attr:`reason` explains it.
         """
         return self._verdict_and_reason[0]
 
@@ -156,8 +158,8 @@ class Identification(Tabular):
     def conclusion(self) -> str:
         """Return the verdict with its limit, as text.
 
-        "no crack" comes with the sizes up to which a crack may exist all the same: the upper ends
-        of :attr:`intervals`.
+        The verdict "no crack" is followed by crack sizes, the upper ends of :attr:`intervals`. A
+        smaller crack may exist all the same.
         """
         if self.verdict != NO_CRACK_VERDICT:
             return self.verdict
@@ -176,7 +178,7 @@ class Identification(Tabular):
 
     @cached_property
     def _verdict_and_reason(self) -> tuple[str, str]:
-        """Return verdict and reason.
+        """Return the verdict, and the reason for it, as texts.
 
         Both follow from the p-values with and without a crack, the log Bayes factor, and the
         intervals.
@@ -226,10 +228,10 @@ class Identification(Tabular):
 
     @property
     def misfit(self) -> tuple[float, float]:
-        """Return chi^2 and its p-value at the largest likelihood.
+        """Return (chi^2, p-value) at the maximum of the likelihood.
 
-        Degrees of freedom are the measurements less the unknowns, and less three for each load
-        frequency and point with displacements; at least 1.
+        The degrees of freedom are the number of measurements less the number of unknowns. Each load
+        frequency and point with displacements subtracts 3 more. The minimum is 1.
         """
         return self.posterior.misfit
 
@@ -247,8 +249,8 @@ class Identification(Tabular):
     def alternatives(self) -> list[tuple[dict[str, Any], float]]:
         """Return separate cracks that explain the measurements, with probabilities.
 
-        Each has the values of the unknowns by key; the most probable comes first. Several cannot be
-        distinguished by these measurements.
+        Each crack is a dict of the unknowns' values by key; the most probable crack comes first. If
+        there are several cracks, the measurements cannot distinguish them.
         """
         branch_by_words = self.posterior.branch_by_words
         return [
@@ -257,14 +259,14 @@ class Identification(Tabular):
         ]
 
     def contains(self, values: Mapping[str, Any], share: float | None = None) -> bool:
-        """Return True if given values lie in the credible region.
+        """Return True if given values of the unknowns lie in the credible region.
 
         Parameters
         ----------
         values : mapping of str to number or str
             Values of all unknowns by key.
         share : float, optional
-            Probability of the region; default: ``identify.confidence``.
+            Probability of the credible region; default: ``identify.confidence``.
 
         Raises
         ------
@@ -298,7 +300,7 @@ class Identification(Tabular):
     ) -> Worth:
         """Rank candidates for one more measurement by the information that each adds.
 
-        The information is that of Fisher, at the estimate.
+        The information is the Fisher information about the unknowns, at the estimate.
 
         Parameters
         ----------
@@ -306,9 +308,10 @@ class Identification(Tabular):
             Candidates; their values do not matter. Default: natural frequencies, ratios of
             harmonics at all load frequencies and points of the forward model, and displacements at
             24 phases if displacements were measured.
-        frequency_deviation, harmonic_deviation : float
-            Relative standard deviations of default candidates: frequencies, and ratios of
-            harmonics.
+        frequency_deviation : float
+            Relative standard deviation of natural frequencies among the default candidates.
+        harmonic_deviation : float
+            Relative standard deviation of ratios of harmonics among the default candidates.
 
         Raises
         ------
@@ -394,8 +397,8 @@ class Identification(Tabular):
     def fit_table(self) -> Table:
         """Return a table of measurements with their predictions at the estimate.
 
-        Columns are :data:`FIT_COLUMN_NAMES`. A residual is the difference over the standard
-        deviations of measurement and prediction together.
+        Columns are :data:`FIT_COLUMN_NAMES`. A residual is (measured - predicted) over the standard
+        deviation of this difference.
         """
         branch, x = self._branch_and_unknowns_of_estimate
         likelihood = branch.likelihood
@@ -425,8 +428,9 @@ class Identification(Tabular):
     def warnings(self) -> list[str]:
         """Return warnings about the result, as sentences.
 
-        Reasons are failed cases, tiny standard deviations, several possible cracks, a misfit, a
-        crack by a single measurement, and a credible region that reaches the bounds.
+        Warnings are about failed cases, tiny standard deviations, several possible cracks, and the
+        fit of the measurements. The last warnings are about unknowns that may lie outside the
+        bounds of the search. With the verdict "no crack", only the first two kinds are returned.
         """
         warning_texts = [*self.doubts, *_list_small_deviation_warnings(self.measurements)]
         alternatives = self.alternatives
@@ -499,10 +503,11 @@ def _list_small_deviation_warnings(measurements: Measurements) -> list[str]:
 
 
 def _list_misfit_warnings(identification: Identification) -> list[str]:
-    """List warnings about the fit of the measurements.
+    """List warnings about the fit of the measurements, as sentences.
 
-    Reasons are a posterior that the grid does not resolve, measurements that no crack explains
-    (with the worst one), and single measurements that alone contradict a plate without a crack.
+    A warning follows if the grid does not resolve the posterior. Another follows if no crack
+    explains the measurements; it names the worst measurement. The last follows if a plate without a
+    crack explains all but a single measurement; it names each measurement that could be this one.
     """
     chi_square, p_value = identification.misfit
     rows, warning_texts = identification.measurements.rows, []
@@ -551,10 +556,11 @@ def _list_misfit_warnings(identification: Identification) -> list[str]:
 
 
 def _describe_single_crack_condition_or_empty(identification: Identification) -> str:
-    """Return the condition that there is a single crack, as text.
+    """Return the condition that there is only one crack, as text.
 
-    Two cracks have twice as many unknowns as one crack. If natural frequencies of so few modes, or
-    fewer, are the only measurements, two cracks may explain all of them. Otherwise return "".
+    The condition is needed if all measurements are natural frequencies, of few modes. Two cracks
+    have twice as many unknowns as one crack. With at most this number of measured modes, two cracks
+    may explain all measurements. If the condition is not needed, return "".
     """
     identify_table, rows = identification._identify_table, identification.measurements.rows
     n_crack_unknowns = len(identify_table.mesh_axes) + sum(
@@ -582,10 +588,11 @@ def _describe_single_crack_condition_or_empty(identification: Identification) ->
 def _describe_unchanged_plate_condition_or_empty(identification: Identification) -> str:
     """Return the condition that clamp and temperature have not changed, as text.
 
-    The baseline are natural frequencies measured before the crack. The text is returned in two
-    cases. First, a plate without a crack explains the measurements, but only with the stated prior
-    changes of clamp or temperature since the baseline. Second, it does so only with larger changes,
-    of the size ``identify.clamp_deviation``. Otherwise, and without a baseline, return "".
+    The changes happen between the baseline, natural frequencies measured before the crack, and
+    later measurements. The text is returned if an unchanged plate without a crack does not explain
+    the measurements, but a changed plate does. The changes may have their prior standard
+    deviations. If these do not suffice, frequency changes by ``identify.clamp_deviation`` are
+    tried. Otherwise, and without a baseline, return "".
     """
     identify_table, rows = identification._identify_table, identification.measurements.rows
     uncracked_posterior = identification.plain
@@ -678,8 +685,8 @@ def _describe_intervals(identification: Identification) -> str:
     """Describe the credible intervals of all unknowns.
 
     An example is "crack length 2 mm to 3 mm, or below 1 mm, outside the bounds of the search". The
-    second half is added for crack sizes: the prior excludes smaller cracks, the measurements may
-    not.
+    text from "or" on is added for crack sizes: the measurements may not exclude cracks below the
+    smallest solved size.
     """
     posterior = identification.posterior
     branch = posterior.branch_by_words[posterior.best_words_and_unknowns[0]]

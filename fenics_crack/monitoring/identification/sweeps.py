@@ -102,7 +102,8 @@ class SolvedForwardModels:
     axes : sequence of Axis
         Unknowns with their solved values.
     cracked_model_by_words : dict of str to ForwardModel
-        Models by the choice of text values, as "right" for crack.edge; "" without any.
+        Model with the crack for each choice of text values, as "right" for crack.edge. Keys are the
+        values joined with ", "; "" if all unknowns are numbers.
     uncracked_model_by_words : dict of str to ForwardModel
         Models without the crack; empty if the crack cannot be removed.
     """
@@ -155,14 +156,15 @@ def solve_forward(
     uncracked_plate : UncrackedPlate, optional
         Plate without its crack; default: solved here.
     refined_axes : sequence of Axis
-        Unknowns with old and added values, solved one after another.
+        Refinements of the grid, in this order. Each is an unknown with its old values and values to
+        add.
     progress : bool
         Show progress bars.
 
     Raises
     ------
     InputError
-        As :func:`run_sweep`.
+        The sweeps cannot be run (:func:`run_sweep`).
     StoppedError
         Ctrl-C was pressed.
     """
@@ -233,8 +235,10 @@ class _ForwardSweeper:
 
     Attributes
     ----------
-    coarse_scene, fine_scene : Scene
-        Scene for all cases, and scene with a finer mesh for a few cases; None without a finer mesh.
+    coarse_scene : Scene
+        Scene with the mesh for all cases.
+    fine_scene : Scene or None
+        Scene with a finer mesh for a few cases; None without a finer mesh.
     identify_table : Identify
         Table ``[identify]``.
     swept_loads : SweptLoads
@@ -300,7 +304,7 @@ class _ForwardSweeper:
     def run_and_join_added_values(
         self, sweep_result: SweepResult, unknown_axes: Sequence[Axis], refined_axis: Axis
     ) -> SweepResult:
-        """Solve added values of an unknown, and join the sweeps (collective).
+        """Solve added values of an unknown, and join them with solved cases (collective).
 
         Parameters
         ----------
@@ -314,7 +318,7 @@ class _ForwardSweeper:
         Returns
         -------
         SweepResult
-            All cases.
+            Old and new cases in one sweep.
         """
         added_axes = [*self.mesh_file_axes, *unknown_axes]
         axis_index = [axis.key for axis in added_axes].index(refined_axis.key)
@@ -334,7 +338,7 @@ class _ForwardSweeper:
         unknown_axes: Sequence[Axis],
         all_cases_sweep: SweepResult,
     ) -> ForwardSweeps:
-        """Solve a few cases on the finer mesh, and between all cases (collective).
+        """Solve a few cases on the finer mesh, and a few halfway between all cases (collective).
 
         Parameters
         ----------
@@ -345,13 +349,13 @@ class _ForwardSweeper:
         unknown_axes : sequence of Axis
             Unknowns with all solved values.
         all_cases_sweep : SweepResult
-            Sweep of all cases, which is returned first.
+            Sweep of all cases.
 
         Returns
         -------
         three SweepResult or None
-            All cases; on the finer mesh, or None without ``fine_scene``; halfway between all cases,
-            or None with mesh files.
+            ``all_cases_sweep``; the sweep on the finer mesh, None without ``fine_scene``; the sweep
+            halfway between all cases, None with mesh files.
         """
         identify_table, axis_keys = self.identify_table, [axis.key for axis in unknown_axes]
         n_number_unknowns = sum(
@@ -425,8 +429,20 @@ def _refine_axis_at_resonance_or_none(
 ) -> Axis | None:
     """Refine the unknown along which the vibration changes most between solved cracks.
 
-    None if no crack between solved ones vibrates more than twice as much as all of these. None also
-    if the motion is proportional to the load, or if the cases would be too many.
+    Return the unknown with old and added values. Return None if no crack between solved cracks
+    vibrates more than twice as much as every solved crack. Return None also if the motion is
+    proportional to the load, or if the cases would be too many.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with its table ``[identify]``.
+    models : iterable of ForwardModel
+        Models for all choices of text values.
+    load_frequencies : sequence of float
+        Load frequencies [Hz] to look at.
+    unknown_axes : sequence of Axis
+        Unknowns with their solved values.
     """
     models_loads_points = itertools.product(
         models, load_frequencies, scene.label_by_point_name or ("",)
@@ -488,11 +504,22 @@ def refine_axis_by_share_or_none(
     shares_along_unknowns: np.ndarray,
     explaining_points: np.ndarray,
 ) -> Axis | None:
-    """Refine the unknown along which interpolation adds most to a variance.
+    """Refine the unknown along which interpolation adds most to a measurement's variance.
 
-    Added values are halfway between old ones, around the cracks (m, d) that explain the
-    measurements. ``shares_along_unknowns`` (d,) are the parts of the variance. None if the cases
-    would be too many, or if no unknown has real numbers.
+    Return the unknown with old values and added values halfway between. Values are added around the
+    cracks that explain the measurements. Return None if the cases would be too many, or if no
+    unknown has real numbers.
+
+    Parameters
+    ----------
+    forward_models : SolvedForwardModels
+        Models with the solved values of the unknowns.
+    identification : Identification
+        Result with these models.
+    shares_along_unknowns : (d,)
+        Fraction of the variance due to interpolation along each unknown.
+    explaining_points : (m, d)
+        Unknowns of m cracks that explain the measurements.
     """
     axis_by_key = {unknown_axis.key: unknown_axis for unknown_axis in forward_models.axes}
     for unknown_index in np.argsort(-shares_along_unknowns):
@@ -515,11 +542,11 @@ def refine_axis_by_share_or_none(
 
 
 def _list_coarse_and_fine_scenes(scene: Scene, mesh_ratio: float) -> tuple[Scene, Scene | None]:
-    """Return the scenes with the coarse and the finer mesh.
+    """Return the scene with the coarse mesh for all cases, then with the fine mesh for a few.
 
-    The first is for all cases, the second for a few. ``mesh_ratio`` is ``identify.finer``. Above 1
-    the scene's own mesh is the coarse one, below 1 the fine one. The second is None for a ratio of
-    1, and if mesh and harmonics cannot be refined.
+    ``mesh_ratio`` is ``identify.finer``. Above 1, the scene's own mesh is the coarse mesh. Below 1,
+    the scene's own mesh is the fine mesh. The second scene is None if the ratio is 1, or if neither
+    mesh nor number of harmonics can be changed.
     """
     finer_value_by_key: dict[str, Any] = {}
     if scene.harmonic_balance.tolerance is None and mesh_ratio > 1.0:
@@ -539,9 +566,9 @@ def _list_coarse_and_fine_scenes(scene: Scene, mesh_ratio: float) -> tuple[Scene
 
 
 def _thin_axes(unknown_axes: Sequence[Axis], n_kept_values: int) -> tuple[Axis, ...]:
-    """Keep a number of values of each unknown, equally spread, with both ends.
+    """Keep ``n_kept_values`` values of each unknown, equally spread, with both ends.
 
-    All text values are kept.
+    An unknown with text values keeps all of them.
     """
     thinned_axes = []
     for unknown_axis in unknown_axes:
@@ -565,9 +592,10 @@ def _is_divisible(unknown_axis: Axis) -> bool:
 def _list_halfway_values(
     unknown_axis: Axis, lower_limit: float = -np.inf, upper_limit: float = np.inf
 ) -> tuple[float, ...]:
-    """Return the values halfway between an unknown's values.
+    """Return the values halfway between neighbouring values of an unknown.
 
-    Only intervals that overlap the two limits count. The tuple is empty for text and whole numbers.
+    Only intervals between values that overlap the range from ``lower_limit`` to ``upper_limit``
+    count. The tuple is empty for text and whole numbers.
     """
     value_pairs = itertools.pairwise(unknown_axis.values) if _is_divisible(unknown_axis) else ()
     return tuple(
@@ -586,9 +614,22 @@ def _build_models(
 ) -> dict[str, ForwardModel]:
     """Build a forward model for each choice of text values, from its sweeps.
 
-    Some unknowns have text values, as crack.edge = "left". Keys are these values joined with ", ".
-    ``uncracked_sweeps`` have the same cases without the crack. They are None if the crack cannot be
-    removed, or to build models without the crack: ``cracked_sweeps`` then have no crack.
+    An unknown with text values is, for example, crack.edge, with "left" or "right". Keys of the
+    result are the chosen values joined with ", "; "" if all unknowns are numbers.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with its table ``[identify]``.
+    uncracked_plate : UncrackedPlate
+        Plate without its crack.
+    swept_loads : SweptLoads
+        Loads of all sweeps.
+    cracked_sweeps : three SweepResult or None
+        Sweeps with the crack; or without the crack, to build models without it.
+    uncracked_sweeps : three SweepResult or None, optional
+        The same cases without the crack. None if the crack cannot be removed, or if
+        ``cracked_sweeps`` have no crack.
     """
     mesh_number_axes = scene.given("identify").mesh_axes
     axes = [

@@ -54,12 +54,12 @@ class Worth(Tabular):
     measurements : tuple of Measurement
         n candidates for one more measurement, with predicted values and assumed standard
         deviations.
-    information_gains : (n,)
-        Information that each adds [nats].
+    information_gains : (n,) [nats]
+        Information that each candidate adds.
     improved_deviations_by_key : dict of str to (n,)
-        Standard deviation of each unknown with the candidate, by key.
+        Standard deviation of each unknown by key, with each candidate measured.
     current_deviation_by_key : dict of str to float
-        Standard deviation of each unknown without a further measurement, by key.
+        Standard deviation of each unknown by key, without a further measurement.
     """
 
     measurements: tuple[Measurement, ...]
@@ -103,14 +103,15 @@ def rank_measurements_by_information(
     Parameters
     ----------
     likelihood : Likelihood
-        Measurements made, and their predictor.
+        Likelihood of the measurements made, with their predictor.
     x : (d,)
         Estimate of the unknowns.
     measurements : sequence of Measurement, optional
-        Candidates; None for the default ones: natural frequencies, ratios of harmonics, and
-        displacements at further probes.
+        Candidates. Default: natural frequencies, ratios of harmonics, and displacements at further
+        phases (:func:`_list_default_candidates`).
     default_relative_deviations : (float, float)
-        Relative standard deviations of default candidates: frequencies, and ratios of harmonics.
+        Relative standard deviations of the default candidates: first of natural frequencies, then
+        of ratios of harmonics.
 
     Raises
     ------
@@ -189,8 +190,9 @@ def _assume_candidate_deviations(
 ) -> np.ndarray:
     """Return the standard deviations of default candidates: (n,).
 
-    Displacements keep the median of measured ones. Others have the relative standard deviation of
-    frequencies or of ratios, times the ``predictions`` (n,).
+    A displacement keeps the standard deviation in ``candidate_rows``. Frequencies and ratios have a
+    standard deviation relative to ``predictions`` (n,). ``relative_deviations`` has the factor for
+    frequencies, then the factor for ratios of harmonics.
     """
     frequency_deviation, ratio_deviation = relative_deviations
     return np.array(
@@ -207,9 +209,9 @@ def _assume_candidate_deviations(
 def list_advice_texts(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> list[str]:
     """List advice on the next measurements, as sentences.
 
-    Advised are frequencies of the uncracked plate that are missing, and the most informative
-    candidate in ``worth``. An advice is left out if every unknown's standard deviation stays the
-    same as printed. ``x`` (d,) is the estimate.
+    The advice names missing frequencies of the uncracked plate, and the most informative candidate
+    in ``worth``. An advice is left out if the printed standard deviations of all unknowns stay the
+    same. ``x`` (d,) is the estimate of the unknowns.
     """
     model, measured_rows = likelihood.predictor.model, likelihood.predictor.rows
     measured_modes = {
@@ -312,7 +314,7 @@ def _compute_information_and_deviations(
     covariance_and_slopes: tuple[np.ndarray, np.ndarray],
     row_indices: np.ndarray,
 ) -> tuple[float, dict[str, float]]:
-    """Return log det of the Fisher information, and standard deviations.
+    """Return the logarithm of the information, and standard deviations of the unknowns.
 
     Parameters
     ----------
@@ -321,17 +323,18 @@ def _compute_information_and_deviations(
     x : (d,)
         Estimate of the unknowns.
     covariance_and_slopes : (q, q), (q, d)
-        As from :func:`_compute_scaled_covariance_and_slopes`.
+        Scaled covariance of q measurements, and scaled slopes of their predictions
+        (:func:`_compute_scaled_covariance_and_slopes`).
     row_indices : (n,)
-        Measurements to take into account.
+        Indices of the measurements to take into account.
 
     Returns
     -------
     float
-        log det F of the Fisher information F, prior included.
+        log(det F) of the Fisher information F, with the prior.
     dict of str to float
-        Standard deviation of each unknown by key, for the real crack: the deviation from the
-        equivalent straight crack is included.
+        Standard deviation of each unknown by key, for the real crack. It includes the deviation
+        from the equivalent straight, sharp crack.
     """
     selected_covariance = covariance_and_slopes[0][np.ix_(row_indices, row_indices)]
     selected_slopes = covariance_and_slopes[1][row_indices]
@@ -353,11 +356,12 @@ def _compute_information_and_deviations(
 def _list_default_candidates(
     model: ForwardModel, measured_rows: Sequence[Measurement]
 ) -> list[Measurement]:
-    """List candidates for further measurements.
+    """List default candidates for further measurements.
 
     Candidates are natural frequencies of all modes, and the ratios of harmonics "ratio_2_1" and
-    "ratio_3_1" at all points and solved load frequencies. If displacements were measured, further
-    ones are at 24 phases of the load's period, with the median of the standard deviations.
+    "ratio_3_1" at all points and solved load frequencies. If a point's displacements were measured
+    at a load frequency, more of them are added, at 24 phases of the load's period. Their standard
+    deviation is the median of the measured ones.
     """
     coarse_cases = model.coarse_cases
     quantity_names = ["frequency_open", "frequency_tied", "frequency_resonance"]
@@ -387,15 +391,18 @@ def _list_default_candidates(
 def _compute_scaled_covariance_and_slopes(
     predictor: MeasurementPredictor, x: np.ndarray, deviations: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the covariance of measurements, and slopes of predictions, at values x (d,).
+    """Return the scaled covariance of q measurements, and scaled slopes of predictions.
+
+    ``x`` (d,) are values of the unknowns. ``deviations`` (q,) are the standard deviations e of the
+    measurements.
 
     Returns
     -------
     covariance : (q, q)
-        Covariance V over products of the standard deviations (q,).
+        V_ij / (e_i e_j), with the covariance V of measurements and predictions.
     slopes : (q, d)
-        Derivatives of predictions over their standard deviations, by the unknowns over their
-        ranges; 0 without a prediction.
+        Change of each prediction over e_i, per change of an unknown over its range; 0 without a
+        prediction.
     """
     prediction, unknown_grid = predictor(x[None]), predictor.model.unknown_grid
     scaled_covariance = compute_scaled_covariance(
