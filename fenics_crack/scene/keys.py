@@ -144,7 +144,11 @@ def missing_table_error(table_name: str, circumstance: str = "") -> InputError:
     ``circumstance`` is appended to the requirement: ", which this command needs".
     """
     keys_text = ", ".join(TABLE_CLASS_BY_NAME[table_name].required_keys())
-    requirement_text = f"given: a table [{table_name}]{' with ' * bool(keys_text)}{keys_text}"
+    requirement_text = f"given: a table [{table_name}]"
+    if keys_text:
+        requirement_text += f" with {keys_text}"
+    elif not circumstance:
+        requirement_text += ", as fenics-crack new FILE writes it"
     return InputError(table_name, None, requirement_text + circumstance)
 
 
@@ -409,6 +413,9 @@ def check_and_convert_axes(
         if not (is_sweepable_key and table_exists) or axis.key in seen_keys:
             tables_text = ", ".join(_SWEEPABLE_TABLE_NAMES)
             suggested_keys = [] if axis.key in seen_keys else _suggest_keys(axis.key)
+            suggested_keys = [
+                key for key in suggested_keys if _split_key(key)[0] in _SWEEPABLE_TABLE_NAMES
+            ]
             raise InputError(
                 axes_key,
                 axis.key,

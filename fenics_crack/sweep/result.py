@@ -151,7 +151,7 @@ def run_sweep(
         raise InputError(
             "natural",
             wrong_positions,
-            f"positions on the last axis, from 0 to {last_axis_length - 1}",
+            f"numbers of values of the last axis, from 0 to {last_axis_length - 1}",
         )
     managers: list[Manager] = []
 
