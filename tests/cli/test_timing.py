@@ -258,7 +258,7 @@ def test_a_run_up(tmp_path: Path, timing: RunCommand) -> None:
     assert len(printed_lines) == 2 + 3
     # No frequency is sought in it, which would be left aside in silence.
     expected_message = (
-        "tip_timing.frequencies = (150.0, 400.0): not allowed with a run-up, in which "
+        "tip_timing.frequencies = (150.0, 400.0): not allowed with a run-up: an order is"
     )
     for source in (curve, arrivals):
         frequency_options = ["tip_timing.frequencies=[150, 400]"]
