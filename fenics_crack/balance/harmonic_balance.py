@@ -600,8 +600,8 @@ def _solve_with_present_modes(
         for load_harmonics in SearchOptions.guess_harmonic_counts
     )
     status = (
-        f"no exact orbit was found from H = {harmonics_text}, so harmonic balance alone gives the "
-        f"solution; {search.outcome_text}; {solution.status}"
+        f"no exact orbit was found from H = {harmonics_text}; {search.outcome_text}; harmonic "
+        f"balance alone gives the solution; {solution.status}"
     )
     return replace(solution, status=status)
 

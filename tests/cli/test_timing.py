@@ -258,7 +258,7 @@ def test_a_run_up(tmp_path: Path, timing: RunCommand) -> None:
     assert len(printed_lines) == 2 + 3
     # No frequency is sought in it, which would be left aside in silence.
     expected_message = (
-        "tip_timing.frequencies = (150.0, 400.0): not allowed with a run-up, in which "
+        "tip_timing.frequencies = (150.0, 400.0): not allowed with a run-up: an order is"
     )
     for source in (curve, arrivals):
         frequency_options = ["tip_timing.frequencies=[150, 400]"]
@@ -266,13 +266,13 @@ def test_a_run_up(tmp_path: Path, timing: RunCommand) -> None:
     # Nor orders in one that is computed; in one that is measured resonances of these are.
     orders = ["tip_timing.orders=[4, 5]"]
     expected_message = (
-        "tip_timing.orders = (4.0, 5.0): not allowed with a computed run-up: order 5 is "
+        "tip_timing.orders = (4.0, 5.0): not allowed with a computed run-up: the order of its"
     )
     assert expected_message in timing(scene, curve, sets=orders, code=2).err
     timing(scene, arrivals, sets=[*orders, "tip_timing.fitted_harmonics=2"])
     assert (tmp_path / "timing.csv").read_text().startswith("blade,")
     # Of another order the fit is wrong by far, which may be why it does not fit.
-    expected_message = "(tip_timing.fitted_revolutions), or it is not of order 7"
+    expected_message = "tip_timing.fitted_revolutions), or it is not of order 7"
     assert expected_message in timing(scene, arrivals, sets=["tip_timing.order=7"]).err
 
 
