@@ -307,8 +307,8 @@ def compute_orbit_values_by_name(
     study : Study
         Study with the orbit's structure.
     solution : PeriodicSolution
-        Solution near the orbit. The solution determines
-        how many harmonics are evaluated (:func:`choose_n_orbit_harmonics`).
+        Solution near the orbit, to choose how many harmonics are evaluated
+        (:func:`choose_n_orbit_harmonics`).
     orbit : PeriodicOrbit
         Periodic motion in time.
     mode_number : int

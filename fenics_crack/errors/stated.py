@@ -382,8 +382,9 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         """Estimate the error due to truncated modes from a motion with more modes (collective).
 
         By assumption the added modes remove the fraction s of the truncation error. So the error is
-        the change of the quantity, divided by s. The change is at least the size of change of the
-        motion (:func:`measure_changes_by_name`), since a quantity may stay equal by chance.
+        the quantity's change, divided by s. A quantity may stay nearly equal by chance. If the
+        motion's size of change (:func:`measure_changes_by_name`) is larger than the quantity's
+        change, the larger value counts.
 
         With few harmonics, modes above the highest harmonic seem static. If both motions have few
         harmonics, the error is therefore at least the error due to harmonics.

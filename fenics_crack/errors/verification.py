@@ -370,8 +370,8 @@ class Verification(SavedResult):
 
         Each quantity has a row per cause. Two rows follow, for the total with independent causes
         and for the sum. A cause's row has the counts and values in up to three runs, and the
-        observed order. The safety factor, and the uncertainty of the scene's value, follow. Other
-        entries are nan.
+        observed order. The safety factor, and the uncertainty of the scene's value, follow. Entries
+        without a meaning are nan.
         """
         rows = [row for name in self.values for row in self._yield_cause_rows(name)]
         keys = dict.fromkeys(key for row in rows for key in row)
@@ -463,7 +463,7 @@ class Verification(SavedResult):
     def statement(self) -> tuple[str, ...]:
         """Sentences on the errors: the first quantity's and the largest, then warnings.
 
-        The largest is relative to the quantity's value.
+        The largest error is meant relative to the quantity's value.
 
         Causes without a contribution are listed with the reasons, before the :attr:`warnings`.
         """

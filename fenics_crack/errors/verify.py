@@ -238,7 +238,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         cause : str
             Cause to judge.
         finer_scenes : sequence of (name, count, scene)
-            Finer runs: run name, mode, harmonic or sample count, and scene. For a mesh,
+            Finer runs: name; number of modes, harmonics or samples; and scene. For a mesh,
             the count is None: the elements are counted after meshing.
         count : int
             Element, mode, harmonic or sample count in the answer.

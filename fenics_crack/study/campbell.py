@@ -405,7 +405,7 @@ class Campbell(SavedResult):
 
         w is the mode's natural frequency, W the rotor speed. The crack's state is that at the
         nearest speed in the diagram. w^2 is taken as linear in W^2 (Southwell), between two speeds
-        of the diagram and beyond the last. :func:`find_passages` calls this method.
+        in the diagram and beyond the diagram. :func:`find_passages` calls this method.
 
         Parameters
         ----------

@@ -290,9 +290,9 @@ def modal_reduction_or_none(scene: Scene, structure: Structure) -> ModalReductio
     most 100 dofs and no table ``[reduction]`` is not reduced, either. If all modes are damped and
     no number of modes is given, 50 are kept.
 
-    The default method is "massless": crack faces lose their mass. The method is "free_interface",
-    with mass, without contact pairs or if all modes are kept. So it is for at most 100 dofs and no
-    table.
+    ``reduction.method`` sets the method. The default is "massless": crack faces lose their mass. In
+    three cases the default is "free_interface", and crack faces keep their mass: without contact
+    pairs, if all modes are kept, or for at most 100 dofs and no table.
     """
     reduction_table = scene.reduction
     if scene.disk is not None:
