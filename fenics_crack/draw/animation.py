@@ -101,20 +101,20 @@ def animate_period(
 
 
 class _ColourScale:
-    """Colour scale in equal steps from 0, in a unit with a prefix.
+    """Colour scale in equal steps from 0, in a unit with a prefix such as MPa.
 
     Attributes
     ----------
     unit_factor : float
-        Factor from SI to the unit with a prefix.
+        Factor from the SI unit to the unit with a prefix.
     label : str
         Name and unit of the field.
     levels : (n_steps + 1,)
-        Borders of the steps in the unit with a prefix.
+        Values between which a colour is constant, in the unit with a prefix.
     n_steps : int
         Number of steps.
     has_values_beyond : bool
-        True if some values exceed the last level.
+        True if a value exceeds the last level.
     colour_map : ListedColormap
         One colour for each step.
     """
@@ -191,9 +191,16 @@ class _MovingMesh:
         self._move_to_frame(0)
 
     def _draw_edges(self, edges: np.ndarray, part_name: str, line_width: float) -> Any:
-        """Add lines along edges at rest to the picture, and return them as PolyData.
+        """Add lines along edges at rest to the picture, and return the lines as PolyData.
 
-        ``edges`` (m, k) are nodes; ``part_name`` is a key of ``PART_COLOURS_BY_NAME``.
+        Parameters
+        ----------
+        edges : (m, k) int
+            Indices of k nodes along each edge.
+        part_name : str
+            Key of ``PART_COLOURS_BY_NAME``, for the colour.
+        line_width : float
+            Line width.
         """
         edge_lines = vtk.make_lines(self._lift_above_plate(self.fields.mesh.points), edges)
         if len(edges):
@@ -206,7 +213,7 @@ class _MovingMesh:
         return edge_lines
 
     def _lift_above_plate(self, points: np.ndarray) -> np.ndarray:
-        """Return a plate's points (n, 2) [m] in space, lifted by ``line_height``: (n, 3).
+        """Return a plate's points (n, 2) [m] in space: (n, 3) [m], with z = ``line_height``.
 
         Points of a solid (n, 3) are returned unchanged.
         """
@@ -254,11 +261,11 @@ class _MovingMesh:
 
 
 def _find_arrow_starts_and_vectors(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
-    """Return start and vector of the load arrow in each frame.
+    """Return start and vector of the load arrow in each frame: (n_frames, d) [m] each.
 
-    Both are (n_frames, d) [m]. The arrow starts at the mean of the displaced nodes, weighted by
-    their loads in the period, and shows the total load. The longest arrow has an eighth of the
-    structure's size. Both arrays are zero without a total load.
+    The arrow shows the total load. The start is the mean position of the displaced nodes, weighted
+    by the nodes' loads in the period. The longest arrow has an eighth of the structure's size. Both
+    arrays are zero if the total load is zero.
     """
     total_loads = fields.nodal_loads.sum(axis=1)
     node_load_weights = np.abs(fields.nodal_loads).sum(axis=(0, 2))
@@ -330,11 +337,10 @@ def _make_palette(colour_scale: _ColourScale) -> Image.Image:
 
 
 def _fit_camera_and_find_width_ratio(plotter: Any, fields: PeriodFields) -> float:
-    """Fit the camera to the whole period.
+    """Fit the camera to the whole period; return the drawn width over the picture's height.
 
-    Returns the drawn width over the picture's height. A plate is seen from the front; the width is
-    that of all drawn points in the period. A solid is seen from a corner; the width is that of the
-    picture.
+    A plate is seen from the front, and all points drawn in the period set the width. A solid is
+    seen from a corner, and the width is the picture's.
     """
     width, height = plotter.window_size
     plotter.camera_set = True
@@ -418,10 +424,15 @@ class _AnimationPage:
         self.background_pixels = self.canvas.copy_from_bbox(self.figure.bbox)
 
     def compose_frame_image(self, frame_index: int, plate_image: Image.Image) -> Image.Image:
-        """Return the image of a frame: page and structure.
+        """Return the image for a frame: page and structure.
 
-        The structure's image is pasted in half its size. ``plate_image`` comes from
-        ``_MovingMesh.render_frame_image``.
+        Parameters
+        ----------
+        frame_index : int
+            Index of the frame, from 0.
+        plate_image : Image
+            Structure's image from ``_MovingMesh.render_frame_image``, which is pasted in half its
+            size.
         """
         self.canvas.restore_region(self.background_pixels)
         load_periods = self.frame_load_periods[frame_index]
@@ -474,9 +485,9 @@ class _AnimationPage:
         )
 
     def _draw_displacement_curve(self, solution: PeriodicSolution, fields: PeriodFields) -> None:
-        """Draw the opening, or without a crack the largest displacement, over a period.
+        """Draw the opening over a period; without a crack, draw the largest displacement.
 
-        Also sets ``frame_values``, and makes the moving dot and the vertical time line.
+        Set ``frame_values``, too, and make the moving dot and the vertical time line.
         """
         axes = self.figure.add_axes((0.16, 0.085, 0.81, 0.16))
         time = np.linspace(0.0, solution.period, 401)

@@ -53,8 +53,8 @@ SUPERSCRIPT_TRANSLATION = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷
 class PictureOptions(TypedDict, total=False):
     """Keywords of every ``draw_*`` function.
 
-    ``axes`` or ``ax``: axes to draw on, default: a new figure; ``path``: file for a new figure;
-    ``title``: title of the picture; ``legend``: False for none.
+    ``axes`` or ``ax``: axes to draw on; by default those in a new figure. ``path``: file for a new
+    figure. ``title``: title above the picture. ``legend``: False for a picture without a legend.
     """
 
     axes: Any
@@ -149,9 +149,9 @@ class Picture:
         return iter(self.panels)
 
     def finish(self) -> Figure:
-        """Draw grids and legends, set the title, save the figure if wanted (collective).
+        """Draw grids and legends, set the title, save the figure (collective).
 
-        Returns the figure, which is saved if the options have a path.
+        The figure is saved only if the options have a path. Return the figure.
         """
         for panel in self:
             with rc_context(FIGURE_STYLE):
@@ -161,9 +161,9 @@ class Picture:
         return self.save_with_title()
 
     def save_with_title(self) -> Figure:
-        """Set the title, save the figure if the options have a path (collective).
+        """Set the title, save the figure and return it (collective).
 
-        Returns the figure.
+        The figure is saved only if the options have a path.
         """
         if self._title is not None and len(self.panels) > 1:
             self.figure.suptitle(self._title, fontsize="large")
@@ -228,9 +228,9 @@ def read_axes_option(picture_options: PictureOptions) -> Any:
 
 
 def distinct_colours(n_colours: int) -> list[str]:
-    """Return different colours for a number of lines.
+    """Return a list with ``n_colours`` different colours for lines.
 
-    Up to five are those of :data:`COLOURS_BY_NAME`; more go from dark to light.
+    Up to five are the colours in :data:`COLOURS_BY_NAME`. More colours go from dark to light.
     """
     if n_colours <= len(COLOURS_BY_NAME):
         return list(COLOURS_BY_NAME.values())[:n_colours]
@@ -320,10 +320,10 @@ def _format_power_of_ten(value: float) -> str:
 def _draw_legend(axes: Axes) -> None:
     """Draw the legend of a panel, if any line has a label.
 
-    If the figure has a layout engine, the legend stands below the panel, in columns. Its width is
-    at most 0.9 of the figure's width, or the width of one of several panels; a figure with a single
-    panel grows in height for more than two rows. Without a layout engine, matplotlib chooses the
-    place.
+    If the figure has no layout engine, matplotlib chooses the place. With a layout engine, the
+    legend stands below the panel, in columns. The legend's width is at most 0.9 times the figure's
+    width; with several panels, at most the panel's width. A figure with a single panel becomes
+    higher if the legend has more than two rows.
     """
     handles, labels = axes.get_legend_handles_labels()
     labelled_handles = sorted(

@@ -57,9 +57,12 @@ class Wave:
 
     Attributes
     ----------
-    label, colour, style : str
-        Legend entry; colour "blue", "orange", "green", "pink", "grey" or any of matplotlib; line
-        style of matplotlib.
+    label : str
+        Legend entry.
+    colour : str
+        "blue", "orange", "green", "pink", "grey", or any colour known to matplotlib.
+    style : str
+        Matplotlib's line style.
     time, values : (n,) [s], (n,) [m]
         Instants and displacements.
     spread : (n,) [m] or None
@@ -172,10 +175,12 @@ def draw_contact_map(
 ) -> Figure:
     """Draw contact along the crack and over the period.
 
-    Colours show the contact pressure if contact is rigid or the contact stiffness is given per
-    area, otherwise the force of each pair; open pairs are grey. Several cracks stand one above the
-    other, with a line between them. In a solid, each crack has two panels instead: the largest
-    pressure or force in the period, and the part of the period in which the pair is closed.
+    If contact is rigid, or has a stiffness per area, colours show the contact pressure. Otherwise
+    colours show the force of each pair. Open pairs are grey. Several cracks stand one above the
+    other, with a line between them.
+
+    In a solid, each crack has two panels instead. The first shows the largest pressure or force in
+    the period. The second shows the fraction of the period in which the pair is closed.
 
     Parameters
     ----------
@@ -239,14 +244,18 @@ def draw_contact_map(
 def _draw_crack_surfaces(
     structure: Structure, values_by_label: Mapping[str, np.ndarray], picture_options: PictureOptions
 ) -> Figure:
-    """Draw values of a solid's contact pairs on each crack surface.
+    """Draw values at a solid's contact pairs on each crack surface.
 
-    Each crack has a row of panels, one for each label.
+    Each crack has a row of panels, a panel for each label.
 
     Parameters
     ----------
+    structure : Structure
+        Structure with the contact pairs.
     values_by_label : mapping of str to (n_pairs,)
-        Values of the contact pairs, by the labels of their colour bars.
+        Values at the contact pairs. The label is written at the colour bar.
+    picture_options : PictureOptions
+        Keywords of every ``draw_*`` function.
     """
     from scipy.spatial import cKDTree
 
@@ -322,7 +331,7 @@ def _draw_crack_surface(
 
 
 def _stack_crack_distances_and_borders(pairs: Pairs) -> tuple[np.ndarray, list[float]]:
-    """Place contact pairs on an axis with all cracks in a row.
+    """Place the contact pairs of all cracks on a single axis, crack after crack.
 
     Returns
     -------
@@ -352,23 +361,24 @@ def draw_response(
 ) -> Figure:
     """Draw amplitudes [m] or other quantities over the load frequency or another parameter.
 
-    The vertical scale is logarithmic if all values are positive, and are lengths or span a decade
-    or more. A curve has dots if there are at most 60 values, gaps at nan, and rings at doubtful
-    values. Repeated calls on the same axes choose new colours.
+    The vertical scale is logarithmic under two conditions: all values are positive, and the values
+    are lengths or span a decade or more. A curve has dots if there are at most 60 values. A curve
+    is interrupted at nan. Rings mark doubtful values. Repeated calls on the same axes choose new
+    colours.
 
     Parameters
     ----------
     values : (n,)
-        Values on the horizontal axis: load frequencies [rad/s], or what ``over`` names.
+        Values on the horizontal axis: load frequencies [rad/s], or the quantity named by ``over``.
     curves : mapping of str to (n,) arrays
-        Quantities to draw, by the labels of their lines.
+        Quantities to draw; the key is the line's legend entry.
     quantity : str
         Label of the vertical axis, without the unit.
     over : str
         Label of the horizontal axis, with its unit.
     doubtful : mapping of str to (n,) bool, optional
-        True where a ring marks the value as not stable, or as inexact: estimated error above 5 %.
-        By the labels of ``curves``.
+        For each key in ``curves``, True where a ring marks the value. The value may be not stable,
+        or inexact: estimated error above 5 %.
     unit : str
         SI unit of the curves; the axis shows the unit with a prefix, such as mm.
     **picture_options
@@ -443,14 +453,16 @@ def draw_map(
 ) -> Figure:
     """Draw values as colours over two swept quantities.
 
-    The scale is logarithmic if the values are positive and the largest is 30 times the smallest.
+    The colour scale is logarithmic if all values are positive and the largest is at least 30 times
+    the smallest.
 
     Parameters
     ----------
     x, y : (n,), (m,)
         Two or more ascending values of each swept quantity.
     values : (m, n)
-        Values to draw; nan marks a case that has not converged, a grey cell with a cross.
+        Values to draw. nan marks a combination (x, y) without a converged solution; its cell is
+        grey, with a cross.
     x_label, y_label, value_label : str
         Labels with units.
     doubtful : (m, n) bool, optional
@@ -556,9 +568,9 @@ def draw_spectrum(
     """Draw the amplitudes of the harmonics over their orders (collective).
 
     The upper panel shows the gap of the contact pair that moves most, and the displacement of a
-    dof. The lower panel shows the contact force, summed over the pairs. Order 0 is the mean, order
-    1 the load frequency; a subharmonic response also has fractions. Enough harmonics were kept if
-    the last amplitudes are small.
+    dof. The lower panel shows the contact force, summed over the pairs. Order 0 is the mean, and
+    order 1 the load frequency. A subharmonic response also has fractional orders. If the last
+    amplitudes are small, the solution has enough harmonics.
 
     Parameters
     ----------
@@ -622,19 +634,22 @@ def _draw_stems(
     quantity: str,
     unit: str,
 ) -> None:
-    """Draw the Fourier amplitudes of some series over the order, as stems side by side.
+    """Draw Fourier amplitudes over the order, as stems side by side.
 
     The scale is logarithmic; amplitudes below 1e-9 of the largest are left out as rounding. More
     than 150 harmonics are drawn as points without stems.
 
     Parameters
     ----------
+    axes : Axes
+        Panel to draw on.
     n_load_periods : int
-        Number of load periods in a period of the series, by which orders are divided.
+        Number of load periods in the motion's period. Harmonic k then has the order k /
+        ``n_load_periods``.
     coefficients_by_label : mapping of str to (2H+1,)
-        Mean, then cosine and sine coefficients for harmonics 1 to H of each series.
+        For each legend entry: the mean, then cosine and sine coefficients for harmonics 1 to H.
     quantity, unit : str
-        What the series are, and their SI unit, for the vertical axis.
+        Quantity and SI unit of all coefficients, for the vertical axis.
     """
     amplitudes_by_label = {
         label: np.abs(to_complex(column)) for label, column in coefficients_by_label.items()
@@ -762,14 +777,22 @@ def _draw_orbit(
 ) -> None:
     """Draw the orbit of one displacement, thick while the crack is closed.
 
-    Velocities are central differences of ``displacement_function``.
+    Velocities are central differences of the displacement.
 
     Parameters
     ----------
+    axes : Axes
+        Panel to draw on.
+    solution : PeriodicSolution
+        Solution with the motion.
+    displacement_function : callable
+        Returns the displacement [m] at given instants [s].
     is_closed : (n,) bool
         True while the crack is closed, at n equally spaced instants from 0 to the period's end.
-    quantity, closed_label : str
-        Name of the displacement for the axis, and legend entry of the thick part.
+    quantity : str
+        Name of the displacement, for the axis.
+    closed_label : str
+        Legend entry for the thick part.
     """
     time_step = CENTRAL_DIFFERENCE_STEP * solution.period
 
@@ -864,10 +887,10 @@ def draw_stress_intensity(
 ) -> Figure:
     """Draw stress intensity factors at crack tips or along crack fronts.
 
-    In a plate, K_I and K_II of each tip are drawn over time, K_II dashed; K_I is grey and thick
-    while the tip is closed. A solid has two panels. The first panel shows the largest |K_I|, |K_II|
-    and |K_III| along the fronts. The second panel shows all three over time, at the front station
-    with the largest effective range of K_I.
+    For a plate, K_I and K_II at each tip are drawn over time. K_II is dashed. K_I is grey and thick
+    while the tip is closed. For a solid there are two panels. The first panel shows the largest
+    |K_I|, |K_II| and |K_III| along the fronts. The second panel shows all three over time, at the
+    front station with the largest effective range of K_I.
 
     Parameters
     ----------
@@ -933,8 +956,8 @@ def _draw_intensities_of_fronts(
 ) -> None:
     """Draw stress intensity factors in a solid, along each crack front and over time.
 
-    Along the fronts these are the largest |K_I|, |K_II| and |K_III| in time at each station; over
-    time, all three at the station with the largest effective range of K_I.
+    The front panel shows the largest |K_I|, |K_II| and |K_III| in time at each station. The time
+    panel shows all three over time, at the station with the largest effective range of K_I.
     """
     assert intensity.K_III is not None
     for component_name, component_values, colour in zip(

@@ -62,11 +62,12 @@ def draw_curve(
 
     Stable parts are solid, unstable parts dashed, irregular parts dash-dotted and undecided parts
     dotted. Without Floquet multipliers the curve is solid, and the legend says that stability was
-    not examined. Parts with an estimated displacement error above 5 % are faint. A ring marks the
-    largest response unless this is an end of the curve; the legend states parameter and amplitude.
-    Over the load frequency, the legend also states the damping by the half-power width. Marks show
-    bifurcations, counted in the legend; among many at one place only some are marked. A number at
-    each superharmonic peak is the order of the largest harmonic.
+    not examined. Parts with an estimated displacement error above 5 % are faint.
+
+    A ring marks the largest response, unless this is an end of the curve. The legend states
+    parameter and amplitude there; over the load frequency also the damping by the half-power width.
+    Marks show bifurcations, and the legend states how many. If many lie close together, only a few
+    are marked. At each superharmonic peak stands the order of the largest harmonic.
 
     Parameters
     ----------
@@ -74,15 +75,15 @@ def draw_curve(
         Result to draw.
     dof : int, optional
         Dof whose displacement is drawn; default: the watched dof.
-    colour, label : str
-        "blue", "orange", "green", "pink", "grey" or a colour of matplotlib, and the legend entry
-        for one among several curves. With a label, bifurcations have the curve's colour.
+    colour : str
+        "blue", "orange", "green", "pink", "grey" or any colour known to matplotlib.
+    label : str
+        Legend entry, for one among several curves. If given, bifurcations have the curve's colour.
     behind, points : mapping, optional
-        Curves and single points for comparison, by legend entry: (parameter values, amplitudes
-        [m]).
+        Curves and single points for comparison. For each legend entry: (parameter values,
+        amplitudes [m]), with frequencies and speeds in rad/s.
     in_hertz : bool
-        Show load frequencies in Hz and speeds in rpm, also those of ``behind`` and ``points``,
-        which are given in rad/s.
+        Show load frequencies in Hz and speeds in rpm, also in ``behind`` and ``points``.
     **picture_options
         ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
@@ -137,14 +138,20 @@ def draw_curve(
 def _draw_curve_parts(
     axes: Axes, curve: ResponseCurve, x: np.ndarray, y: np.ndarray, line_colour: str, label: str
 ) -> None:
-    """Draw a curve in pieces, with line styles for stability and faint where inexact.
+    """Draw a curve in parts: line styles show stability, and inexact parts are faint.
 
-    Inexact are points with an estimated displacement error above 5 %.
+    A point is inexact if the estimated displacement error is above 5 %.
 
     Parameters
     ----------
+    axes : Axes
+        Panel to draw on.
+    curve : ResponseCurve
+        Curve with stability and errors.
     x, y : (n,)
         Parameter in the shown unit, and amplitude [m], at the curve's points.
+    line_colour : str
+        Colour of the curve.
     label : str
         Legend entry if there are several curves, otherwise empty.
     """
@@ -179,9 +186,17 @@ def _mark_peak(
 
     Parameters
     ----------
+    axes : Axes
+        Panel to draw on.
+    curve : ResponseCurve
+        Curve with the response.
+    dof : int or None
+        Dof of the displacement; None: the watched dof.
+    in_hertz : bool
+        Show load frequencies in Hz and speeds in rpm, otherwise in rad/s.
     curve_colour : str
-        Colour of the curve if there are several curves; empty for a single curve, whose ring is
-        blue and has a legend entry.
+        Colour of the curve, for the ring, if there are several curves. Empty for a single curve:
+        the ring is then blue and has a legend entry.
     """
     peak = curve.top(dof)
     (unit_factor, _, unit) = axis_factor_name_and_unit(curve.parameter, in_hertz)
@@ -217,11 +232,17 @@ def _mark_bifurcations(
 
     Parameters
     ----------
+    axes : Axes
+        Panel to draw on.
+    curve : ResponseCurve
+        Curve with the bifurcations.
+    dof : int or None
+        Dof of the displacement; None: the watched dof.
     unit_factor : float
         Factor from the parameter's SI unit to the shown unit.
     curve_colour : str
-        Colour of the curve if there are several curves; empty for a single curve, whose legend
-        states how many bifurcations were found and marked.
+        Colour of the curve, for the marks, if there are several curves. Empty for a single curve:
+        the legend then states how many bifurcations were found and marked.
     """
     if not curve.bifurcations:
         return
@@ -261,15 +282,19 @@ def _mark_bifurcations(
 
 
 def _choose_spread_marks(axes: Axes, x: np.ndarray, y: np.ndarray, kinds: np.ndarray) -> np.ndarray:
-    """Return True for bifurcations to mark, so that marks do not pile up: (n,) bool.
+    """Choose bifurcations to mark, so that marks do not pile up: (n,) bool.
 
-    In each cell, 3 % of the panel's width by 3 % of its height, only one bifurcation of each kind
-    is marked.
+    The panel is divided into cells, 3 % of its width by 3 % of its height. In each cell a single
+    bifurcation of each kind is marked.
 
     Parameters
     ----------
-    x, y, kinds : (n,)
-        Points in data coordinates, and their bifurcation kinds.
+    axes : Axes
+        Panel to draw on.
+    x, y : (n,)
+        Positions in data coordinates.
+    kinds : (n,)
+        Kind of each bifurcation.
     """
     axes.autoscale_view()  # to the lines drawn so far
     panel_positions = (axes.transData - axes.transAxes).transform(np.column_stack([x, y]))
@@ -283,10 +308,23 @@ def _choose_spread_marks(axes: Axes, x: np.ndarray, y: np.ndarray, kinds: np.nda
 def _mark_superharmonics(
     axes: Axes, curve: ResponseCurve, dof: int | None, amplitudes: np.ndarray, unit_factor: float
 ) -> None:
-    """Write the order of the largest harmonic, "3ω", at each superharmonic peak.
+    """Write the order of the largest harmonic, such as "3ω", at each superharmonic peak.
 
-    At a superharmonic peak of ``amplitudes`` (n,) [m], the largest harmonic of the displacement has
-    a multiple of the load frequency above 1.
+    A peak is superharmonic if the displacement's largest harmonic has an order above 1, in
+    multiples of the load frequency.
+
+    Parameters
+    ----------
+    axes : Axes
+        Panel to draw on.
+    curve : ResponseCurve
+        Curve with the harmonics.
+    dof : int or None
+        Dof of the displacement; None: the watched dof.
+    amplitudes : (n,) [m]
+        Amplitudes at the curve's points.
+    unit_factor : float
+        Factor from the parameter's SI unit to the shown unit.
     """
     largest_harmonic = np.argmax(_harmonic_amplitudes(curve, dof), axis=1) + 1
     load_order, remainder = np.divmod(largest_harmonic, curve.subharmonic)
@@ -311,8 +349,8 @@ def _mark_superharmonics(
 def _label_parameter_axis(axes: Axes, curve: ResponseCurve, in_hertz: bool) -> None:
     """Label the horizontal axis with a curve's parameter, after all lines are drawn.
 
-    A curve over the rotor speed also gets an axis on top with the load frequency, the engine order
-    times the speed. Curves with different engine orders on the same axes get no top axis.
+    If the parameter is the rotor speed, an axis on top shows the load frequency, the engine order
+    times the speed. If curves on the same axes have different engine orders, there is no top axis.
     """
     unit_factor, parameter_name, unit = axis_factor_name_and_unit(curve.parameter, in_hertz)
     if curve.parameter == "speed":
@@ -412,10 +450,10 @@ def draw_multipliers(
     """Draw the modulus of the largest Floquet multiplier along a curve.
 
     An orbit is stable if the modulus is below 1. Colours show the kind of multiplier. A real
-    multiplier leaves the unit circle at +1 (folds, branch points) or -1 (period doublings), a
-    complex pair anywhere else (Neimark-Sacker). For irregular motions, the value is the growth of a
-    small disturbance. Crosses are points with undecided stability, at 1 if the multipliers are
-    unknown.
+    multiplier leaves the unit circle at +1 (folds, branch points) or -1 (period doublings). A
+    complex pair leaves the circle anywhere else (Neimark-Sacker). For irregular motions, the growth
+    of a small disturbance is drawn instead. Crosses are points with undecided stability. If their
+    multipliers are unknown, they stand at 1.
 
     Parameters
     ----------

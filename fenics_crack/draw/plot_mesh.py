@@ -34,10 +34,10 @@ from fenics_crack.model.structure import Structure
 def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -> Figure:
     """Draw the mesh of a structure at rest with its named parts (collective).
 
-    Drawn are clamped edges, crack faces, contact pairs, and the load. Arrows show the mean, cosine
-    and sine part of the load, each on its own scale. Among further harmonics, only the largest
-    cosine or sine part has arrows. In a solid each part of the load has one arrow, and contact
-    pairs are not drawn.
+    The parts are clamped edges, crack faces, contact pairs, and the load. Arrows show the mean, and
+    the cosine and sine part of the first harmonic, each on its own scale. Among all higher
+    harmonics, only the largest cosine or sine part has arrows. In a solid each of these loads has
+    one arrow, and contact pairs are not drawn.
 
     Parameters
     ----------
@@ -227,15 +227,19 @@ def draw_displaced_mesh(
 ) -> Any:
     """Draw a displaced mesh, coloured by nodal values.
 
-    Black lines are the boundary of a plate, or the sharp edges of a solid. Unless ``is_wheel``,
-    grey lines show them at rest, and in a plate the edges of all cells.
+    Black lines are a plate's boundary, or a solid's sharp edges. Grey lines show the same at rest,
+    and in a plate the edges of all cells. ``is_wheel`` leaves the grey lines out.
 
     Parameters
     ----------
+    axes : Axes
+        Panel to draw on.
+    mesh : NodalMesh
+        Mesh at rest.
     displacement : (n_nodes, d) [m]
         Displacement, already magnified for drawing.
     values : (n_nodes,)
-        Nodal values that the colours show.
+        Nodal values for the colours.
     is_wheel : bool
         True for a bladed disk, whose many blades need fewer lines.
 
@@ -333,9 +337,13 @@ def _draw_solid(picture: Picture, mesh: NodalMesh, load_parts: np.ndarray) -> No
 
     Parameters
     ----------
+    picture : Picture
+        Picture to draw on.
+    mesh : NodalMesh
+        Mesh of the solid.
     load_parts : (2K+1, n_nodes, 3) [N]
-        Mean, then cosine and sine parts of the nodal forces. An arrow for each shows the direction
-        of the total force; all arrows are equally long.
+        Nodal forces: mean, then cosine and sine parts for harmonics 1 to K. Each has an arrow in
+        the direction of the total force; all arrows are equally long.
     """
     from fenics_crack.draw import vtk
 

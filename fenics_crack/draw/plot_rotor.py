@@ -44,10 +44,11 @@ def draw_campbell(
 ) -> Figure:
     """Draw a Campbell diagram: natural frequencies and engine orders over the rotor speed.
 
-    The mean load holds the crack open, shut or partly open, or the crack breathes; at each speed a
-    mode's line shows the frequency in this state. A band goes from the open to the bonded crack.
-    Engine orders are grey lines with numbers, and circles mark their crossings with the modes.
-    Modes above all engine orders are left out, except the first mode.
+    At each speed, the mean load holds the crack open, shut or partly open; or the crack breathes. A
+    mode's line shows the frequency in this state. A band reaches from the frequency with open crack
+    to the frequency with bonded crack. Engine orders are grey lines with numbers. Circles mark
+    their crossings with the modes. Modes above all engine orders are left out, except the first
+    mode.
 
     Parameters
     ----------
@@ -55,9 +56,10 @@ def draw_campbell(
         Result to draw.
     orders : sequence of int
         Engine orders to draw.
-    in_hertz, in_rpm : bool
-        Show frequencies in Hz, otherwise in rad/s; speeds in revolutions per minute, otherwise in
-        rad/s.
+    in_hertz : bool
+        Show frequencies in Hz, otherwise in rad/s.
+    in_rpm : bool
+        Show speeds in revolutions per minute, otherwise in rad/s.
     **picture_options
         ``axes``, ``path`` and ``title``; see :func:`draw_waves`.
 
@@ -142,16 +144,22 @@ def _draw_engine_order(
     speed_range: tuple[float, float],
     upper_limit: float,
 ) -> None:
-    """Draw the line of an engine order, and its number at an edge.
+    """Draw an engine order's line over the rotor speed, and its number at the line's end.
 
-    The edge is the panel's right or upper edge, at which the line ends.
+    The line ends at the panel's right or upper edge.
 
     Parameters
     ----------
+    panel : Axes
+        Panel to draw on.
+    engine_order : int
+        Periods of the load in a revolution.
     frequency_per_speed : float
-        Slope of the line, in the units of the panel.
-    speed_range, upper_limit
-        First and last speed, and largest frequency, of the panel, in its units.
+        Slope of the line, in the panel's units.
+    speed_range : (float, float)
+        First and last speed in the panel, in its unit.
+    upper_limit : float
+        Largest frequency in the panel, in its unit.
     """
     end_speeds = np.array(speed_range)
     panel.plot(
@@ -206,9 +214,9 @@ def draw_arrivals(
 ) -> Figure:
     """Draw blade tip displacements from arrivals, for each probe.
 
-    The horizontal axis has the revolutions, or the rotor speed if it varies. A probe sees the tip
-    once in a revolution: a vibration at a whole engine order appears constant, any other vibration
-    slow.
+    The horizontal axis shows the revolutions; if the rotor speed varies, the speed. A probe sees
+    the tip once in a revolution. So a vibration at a whole engine order seems constant, and any
+    other vibration seems slow.
 
     Parameters
     ----------
@@ -236,7 +244,7 @@ def draw_arrivals(
 def _draw_displacements(panel: Axes, arrivals: ArrivalTimes, in_rpm: bool) -> None:
     """Draw each probe's tip displacements over the revolutions, or over a varying speed.
 
-    ``in_rpm``: speeds in revolutions per minute, otherwise in rad/s.
+    ``in_rpm`` shows speeds in revolutions per minute, otherwise in rad/s.
     """
     speed_factor, *speed_name_and_unit = choose_speed_factor_name_unit(in_rpm)
     is_steady, revolutions = arrivals.steady, arrivals.first + np.arange(len(arrivals))
@@ -267,9 +275,9 @@ def draw_tip_fit(
 ) -> Figure:
     """Draw a vibration fitted to tip arrivals, and residuals by engine order.
 
-    The first panel shows a period of the vibration, with the displacements from arrivals. If only
-    one engine order was tried, the second panel shows the amplitudes of its harmonics with their
-    standard errors.
+    The first panel shows a period of the vibration, with the displacements from arrivals. The
+    second panel shows the fit's residual over the tried engine orders. If only one order was tried,
+    the second panel shows the amplitudes of the harmonics with their standard errors.
 
     Parameters
     ----------
@@ -367,9 +375,10 @@ def _draw_candidates(axes: Axes, candidates: Candidates, best_order: float) -> N
 
 
 def _set_log_scale(axes: Axes, values: np.ndarray) -> float:
-    """Make the vertical axis logarithmic if some values are positive.
+    """Make the vertical axis logarithmic if any value is positive.
 
-    Returns half the smallest positive value for the lower end of the axis; 0 without one.
+    Return half the smallest positive value, for the axis's lower end. Without a positive value,
+    return 0.
     """
     positive_values = values[(values > 0.0) & np.isfinite(values)]
     if not len(positive_values):
@@ -460,8 +469,9 @@ def draw_passages(
 ) -> Figure:
     """Draw a record of tip displacements over the rotor speed, and its resonances.
 
-    The second panel shows the first resonance of ``passages``: for each passage in the record, the
-    displacements at the probe with the largest fitted motion, without drift, and the fit.
+    The second panel shows the first resonance in ``passages``. For each passage through this
+    resonance, the panel shows the displacements at one probe, without drift, and the fit. The probe
+    is the probe with the largest fitted motion.
 
     Parameters
     ----------

@@ -145,9 +145,10 @@ def draw_posterior(
 
 
 def _draw_density(panel: Axes, identification: Identification, key: str) -> None:
-    """Draw the probability density of the unknown ``key``, with estimate and credible interval.
+    """Draw the probability density of an unknown, with estimate and credible interval.
 
-    Each combination of words, such as the crack's edge, has its own line.
+    ``key`` names the unknown. Each combination of word values, such as the crack's edge, has its
+    own line.
     """
     key_index, posterior = identification.unknown.index(key), identification.posterior
     interval_start, interval_end = identification.intervals[key]
@@ -189,15 +190,15 @@ def _draw_density(panel: Axes, identification: Identification, key: str) -> None
 
 
 def _contour_log_levels(branch_grids: list[tuple[np.ndarray, ...]]) -> list[float]:
-    """Return the log densities on the contours for 99.9, 95 and 50 % of the probability.
+    """Return the log densities on the contours around 99.9, 95 and 50 % of the probability.
 
     The values are strictly ascending.
 
     Parameters
     ----------
     branch_grids : list of (x, y, mass, density)
-        For each combination of words: grid values of both unknowns, and probability and density at
-        each grid point.
+        For each combination of word values, such as the crack's edge: grid values x and y of both
+        unknowns, and probability and density at each grid point.
     """
     probability_masses = np.concatenate([branch_grid[2].ravel() for branch_grid in branch_grids])
     log_densities = _log_density(
@@ -228,8 +229,10 @@ def _set_limits(
 
     Parameters
     ----------
+    panel : Axes
+        Panel to limit.
     shown_points : (n, 2)
-        Points in the drawn regions.
+        Points in the drawn regions: values of both unknowns.
     branch_axes : pair of (m,)
         Ascending grid values of both unknowns.
     """
@@ -246,11 +249,13 @@ def _set_limits(
 def draw_verification(found: Verification, **picture_options: Unpack[PictureOptions]) -> Figure:
     """Draw the convergence of each quantity, and its uncertainty by cause.
 
-    The first panel shows differences from the extrapolated value over the element size, or over the
-    first varied cause if the mesh is not varied. Quantities that do not converge regularly have no
-    line. The second panel has a row for each quantity: contributions of the causes, the marker of
-    the first panel, and the observed order of convergence, the slope of its line. Hollow marks
-    stand for a safety factor of 3, black bars for the root of the sum of squares.
+    The first panel shows differences from the extrapolated value over the element size. If the mesh
+    is not varied, the first varied cause replaces the element size. Quantities without regular
+    convergence have no line.
+
+    The second panel has a row for each quantity: its marker in the first panel, the contributions
+    by cause, and the observed order of convergence, which is the line's slope. Hollow marks mean a
+    safety factor of 3. Black bars are the total, the root of the sum of squares.
 
     Parameters
     ----------
@@ -284,9 +289,9 @@ def _draw_differences_from_extrapolation(
 ) -> None:
     """Draw the differences |f_i - f| over the relative element size h_i.
 
-    The differences are in percent of the quantity. The values f_i are from solutions in which
-    ``cause`` was varied, and f is their extrapolation. Sizes are relative to the largest, mostly
-    the scene's. For causes other than the mesh, h_i is the inverse number, for example of
+    f_i is a quantity's value in run i, with ``cause`` varied, and f is the extrapolated value. The
+    differences are in percent of the quantity. Sizes are divided by the largest size, mostly the
+    scene's. If the cause is not the mesh, h_i is 1 / count, for example with the number of
     harmonics.
     """
     relative_sizes, largest_difference = np.ones(1), 100.0 * MIN_REPORTED_ERROR
@@ -325,8 +330,8 @@ def _draw_differences_from_extrapolation(
 def _choose_line_styles(verification: Verification, cause: str) -> StylesByQuantity:
     """Choose line styles for the quantities with a line in the convergence panel.
 
-    Left out are quantities that are zero, or for which no error follows from the extrapolation over
-    ``cause``.
+    A quantity has no line if its value is zero, or if its error does not follow from an
+    extrapolation over runs with varied ``cause``.
     """
     drawn_quantities = [
         quantity_name
@@ -349,8 +354,9 @@ def _draw_contributions(
 ) -> None:
     """Draw relative uncertainties in percent, with a row for each quantity.
 
-    Coloured marks are causes, black bars the total. To the left is the quantity's marker of the
-    convergence panel, to the right the observed order of convergence, or its behaviour in words.
+    A coloured mark is a cause, a black bar the total. To the left stands the quantity's marker from
+    the convergence panel. To the right stands the observed order of convergence; without an
+    observed order, the behaviour in words.
     """
     quantity_names, axis_transform = list(verification.values)[::-1], panel.get_yaxis_transform()
     colours = dict(zip(ERROR_CAUSES, distinct_colours(len(ERROR_CAUSES)), strict=True))

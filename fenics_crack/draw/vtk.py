@@ -105,7 +105,7 @@ def import_pyvista() -> Any:
 
 
 def off_screen_plotter(window_size: tuple[int, int] = (900, 1000)) -> Any:
-    """Return a pyvista plotter that draws into memory, also without a screen.
+    """Return a pyvista plotter that draws into memory and needs no screen.
 
     ``window_size`` is the image's width and height [pixels].
     """
@@ -116,9 +116,16 @@ def off_screen_plotter(window_size: tuple[int, int] = (900, 1000)) -> Any:
 
 
 def _make_grid(points: np.ndarray, cells: np.ndarray, vtk_type: int) -> Any:
-    """Return pyvista's unstructured grid from points (n, d) [m] and cells (m, k).
+    """Return pyvista's unstructured grid from points and cells.
 
-    Each cell is k positions in ``points``; all cells have the number ``vtk_type``.
+    Parameters
+    ----------
+    points : (n, d) [m]
+        Positions of the nodes.
+    cells : (m, k) int
+        For each cell, the indices of k nodes in ``points``.
+    vtk_type : int
+        VTK's number of the cell type, the same for all cells.
     """
     cells_with_size = np.insert(cells, 0, cells.shape[1], axis=1)
     cell_types = np.full(len(cells), vtk_type)
@@ -128,17 +135,27 @@ def _make_grid(points: np.ndarray, cells: np.ndarray, vtk_type: int) -> Any:
 
 
 def make_surface(points: np.ndarray, facets: np.ndarray) -> Any:
-    """Return a surface as pyvista's PolyData, from points (n, d) [m] and facets (m, k).
+    """Return a surface as pyvista's PolyData.
 
-    Each facet is k positions in ``points``.
+    Parameters
+    ----------
+    points : (n, d) [m]
+        Positions of the nodes.
+    facets : (m, k) int
+        For each facet, the indices of k nodes in ``points``.
     """
     return import_pyvista().PolyData.from_regular_faces(pad_to_space(points), facets)
 
 
 def make_lines(points: np.ndarray, edges: np.ndarray) -> Any:
-    """Return lines as pyvista's PolyData, from points (n, d) [m] and edges (m, k).
+    """Return lines as pyvista's PolyData.
 
-    Each edge is a line through k points, given by positions in ``points``.
+    Parameters
+    ----------
+    points : (n, d) [m]
+        Positions of the nodes.
+    edges : (m, k) int
+        For each line, the indices of k nodes in ``points``.
     """
     edges_with_size = np.insert(edges, 0, edges.shape[1], axis=1)
     return import_pyvista().PolyData(pad_to_space(points), lines=edges_with_size.ravel())
@@ -233,8 +250,9 @@ def _make_derivative_matrices(mesh: NodalMesh) -> list[csr_matrix]:
     """Return matrices that differentiate a nodal field at the nodes.
 
     A derivative at a node is the mean over the cells at the node. VTK differentiates the shape
-    functions N at the nodes X of its unit cell; dN/dx = dN/dX (dx/dX)^-1 then follows for each cell
-    x(X). In cells of the mesh itself, VTK would search for the nodes, and fail in slim tetrahedra.
+    functions N at the nodes X of its unit cell. Let x(X) be a cell of the mesh: then dN/dx = dN/dX
+    (dx/dX)^-1. VTK is not applied to cells of the mesh themselves: it would search for the nodes,
+    and fail in slim tetrahedra.
 
     Returns
     -------
@@ -281,7 +299,7 @@ def von_mises(stress: np.ndarray) -> np.ndarray:
 def stress_at(
     run: Run[PeriodicSolution] | Run[TimeHistory], points: Sequence[Any] | np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find stresses at some points over time (collective).
+    """Find stresses at given points over time (collective).
 
     The stress at a node is the mean over the cells at the node, on one side of a crack only.
     Between nodes the stress is interpolated by the shape functions of displacements. At a crack tip
@@ -305,7 +323,7 @@ def stress_at(
     Raises
     ------
     InputError
-        The structure has no mesh, some displacements were not recorded, or a point is off the mesh.
+        The structure has no mesh, a displacement was not recorded, or a point is off the mesh.
 
     Examples
     --------
@@ -438,8 +456,19 @@ def write_fronts(found: StressIntensity, path: str | Path) -> None:
 class PeriodFields:
     """Nodal fields of a vibration at n instants in a period, complete on every rank.
 
-    Construction is collective. The parameters are as in :func:`write_period`, where ``n_frames`` is
-    called ``frames``.
+    Construction is collective.
+
+    Parameters
+    ----------
+    solution : PeriodicSolution
+        Vibration.
+    n_frames : int
+        Number n of instants.
+    magnification : float, optional
+        Factor by which pictures magnify the displacement; default: the largest displacement becomes
+        a tenth of the structure's size.
+    material : Material, optional
+        Material for stresses; default: no stresses are computed.
 
     Attributes
     ----------
@@ -533,11 +562,11 @@ class PeriodFields:
 
     @property
     def colour_scale_end(self) -> float:
-        """End of the colour scale for the whole period, [Pa] or [m].
+        """Upper end of the colour scale for the whole period, [Pa] or [m].
 
-        The scale begins at 0. For displacements it is the largest value, for stresses the 98 %
-        quantile of the nodes' largest stresses, since stresses are unbounded at the tip and under
-        the load.
+        The scale begins at 0. For displacements the end is the largest value. Stresses are
+        unbounded at the tip and under the load. So for stresses the end is lower: 98 % of the nodes
+        have a smaller largest stress.
         """
         largest_nodal_values = self.colour_values.max(axis=0)
         scale_end = (
@@ -717,7 +746,7 @@ def _find_nodal_force_per_pair_force(structure: Structure) -> np.ndarray:
     Returns
     -------
     (n_nodes, n_pairs)
-        Size of the nodal force [-], complete on every rank.
+        Size of the force at each node over the contact force, complete on every rank.
     """
     assert structure.nodes is not None
     dofs, gap_matrix = structure.nodes.dofs, structure.gap

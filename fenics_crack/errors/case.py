@@ -84,6 +84,9 @@ SINGLE_HARMONIC_REASON_TEXT = "without contact the motion has the harmonics of t
 class JudgedAnswer:
     """Hold a solution, and the data to estimate the errors of all quantities.
 
+    Subclasses estimate the errors by further runs. A quantity is a number read from a motion, for
+    example "amplitude".
+
     Attributes
     ----------
     study : Study
@@ -93,9 +96,9 @@ class JudgedAnswer:
     answer_values_by_name : dict of str to float
         Values of the answer's quantities by name.
     balance_solution : PeriodicSolution
-        Solution with the answer's number of harmonics, for comparison with further runs. In
-        :mod:`verify` the answer; in :mod:`stated` a harmonic-balance solution, or the answer if
-        the answer has an exact orbit's Fourier coefficients.
+        Solution to compare with further runs; the number of harmonics is the answer's. In
+        :mod:`verify`, and for an answer made from an exact orbit, this is the answer itself.
+        Otherwise this is a new harmonic-balance solution, found from the answer.
     balance_numbers : Numbers
         Quantities of the balance solution.
     """
@@ -123,7 +126,8 @@ class JudgedAnswer:
     def orbit_values_by_name(self) -> dict[str, float] | None:
         """Values of the answer's accepted exact orbit by quantity name (collective).
 
-        None if the answer has no accepted orbit (:func:`find_accepted_orbit_or_none`).
+        An exact orbit is a periodic motion in time, without truncated harmonics. None if the answer
+        has no accepted orbit (:func:`find_accepted_orbit_or_none`).
         """
         orbit = find_accepted_orbit_or_none(self.answer)
         return None if orbit is None else self.compute_values_by_name(orbit)
@@ -133,9 +137,17 @@ class JudgedAnswer:
     ) -> PartOrReason:
         """Take the distance to the exact orbit as the error due to truncated harmonics.
 
-        The error of a quantity f is |f - f_orbit|, with safety factor 1; a quantity missing in
-        ``orbit_values_by_name`` counts as 0. The counts are the harmonics of the answer and of the
-        evaluated orbit.
+        The error of f, a quantity, is |f - f_orbit|, with safety factor 1.
+
+        Parameters
+        ----------
+        orbit_values_by_name : mapping of str to float
+            The orbit's values f_orbit by quantity name. A missing quantity counts as 0.
+
+        Returns
+        -------
+        PartOrReason
+            Two harmonic counts, the answer's and the orbit's; and the error by quantity name.
         """
         harmonic_counts = self.answer.harmonics, choose_n_orbit_harmonics(self.answer)
         reciprocal_counts = 1.0 / harmonic_counts[1], 1.0 / harmonic_counts[0]
@@ -154,15 +166,16 @@ class JudgedAnswer:
     def estimate_error_by_friction(self) -> PartOrReason:
         """Estimate the error due to neglected friction (collective).
 
-        Two exact orbits are compared: without friction, and with ``contact.friction_error`` as
-        coefficient. If a solid has friction along lines already, sliding across the lines gives
-        the error.
+        Two exact orbits are compared: without friction, and with the coefficient
+        ``contact.friction_error``. A solid may already have friction, along a fixed line at each
+        pair. Then the error follows from the sliding across these lines.
 
         Returns
         -------
         PartOrReason
-            Error by quantity name, or a text with the reason for no error. The text is empty if no
-            pair touches, or if the scene sets ``contact.friction`` without friction lines.
+            Mode counts in both runs, and the error by quantity name. If there is no error
+            estimate, a text with the reason. The text is empty if no pair touches. The text is also
+            empty if the scene sets ``contact.friction`` but has no friction lines.
         """
         study, scene, answer = self.study, self.study.scene, self.answer
         contact_law, structure = study.contact, study.structure
@@ -234,18 +247,18 @@ class JudgedAnswer:
         Parameters
         ----------
         n_modes : int
-            Number of kept modes, at most half the structure's dofs.
+            Number of kept modes; at most half the structure's dofs are kept.
         whole_structure : Structure
             Unreduced structure with tangential gaps.
         friction_values_by_key : dict of str to object
-            Values of scene keys for the orbit with friction.
+            Changed values by scene key, for the orbit with friction.
 
         Returns
         -------
-        list of PeriodicOrbit
-            Orbits without and with friction; the list ends before the first failed search.
-        list of dict of str to float
-            Values by quantity name of each orbit.
+        orbits : list of PeriodicOrbit
+            Orbit without friction, then with friction. If a search fails, the list ends before.
+        values_of_orbits : list of dict of str to float
+            For each orbit, the values by quantity name.
         """
         study, answer, n_periods = self.study, self.answer, self.answer.subharmonic
         n_modes = min(n_modes, whole_structure.n_dofs // 2)
@@ -277,9 +290,14 @@ class JudgedAnswer:
     def _estimate_sliding_across_lines(self, friction_law: CoulombFriction) -> PartOrReason:
         """Estimate the error due to sliding across a solid's friction lines (collective).
 
-        The error of a quantity f is 2 r |f_0 - f|, with f_0 from the motion without friction. r is
-        the ratio of sliding across the lines to sliding along them, without friction. Return the
-        errors by quantity name (:data:`ErrorPart`).
+        A friction line is the fixed direction in which the friction of a contact pair acts. The
+        error of a quantity f is 2 r |f_0 - f|. f_0 is the quantity without friction. In the motion
+        without friction, r is the ratio of sliding across the lines to sliding along them.
+
+        Returns
+        -------
+        PartOrReason
+            The mode count, twice, and the error by quantity name.
         """
         study, answer = self.study, self.answer
         structure, n_periods = study.structure, answer.subharmonic
@@ -323,9 +341,15 @@ def add_error_parts(
 ) -> Verification:
     """Return a verification with each cause's error part added (collective).
 
-    Each function returns the part of a cause, or a text with the reason for no part. If a
-    function's run is refused or does not converge, the cause becomes unknown; a failed "mesh" makes
-    every error unknown.
+    A cause's part is the contribution to each quantity's error. If a run is refused or
+    does not converge, the cause becomes unknown. A failed "mesh" makes all errors unknown.
+
+    Parameters
+    ----------
+    verification : Verification
+        Verification to extend; stays unchanged.
+    part_function_by_cause : mapping of str to callable
+        Function by cause. Each returns the part, or a text with the reason for no part.
     """
     for cause, find_part_or_reason in part_function_by_cause.items():
         try:
@@ -353,9 +377,18 @@ def solve_without_stability(
 ) -> PeriodicSolution:
     """Solve a study by harmonic balance, without a verdict on stability (collective).
 
-    The study is reduced; ``omega`` [rad/s] replaces the load frequency. The search starts from
-    ``start_solution``, by default from the linear response. Raise ConvergenceError if nothing
-    converges.
+    Without contact the linear solution is returned. ConvergenceError if nothing converges.
+
+    Parameters
+    ----------
+    study : Study
+        Study with a reduced structure.
+    omega : float [rad/s]
+        Load frequency, in place of the scene's.
+    n_harmonics : int
+        Number of harmonics.
+    start_solution : PeriodicSolution, optional
+        Start for the search; by default the linear response.
     """
     if study.contact is None:
         return solve_linear(study.structure, omega, harmonics=n_harmonics)
@@ -372,13 +405,25 @@ def solve_by_orbit_or_harmonics(
 ) -> PeriodicSolution:
     """Solve a reduced study by an exact orbit, or by harmonic balance (collective).
 
-    With ``answer_orbit``, the answer's exact orbit, search an exact orbit of the study first;
-    prefer a stable orbit if ``answer_orbit`` is stable. If the search succeeds, return the solution
-    with the orbit's Fourier coefficients.
+    If ``answer_orbit`` is given, an exact orbit of the study is sought first. If the search
+    succeeds, the solution has the Fourier coefficients of this orbit.
 
-    Otherwise solve with half of ``n_harmonics``, then with all, starting from the first solution:
-    so a motion from rest is found in less time. If the second step does not converge, return the
-    first solution.
+    Otherwise solve with half the harmonics first. Then solve with all harmonics, starting from the
+    first solution. A motion from rest is found in less time in these two steps. If the second step
+    does not converge, return the first solution.
+
+    Parameters
+    ----------
+    study : Study
+        Study with a reduced structure.
+    omega : float [rad/s]
+        Load frequency, in place of the scene's.
+    n_harmonics : int
+        The solution's number of harmonics.
+    start_solution : PeriodicSolution, optional
+        Start for the search; by default the linear response.
+    answer_orbit : PeriodicOrbit or None
+        The answer's exact orbit. If stable, a stable orbit is preferred here, too.
     """
     if answer_orbit is not None:
         problem = _make_solver(study, omega, n_harmonics).problem

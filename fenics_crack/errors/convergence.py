@@ -101,9 +101,14 @@ class GridConvergence(Described):
     def uncertainty(self, value_index: int = 0) -> float:
         """Return a value's uncertainty F abs(f_i - f), in the value's unit.
 
-        The safety factor F is ``factor``, the limit f is ``extrapolated``. The index 0, the
-        default, selects the value f_1 at the smallest size. Without :attr:`has_error_from_limit`,
-        return F times the spread of all values; 0 if the values differ by rounding.
+        F is the safety factor (``factor``), and f is the limit (``extrapolated``). If
+        :attr:`has_error_from_limit` is False, return F times the spread between all values instead.
+        If the values differ by rounding alone, return 0.
+
+        Parameters
+        ----------
+        value_index : int
+            Index for the value f_i, from 0. The default selects the value at the smallest size.
         """
         if self.behaviour == "unchanged":
             return 0.0
@@ -120,7 +125,7 @@ class GridConvergence(Described):
         return self.uncertainty() / abs(self.values[0]) if self.values[0] else math.nan
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all attributes, and the grid-convergence index as "gci"."""
+        """Return all attributes by name, and the grid-convergence index as "gci"."""
         return {**vars(self), "gci": self.gci}
 
     def _repr_text(self) -> str:
@@ -136,17 +141,19 @@ def grid_convergence(
 ) -> GridConvergence:
     """Find the observed order, extrapolated value and grid-convergence index.
 
+    The error is assumed to be C h^p, with the step size h, a constant C and the order p.
+
     Parameters
     ----------
     sizes : (2,) or (3,)
-        Different sizes of elements or steps, in any unit; or reciprocals of counts.
+        Different step sizes h, for elements or time steps, in any unit; or 1 / count.
     values : (2,) or (3,)
         Value computed with each size.
     formal : float
-        Order expected by theory, also the largest order for the extrapolation.
+        Order p expected by theory. The extrapolation uses at most this order.
     highest : float
-        Order of the scheme without singularities. Values with a larger observed order are
-        irregular.
+        The numerical scheme's order p for a smooth solution. If the observed order is larger, the
+        values are irregular.
 
     Returns
     -------
@@ -287,27 +294,29 @@ def find_error_part_or_reason(
     formal_order: float = TIP_CONVERGENCE_ORDER,
     scheme_order: float = math.inf,
 ) -> ErrorPart:
-    """Estimate a cause's part in the error of each quantity from several computations.
+    """Estimate a cause's part in each quantity's error from several runs.
 
     Parameters
     ----------
     cause : str
         Varied cause: "mesh", "modes", "harmonics" or "samples".
     counts_and_values : sequence of CountAndValues
-        Two or three computations, the answer first. A quantity missing in a further one counts as
-        0.
+        Count and values by quantity name for two or three runs, the answer first. A quantity
+        missing in a further run counts as 0 there.
     scene : Scene
-        Scene with the side lengths, for a mesh.
+        The answer's scene. The body's sides are used for the cause "mesh".
     size_ratio : float, optional
-        Ratio h_2 / h_1 of two computations' step sizes, in place of the ratio from counts. The
-        safety factor is then 1: the error is expected, not a bound.
-    formal_order, scheme_order : float
-        Order expected by theory, and largest order (:func:`grid_convergence`).
+        Ratio h_2 / h_1 between two runs' step sizes; by default the ratio follows from the counts.
+        If given, the safety factor is 1: the error is an expected value, not a bound.
+    formal_order : float
+        Convergence order expected by theory.
+    scheme_order : float
+        Largest possible order. Values with a larger observed order are irregular.
 
     Returns
     -------
     ErrorPart
-        Counts of the computations, and the convergence of each of the answer's quantities.
+        Counts in the runs, and each quantity's convergence by name.
     """
     counts, values_of_runs = zip(*counts_and_values, strict=True)
     step_sizes = [_find_mean_step_size(cause, count, scene) for count in counts]

@@ -73,11 +73,12 @@ class Numbers:
     Attributes
     ----------
     values_by_name, unit_by_name : dict of str to float, and to str
-        Value and unit by quantity name, as in :class:`Verification`.
+        Value and unit of each quantity and natural frequency, by name.
     resonance_name : str
-        Name of the mode's bilinear frequency; without contact pairs, the open frequency.
+        Name of the bilinear frequency belonging to ``mode_number``. Without contact pairs, name for
+        this mode's frequency with open crack.
     mode_number : int
-        Mode of the resonance, counted from 1.
+        Resonant mode, counted from 1.
     """
 
     values_by_name: dict[str, float]
@@ -91,10 +92,19 @@ def compute_numbers(
 ) -> Numbers:
     """Compute the requested quantities and natural frequencies of a motion (collective).
 
-    The quantities are the scene's ``output.quantities``, by default all with a stated error.
-    Quantities equal to zero, except for rounding, are left out. The frequencies are the open modes
-    1 to 3, and the open, bonded and bilinear frequency of the mode ``mode_number``. The default is
-    the mode with the resonance nearest to the load.
+    Quantities equal to zero, except for rounding, are left out. The natural frequencies are the
+    first three with open crack. The open, bonded and bilinear frequency of ``mode_number`` follow.
+
+    Parameters
+    ----------
+    study : Study
+        Study with the motion's structure. The quantities are the scene's ``output.quantities``; by
+        default all quantities with an estimated error.
+    motion : PeriodicSolution or TruncatedOrbit
+        Motion with the quantities.
+    mode_number : int, optional
+        Resonant mode, counted from 1. Default: the mode with the resonance nearest to the
+        load frequency.
     """
     quantity_names = study.scene.quantities or observable_names(required_flags=STATED_WITH_ERROR)
     values_by_name: dict[str, float] = {}
@@ -137,18 +147,22 @@ def _add_natural_frequencies(
 
     Parameters
     ----------
+    study : Study
+        Study with the structure.
     omega : float [rad/s]
         Load frequency.
     mode_number : int or None
-        Mode of the resonance, counted from 1; None: the mode with the resonance nearest to the
-        load.
+        Resonant mode, counted from 1. If None, the mode with the resonance nearest to the
+        load frequency.
+    values_by_name, unit_by_name : dict of str to float, and to str
+        Values and units by name, extended here.
 
     Returns
     -------
     str
         Name of the resonance: bilinear frequency, or open frequency without contact pairs.
     int
-        Mode of the resonance, counted from 1.
+        Resonant mode, counted from 1.
     """
     scene, has_pairs = study.scene, study.structure.n_pairs > 0
     natural_frequencies = bilinear_frequencies(study.structure)
@@ -175,10 +189,11 @@ def _add_natural_frequencies(
 
 
 def find_accepted_orbit_or_none(solution: PeriodicSolution) -> PeriodicOrbit | None:
-    """Return the exact orbit approximated by a solution (collective).
+    """Return the exact orbit approximated by a harmonic-balance solution (collective).
 
-    The orbit's gaps may differ from the solution's by at most 10 % of the motion, or by 50 % if
-    crack faces have no mass. None if no such orbit is found, or if the search would take too long.
+    An exact orbit is a periodic motion in time, without truncated harmonics. The orbit is accepted
+    if the gaps differ from the solution's by at most 10 % of the motion. If crack faces have no
+    mass, 50 % are allowed. None if no orbit is accepted, or if the search would take too long.
     """
     assessment = solution.assessment
     return (
@@ -187,15 +202,23 @@ def find_accepted_orbit_or_none(solution: PeriodicSolution) -> PeriodicOrbit | N
 
 
 def find_largest_omitted_harmonic(solution: PeriodicSolution, dof: int) -> tuple[int, float] | None:
-    """Find a dof's largest harmonic, if the solution omits this harmonic (collective).
+    """Find a dof's largest higher harmonic, if the solution omits this harmonic (collective).
 
-    Harmonics above the load's frequency are compared in the solution's accepted exact orbit.
+    The harmonic amplitudes U_k come from the solution's accepted exact orbit. Only harmonics k >= 2
+    are compared, multiples of the load frequency.
+
+    Parameters
+    ----------
+    solution : PeriodicSolution
+        Harmonic-balance solution.
+    dof : int
+        The displacement's dof.
 
     Returns
     -------
-    int, float
-        Order k in multiples of the load's frequency, and U_k / U_1 of the amplitudes. None if the
-        solution has the largest harmonic, or no accepted orbit.
+    (int, float) or None
+        The largest harmonic's order k, and the ratio U_k / U_1. None if the solution includes this
+        harmonic, or has no accepted orbit.
     """
     orbit = find_accepted_orbit_or_none(solution)
     if orbit is None:
@@ -225,16 +248,24 @@ def add_changes(
 
 
 def choose_n_orbit_harmonics(solution: PeriodicSolution) -> int:
-    """Choose the number of an exact orbit's harmonics for values at watched points.
+    """Choose how many harmonics of an exact orbit to evaluate at watched points.
 
-    Return the larger of 100 and four times the solution's number.
+    Return the larger value: 100, or four times the solution's harmonic count.
     """
     return max(4 * solution.harmonics, MAX_HARMONIC_ORDER)
 
 
 @dataclass(frozen=True)
 class TruncatedOrbit(ObservedMotion):
-    """Observe an exact orbit through its first ``harmonics`` Fourier coefficients."""
+    """Observe an exact orbit through the first Fourier coefficients alone.
+
+    Attributes
+    ----------
+    orbit : PeriodicOrbit
+        Periodic motion in time.
+    harmonics : int
+        Number of harmonics that are kept.
+    """
 
     orbit: PeriodicOrbit
     harmonics: int
@@ -250,9 +281,14 @@ class TruncatedOrbit(ObservedMotion):
         return self.orbit.omega
 
     def yield_records_of_row_products(self, rows: np.ndarray) -> Iterator[Record]:
-        """Yield the :class:`Record` of m signals, with ``harmonics`` Fourier coefficients.
+        """Yield the :class:`Record` of m signals over the orbit's period.
 
-        ``rows`` (m, n_dofs) times the displacement are the signals, such as watched dofs.
+        A record has the Fourier coefficients up to the harmonic ``harmonics``.
+
+        Parameters
+        ----------
+        rows : (m, n_dofs)
+            Rows R. The signals are R u with the displacement u, for example watched dofs.
         """
         coefficient_rows = self.orbit.product_coefficients(rows, self.harmonics)
         return (
@@ -266,8 +302,22 @@ def compute_orbit_values_by_name(
 ) -> dict[str, float]:
     """Compute the quantities of an exact orbit near a solution (collective).
 
-    The study must have the orbit's structure. Values at points come from
-    :func:`choose_n_orbit_harmonics` harmonics; ``mode_number`` is the resonance's mode, from 1.
+    Parameters
+    ----------
+    study : Study
+        Study with the orbit's structure.
+    solution : PeriodicSolution
+        Solution near the orbit, to choose how many harmonics are evaluated
+        (:func:`choose_n_orbit_harmonics`).
+    orbit : PeriodicOrbit
+        Periodic motion in time.
+    mode_number : int
+        Resonant mode, counted from 1.
+
+    Returns
+    -------
+    dict of str to float
+        Value by quantity name.
     """
     return compute_numbers(
         study, TruncatedOrbit(orbit, choose_n_orbit_harmonics(solution)), mode_number
@@ -282,8 +332,13 @@ def measure_changes_by_name(
 ) -> dict[str, float]:
     """Measure the size of change between two motions, for each quantity (collective).
 
-    The module's text defines the size. Changes in phase count, even if the quantity itself stays
-    equal. Amplitudes, opening and crack force have the change's standard deviation over the period.
+    A quantity may stay equal by chance although the motion changes. So the size is measured on the
+    motion, and changes in phase count, too:
+
+    - amplitudes, opening, crack force: standard deviation over the period of the change in
+      displacement, gap or force; the maximum over pairs or cracks;
+    - harmonic ratios: absolute change in the complex ratio;
+    - sums over pairs: sum over the absolute changes.
 
     Parameters
     ----------
@@ -325,10 +380,13 @@ def measure_changes_by_name(
 
 
 def _complex_harmonic_ratios(record: Record) -> np.ndarray:
-    """Return complex harmonic ratios c_k (n_harmonics, m) of m signals, from k = 0.
+    """Return complex ratios c_k of harmonics to the first harmonic: (n_harmonics, m).
 
-    c_k = U_k exp(i (phase_k - k phase_1)) / U_1 for harmonic k of the load's frequency, with
-    amplitudes U_k.
+    For harmonic k = 0, 1, ... of the load frequency, with the amplitudes U_k and phases phase_k:
+
+        c_k = U_k exp(i (phase_k - k phase_1)) / U_1.
+
+    The columns are the m signals in ``record``.
     """
     spectrum = np.fft.rfft(record.row_products, axis=0)[:: record.subharmonic]
     first_amplitudes = np.maximum(np.abs(spectrum[1]), np.finfo(float).tiny)
@@ -341,9 +399,19 @@ def _complex_harmonic_ratios(record: Record) -> np.ndarray:
 def _measure_face_changes_by_name(record: Record, other_record: Record) -> dict[str, float]:
     """Measure the size of change between two motions, for quantities at crack faces.
 
-    Return sizes by quantity name. Opening and crack force have the change's standard deviation over
-    the period, the largest among all pairs or cracks. Sums over pairs have the sum of absolute
-    changes. Without contact pairs, the dict is empty.
+    For "opening" and "crack_force" the size is the change's standard deviation over the period, the
+    largest among all pairs or cracks. For a sum over pairs, the size is the sum over the pairs'
+    absolute changes.
+
+    Parameters
+    ----------
+    record, other_record : Record
+        Records for both motions.
+
+    Returns
+    -------
+    dict of str to float
+        Size by quantity name; empty without contact pairs.
     """
     if not record.n_pairs:
         return {}
@@ -362,10 +430,11 @@ def _measure_face_changes_by_name(record: Record, other_record: Record) -> dict[
 
 
 def _pair_contributions_by_name(record: Record, crack_faces: CrackFaces) -> dict[str, np.ndarray]:
-    """Return each pair's contribution (n_pairs,) to sums over contact pairs.
+    """Return each pair's contribution (n_pairs,) to sums over contact pairs, by quantity name.
 
-    "closed_share" and "slip_share" are fractions of the period over the number of pairs,
-    "friction_loss" is the pair's lost energy. Without friction, "closed_share" alone is returned.
+    "closed_share" is the fraction of the period in which the pair is closed, divided by n_pairs.
+    "slip_share" is the same for slipping. "friction_loss" is the pair's dissipated energy. Without
+    friction, "closed_share" alone is returned.
     """
     contributions_by_name = {
         "closed_share": (crack_faces.force > 0.0).mean(axis=0) / record.n_pairs

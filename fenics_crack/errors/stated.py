@@ -141,9 +141,10 @@ Motion = PeriodicOrbit | PeriodicSolution
 def estimate_result_errors(study: Study, result: object) -> Verification | None:
     """Estimate the stated errors of a result (collective).
 
-    The result may be natural modes, a converged solution with an error report, or a curve over
-    frequency or speed; for anything else, return None. A curve has the errors of the largest
-    response. Unless at an end of the curve, this response is a peak and moves with the resonance.
+    The result may be natural modes, or a converged solution with an error report. The result may
+    also be a curve over frequency or speed: then the errors are the largest response's. A largest
+    response inside the curve is a peak, and moves with the resonance. For any further result,
+    return None.
     """
     if isinstance(result, Modes):
         return estimate_frequency_mesh_errors(study, {"open": result.omega})
@@ -165,11 +166,22 @@ def _estimate_run_up_errors(
 ) -> Verification:
     """Estimate the errors of a solution in a run-up (collective).
 
-    In a run-up the load frequency follows the rotor speed W [rad/s]. Solve the scene again with
-    the solution's speed held constant and as many modes, and return the errors of this second
-    solution. The quantity "speed", the speed at resonance, is added. Let s = d ln w / d ln W for
-    the resonance w: a relative error e of w gives the relative error e / (1 - s) of the speed.
-    ``is_peak`` says if the solution is a peak and moves with the resonance.
+    In a run-up the load frequency follows the rotor speed W [rad/s]. The scene is solved again at
+    the solution's speed, held constant, and with as many modes. The errors of this second solution
+    are returned, and the error of the quantity "speed", the speed at resonance. Let w be the
+    resonance frequency and s = d ln w / d ln W. If w has the relative error e, the speed then
+    has the relative error e / (1 - s).
+
+    Parameters
+    ----------
+    study : Study
+        Study for the run-up.
+    solution : PeriodicSolution
+        Solution at a speed in the run-up.
+    structure : RunUpStructure
+        The solution's structure, at the solution's speed.
+    is_peak : bool
+        True if the solution is the curve's peak and moves with the resonance.
     """
     speed, detuning_per_speed = structure.speed, 1.0 - structure.stiffening(solution.omega)
     values_by_key = {"rotation.speed": speed, "excitation.omega": solution.omega, "curve": None}
@@ -220,7 +232,7 @@ def estimate_frequency_mesh_errors(
     """Estimate mesh errors of natural frequencies and the load's resonance (collective).
 
     All quantities are computed again on a coarser mesh. Without a coarser mesh, the cause "mesh" is
-    unknown, with the reason.
+    unknown, and the result has the reason.
 
     Parameters
     ----------
@@ -229,10 +241,11 @@ def estimate_frequency_mesh_errors(
     omega_by_kind : dict of str to (m,) [rad/s]
         Natural frequencies with "open" and "tied" (bonded) crack faces.
     load_resonance : LoadResonance
-        Resonance at the load on the same structure; the result includes the ``numbers``.
+        Resonance under the load on the same structure. Frequency and amplitude at resonance
+        (``load_resonance.numbers``) are included in the result.
     squared_omega_slopes : (m,), optional
-        S = d(w^2) / d(W^2) of each mode's frequency w over the speed W, from
-        :func:`find_key_figures`; None: the load's resonance is not computed on the coarser mesh.
+        S = d(w^2) / d(W^2) of each mode's frequency w over the rotor speed W, from
+        :func:`find_key_figures`. If None, the load's resonance is not computed on the coarser mesh.
     """
     scene = study.scene
     unit_factor, _, unit = choose_frequency_factor_name_unit(scene.is_frequency_in_hertz)
@@ -297,9 +310,9 @@ def estimate_solution_errors(
     Returns
     -------
     Verification
-        ``absent`` or ``unknown`` has the reason for each cause without a part. A cause that does
-        not apply is left out. If the structure is large and not reduced, or the error report is
-        unknown, the result has no parts.
+        Errors by cause and quantity. For a cause without an error estimate, ``absent`` or
+        ``unknown`` has the reason. A cause that does not apply is left out. If the structure is
+        large and not reduced, or the answer's own error report is unknown, no errors are estimated.
     """
     numbers = compute_numbers(study, answer)
     verification = Verification(study.scene, numbers.values_by_name, numbers.unit_by_name)
@@ -368,11 +381,19 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def estimate_error_by_modes(self) -> PartOrReason:
         """Estimate the error due to truncated modes from a motion with more modes (collective).
 
-        By assumption the added modes remove the fraction s of the truncation error. The error is
-        the quantity's change over s, and at least the motion's size of change
-        (:func:`measure_changes_by_name`) over s. If both motions are truncated to few harmonics,
-        modes above all harmonics seem static: the error is then at least the error due to
-        harmonics. If all modes are kept, return the reason as text.
+        By assumption the added modes remove the fraction s of the truncation error. So the error is
+        the quantity's change, divided by s. A quantity may stay nearly equal by chance. If the
+        motion's size of change (:func:`measure_changes_by_name`) is larger than the quantity's
+        change, the larger value counts.
+
+        With few harmonics, modes above the highest harmonic seem static. If both motions have few
+        harmonics, the error is therefore at least the error due to harmonics.
+
+        Returns
+        -------
+        PartOrReason
+            Mode counts in both motions, and the error by quantity name. If all modes are kept, a
+            text with this reason.
         """
         structure = self.study.structure
         structure_with_more_modes = more_modes_structure_of(self.balance_solution)
@@ -427,14 +448,24 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         return mode_counts, convergence_by_name
 
     def _find_motions_with_kept_and_more_modes(self, larger_study: Study) -> tuple[Motion, Motion]:
-        """Find motions with kept modes, and with the modes of ``larger_study`` (collective).
+        """Find a motion with the kept modes, and a motion with more modes (collective).
 
-        If possible, return two exact orbits next to the answer. An answer with few harmonics may
-        lack an orbit with more modes: the second motion is then the first after a step of Newton's
-        method. Few means less than 40 per load period (:data:`MIN_HARMONICS_FOR_MODAL_CHANGE`).
-        Without orbits, return two harmonic-balance solutions with equal numbers of harmonics. The
-        number is at least 40 per period if crack faces have no mass and a search for orbits does
-        not take long.
+        If possible, both motions are exact orbits next to the answer. Few harmonics are less than
+        40 per load period (:data:`MIN_HARMONICS_FOR_MODAL_CHANGE`). With few harmonics, the second
+        motion may be the first orbit after a step of Newton's method, if no second orbit is found.
+
+        Without orbits, both motions are harmonic-balance solutions with equal numbers of harmonics.
+        If crack faces have no mass and orbits are found quickly, both solutions have at least 40
+        per load period.
+
+        Parameters
+        ----------
+        larger_study : Study
+            Study with the larger number of modes.
+
+        Returns
+        -------
+        base_motion, motion_with_more_modes : PeriodicOrbit or PeriodicSolution
         """
         balance_solution, assessment = self.balance_solution, self.answer.assessment
         min_harmonics = MIN_HARMONICS_FOR_MODAL_CHANGE * balance_solution.subharmonic
@@ -467,10 +498,15 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def estimate_error_by_harmonics(self) -> PartOrReason:
         """Estimate the error due to truncated harmonics (collective).
 
-        The error is the distance to the accepted exact orbit; without an orbit, to a run with twice
-        the harmonics. If the error report states a truncation error above 5 %, a run with four
-        times the harmonics is made, too, and the larger error counts. Without contact, return the
-        reason as text.
+        The error is the distance to the accepted exact orbit, if any. Otherwise the error is the
+        distance to a run with twice the harmonics. If the error report states a truncation error
+        above 5 %, a run with four times the harmonics follows. The larger distance then counts.
+
+        Returns
+        -------
+        PartOrReason
+            Harmonic counts in both runs, and the error by quantity name. Without contact, a text
+            with the reason for no error.
         """
         return self.harmonics_error_part_or_reason
 
@@ -519,9 +555,14 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def estimate_error_by_mesh(self) -> PartOrReason:
         """Estimate the error due to the mesh from a coarser mesh, with few modes (collective).
 
-        A reduced plate or solid has at most :data:`MAX_MODES_FOR_MESH_ERROR`, 50, modes in both
-        runs; the error is then taken over to the answer's values. Without a coarser mesh, return
-        the reason as text.
+        For a reduced plate or solid with more than 50 modes (:data:`MAX_MODES_FOR_MESH_ERROR`),
+        both meshes are solved with 50. The absolute errors with 50 modes then hold for the answer.
+
+        Returns
+        -------
+        PartOrReason
+            Element counts in both meshes, and the error by quantity name. Without a coarser mesh,
+            a text with the reason.
         """
         few_modes_answer = self._answer_with_few_modes()
         part_or_reason = few_modes_answer._estimate_error_by_coarser_mesh()
@@ -540,10 +581,10 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         return element_counts, convergence_by_name
 
     def _answer_with_few_modes(self) -> AnswerJudgedByExtraRuns:
-        """Solve again with at most :data:`MAX_MODES_FOR_MESH_ERROR` modes (collective).
+        """Solve again with at most 50 modes, :data:`MAX_MODES_FOR_MESH_ERROR` (collective).
 
-        Return a copy of this object with the smaller study and solution. For disks, for structures
-        without reduction, and for fewer modes return this object itself.
+        Return a copy of this object with the smaller study and solution. If the structure has no
+        more than 50 modes, is not reduced, or is a disk, return this object itself.
         """
         study, scene = self.study, self.study.scene
         structure = study.structure
@@ -567,12 +608,21 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def _estimate_error_by_coarser_mesh(self) -> PartOrReason:
         """Estimate the error due to the mesh from a coarser mesh, modes unchanged (collective).
 
-        The shape error, at equal distance from the resonance, and the shift error, 0 for a peak,
-        are added with signs. The largest sum for orders p from 1 to the elements' best order
-        counts. As a root of the sum of squares follow: a tenth of the smaller error, the change
-        with shifted clearance, K_I at closed crack fronts, and the increase under a point force.
-        For stress intensities, the error is at least the largest change along a front. Without a
-        coarser mesh, return the reason as text.
+        The shape error is the change by the mesh at equal distance from the resonance. The shift
+        error is the change because the resonance moves; 0 for a peak. Both are added with signs,
+        for several convergence orders p from 1 to the elements' best order. The largest absolute
+        sum counts.
+
+        The root of the sum of squares adds four contributions: a tenth of the smaller error; the
+        change with a shifted clearance; the error of K_I at closed crack fronts; and the increase
+        of displacement under a point force. A stress intensity's error is at least the largest
+        change along a crack front.
+
+        Returns
+        -------
+        PartOrReason
+            Element counts in both meshes, and the error by quantity name. Without a coarser mesh,
+            a text with the reason.
         """
         study, balance_solution = self.study, self.balance_solution
         coarse_study_or_reason = prepare_coarser_study_or_reason(study)
@@ -655,19 +705,19 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     ) -> list[dict[str, float]]:
         """Compute the quantities as if the resonance were shifted (collective).
 
-        Instead of the resonance, the load frequency is changed: divided by 1 + shift. Each solution
-        starts from rest, as on a finer mesh, and may reach a different motion. A peak moves with
-        the resonance and has unchanged quantities.
+        The load frequency is divided by 1 + shift, and the resonance stays in place. Each solution
+        starts from rest, as on a finer mesh, and may reach a different motion. If the answer is a
+        curve's peak, a shift does not change the quantities.
 
         Parameters
         ----------
         relative_shifts : (n,)
-            Changes of the resonance frequency, relative to the answer's mesh.
+            Relative changes in the resonance frequency, from the answer's mesh.
 
         Returns
         -------
         list of dict of str to float
-            Values by quantity name for each shift.
+            For each shift, the values by quantity name.
         """
         if self.is_peak:
             return [self.balance_numbers.values_by_name] * len(relative_shifts)
@@ -676,11 +726,18 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         return [self.compute_values_by_name(solution) for solution in solutions]
 
     def _count_extrapolated_resonances(self, relative_shift_range: float, mode_number: int) -> int:
-        """Choose how many resonance frequencies to try in a range of relative shifts.
+        """Choose how many resonance frequencies to try in a range of shifts.
 
-        Neighbours are at most a quarter of the peak's half-power width apart, as far as the limits
-        allow: :data:`MIN_EXTRAPOLATED_RESONANCES`, 3, and :data:`MAX_EXTRAPOLATED_RESONANCES`, 8.
-        ``mode_number`` is the resonance's mode, from 1.
+        Neighbouring frequencies are at most a quarter of the peak's half-power width apart. But the
+        number is at least :data:`MIN_EXTRAPOLATED_RESONANCES`, 3, and at most
+        :data:`MAX_EXTRAPOLATED_RESONANCES`, 8.
+
+        Parameters
+        ----------
+        relative_shift_range : float
+            Length of the range, relative to the resonance frequency.
+        mode_number : int
+            Resonant mode, counted from 1.
         """
         modal_properties = all_modes(self.study.structure)
         damping_rates = (
@@ -731,8 +788,8 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def _relative_amplitude_added_by_halving(self) -> float:
         """Relative increase of the amplitude at the load, if elements were half as long.
 
-        Under a point force the displacement grows without limit as elements become smaller. 0 with
-        ``output.points`` in the scene, and without a point force or motion.
+        Under a point force the displacement grows without limit as elements become smaller. The
+        result is 0 without a point force, without motion, or if the scene has ``output.points``.
         """
         amplitude = self.balance_solution.amplitude(self.study.watched[0].dof)
         if self.study.scene.output_points or amplitude == 0.0:
@@ -742,11 +799,15 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def _compute_values_with_shifted_clearance(self) -> dict[str, float]:
         """Compute the quantities with each crack's clearance shifted (collective).
 
-        The end of the closed zone is known to half a distance between pairs. So the shift [m] of a
-        crack is 0.5 D P. D is the mean difference between neighbouring pairs' extreme gaps: largest
-        gaps, or smallest if every pair closes in the period. P is the difference between the
-        longest and the shortest closed time of all pairs, as a fraction of the period. Return
-        values by quantity name; without cracks, the dict is empty.
+        The end of the closed zone is known to half a distance between pairs. So the clearance of a
+        crack is shifted by 0.5 D P [m]:
+
+        - D is the mean difference in extreme gaps between neighbouring pairs. The extreme gap is a
+          pair's smallest gap if every pair closes in the period; otherwise the largest gap.
+        - P is the difference between the longest and the shortest closed time among the pairs, as a
+          fraction of the period.
+
+        Return values by quantity name; without cracks, the dict is empty.
         """
         study = self.study
         balance_solution = self.balance_solution

@@ -84,18 +84,22 @@ class Verification(SavedResult):
         at a named point "tip.ux.amplitude". Natural frequencies with the crack open are
         "frequency_open_1" [Hz] or "omega_open_1" [rad/s].
     parts : dict of str to dict of str to GridConvergence
-        Part by cause ("mesh", "shift", "modes", "harmonics", "friction" or "samples") and quantity.
-        Sizes are the side of a mean element [m] for the mesh and the shift, and 1 / count for
-        modes, harmonics and samples. The scene's value is the first with a coarser mesh, otherwise
-        the last. Sizes for friction are two coefficients, or 0 and 1 for friction along lines, and
-        the scene's value is the first.
+        For each cause and quantity, the values in all runs and the estimated error. Causes are
+        "mesh", "shift" (of the resonance by the mesh), "modes", "harmonics", "friction" and
+        "samples". Step sizes, smallest first, are:
+
+        - mesh, shift: side of a mean element [m]. The scene's own value is the last; if the second
+          mesh is coarser, the first.
+        - modes, harmonics, samples: 1 / count. The scene's own value is the last.
+        - friction: two friction coefficients, or 0 and 1 for friction along lines. The scene's own
+          value is the first.
     counts : dict of str to tuple of int
         Numbers of elements, modes, harmonics or samples by cause, the scene's count first. For
         friction: the modes in both solutions.
     absent : dict of str to str
-        Reason by cause without a contribution.
+        For each cause that contributes nothing, the reason.
     unknown : dict of str to str
-        Reason by cause with an unknown contribution, not included in any total.
+        For each cause with an unknown contribution, the reason. No total includes these causes.
     failed_causes : tuple of str
         Unknown causes with a failed run. Each makes the errors of all quantities unknown.
     failures : tuple of str
@@ -120,8 +124,14 @@ class Verification(SavedResult):
     def with_part(self, cause: str, part_or_reason: PartOrReason) -> Verification:
         """Return a copy with the part of a cause, or with the reason for no part.
 
-        A reason for "mesh" or "friction" goes to ``unknown``; for any further cause to ``absent``:
-        the cause contributes nothing. An empty reason adds nothing.
+        Parameters
+        ----------
+        cause : str
+            Cause of error, for example "mesh".
+        part_or_reason : PartOrReason
+            Counts and convergence by quantity name; or the reason for no part, as text. For "mesh"
+            and "friction" the reason is added to ``unknown``. For any further cause the reason is
+            added to ``absent``, since the cause contributes nothing. An empty text adds nothing.
         """
         if not isinstance(part_or_reason, str):
             counts, convergence_by_name = part_or_reason
@@ -182,7 +192,10 @@ class Verification(SavedResult):
         }
 
     def find_reasons_by_missing_cause(self, quantity: str) -> dict[str, str]:
-        """Return the reason by cause, for varied causes without the quantity's part."""
+        """Return the causes missing in a quantity's error, each with the reason.
+
+        A cause is missing if runs varied the cause, but gave no error for this quantity.
+        """
         return {
             cause: MISSING_PART_REASON_BY_CAUSE.get(
                 cause, "the run for comparison does not have this number"
@@ -194,8 +207,9 @@ class Verification(SavedResult):
     def total(self, quantity: str, *, independent: bool = True) -> float:
         """Return a quantity's error due to all causes, in the quantity's unit.
 
-        Contributions by the mesh and the mesh's resonance shift are added first. The total is the
-        root of the sum of squares; if the causes are not ``independent``, the total is the sum.
+        The contributions by the causes "mesh" and "shift" (of the resonance by the mesh) are added
+        first. If the causes are ``independent``, the total is the root of the sum of squares;
+        otherwise the sum.
         """
         contributions_of_causes = self._contributions_with_whole_mesh(quantity).values()
         return math.hypot(*contributions_of_causes) if independent else sum(contributions_of_causes)
@@ -215,7 +229,8 @@ class Verification(SavedResult):
     def extrapolated(self, quantity: str) -> float:
         """Return a quantity's value plus the corrections by all causes.
 
-        A cause corrects the value by limit minus value, if extrapolation found a finite limit.
+        The correction by a cause is the extrapolated limit less the scene's value. A cause without
+        a finite limit gives no correction.
         """
         scene_value = self.values[quantity]
         convergences_with_quantity = (
@@ -234,25 +249,30 @@ class Verification(SavedResult):
         )
 
     def relative(self, quantity: str, error: float) -> float:
-        """Divide an error by the quantity's absolute value; nan if the value is 0.
+        """Return an error divided by the quantity's absolute value; nan if the value is 0.
 
-        The error has the quantity's unit.
+        ``error`` has the quantity's unit.
         """
         value = self.values[quantity]
         return error / abs(value) if value else math.nan
 
     def stated(self, quantity: str) -> tuple[float, str]:
-        """Return a quantity's relative error due to all causes (:meth:`total`).
+        """Return a quantity's relative error due to all causes, and the main cause.
 
         Returns
         -------
-        float
-            Total over the quantity. The error is nan without any part, if harmonics or modes are
-            unknown causes, or if the second mesh failed. A total of 0 gives nan, too, if any cause
-            is unknown or lacks a part. If the total is as large as the quantity, the error is inf.
-        str
-            Cause with the largest part: "mesh", "modes", "harmonics", "friction" or "samples"; ""
-            with nan.
+        error : float
+            Total error (:meth:`total`) over the quantity's absolute value. nan, if the error is
+            unknown:
+
+            - no cause has a part for this quantity;
+            - harmonics or modes are unknown causes, or the run on the second mesh failed;
+            - the total is 0, and any cause is unknown or lacks a part.
+
+            inf, if the total is as large as the quantity.
+        cause : str
+            Cause with the largest part: "mesh", "modes", "harmonics", "friction" or "samples". ""
+            if the error is nan.
         """
         is_unknown = any(
             cause in self.unknown for cause in (*REQUIRED_ERROR_CAUSES, *self.failed_causes)
@@ -271,7 +291,8 @@ class Verification(SavedResult):
     def doubt(self, quantity: str) -> str:
         """Return why a quantity's error is unknown, or as large as the value.
 
-        The text is empty otherwise, also if the mesh or friction was left out by choice.
+        The text is empty if the error is known and smaller. Mesh or friction left out by the user's
+        choice gives no doubt, either.
         """
         for cause in (*REQUIRED_ERROR_CAUSES, *self.failed_causes):
             if cause in self.unknown:
@@ -307,8 +328,9 @@ class Verification(SavedResult):
     def totals(self) -> Table:
         """Tabulate values and errors, a row per quantity.
 
-        A row has the value, contributions by cause, total and sum [%] to three digits, the mesh's
-        observed order, and the extrapolated value.
+        Columns: value; error by each cause; total error for independent causes, and sum over all
+        errors; the mesh's observed order; and the extrapolated value. Errors are in percent of the
+        value, to three digits.
         """
         table_rows = []
         for quantity_name, value in self.values.items():
@@ -344,18 +366,22 @@ class Verification(SavedResult):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns by heading, with several rows per quantity.
+        """Return errors by cause as columns by heading, with several rows per quantity.
 
-        The rows are a row per cause, then total and sum. A row has counts and values of up to three
-        runs, order and safety factor from the values, and the uncertainty of the scene's value.
-        Entries without a meaning are nan.
+        Each quantity has a row per cause. Two rows follow, for the total with independent causes
+        and for the sum. A cause's row has the counts and values in up to three runs, and the
+        observed order. The safety factor, and the uncertainty of the scene's value, follow. Entries
+        without a meaning are nan.
         """
         rows = [row for name in self.values for row in self._yield_cause_rows(name)]
         keys = dict.fromkeys(key for row in rows for key in row)
         return {key: [row.get(key, math.nan) for row in rows] for key in keys}
 
     def _yield_cause_rows(self, quantity_name: str) -> Iterator[dict[str, Any]]:
-        """Yield a quantity's rows for :meth:`to_dict`: by cause, then total and sum."""
+        """Yield a quantity's rows for :meth:`to_dict`: a row per cause, then "total" and "sum".
+
+        Each row is a dict of entries by column heading.
+        """
         quantity_entry_by_key = {"quantity": quantity_name, "unit": self.units[quantity_name]}
         for cause in self.contributions(quantity_name):
             convergence, counts = self.parts[cause][quantity_name], self.counts[cause]
@@ -404,8 +430,8 @@ class Verification(SavedResult):
     def build_conclusion(self) -> Conclusion:
         """Return the parts of the sentence printed at the end of ``verify``.
 
-        The sentence has the scene's first quantity with error and main cause, or the reason for
-        doubt.
+        The sentence states the scene's first quantity, the relative error and the main cause. If
+        the error is in doubt, the reason stands in place of error and cause.
         """
         quantity_name = next(iter(self.values))
         quantity_text = getattr(
@@ -435,9 +461,11 @@ class Verification(SavedResult):
 
     @property
     def statement(self) -> tuple[str, ...]:
-        """Sentences on the errors of the first and the worst quantity, then :attr:`warnings`.
+        """Sentences on the errors: the first quantity's and the largest, then warnings.
 
-        Causes without a contribution are listed with the reasons.
+        The largest error is meant relative to the quantity's value.
+
+        Causes without a contribution are listed with the reasons, before the :attr:`warnings`.
         """
         main_quantity_name = next(iter(self.values))
         relative_total_by_name = {
@@ -500,7 +528,10 @@ class Verification(SavedResult):
 
     @property
     def incomplete_error_notes(self) -> tuple[str, ...]:
-        """Sentences on quantities with an error without a varied cause, and the reason."""
+        """Sentences on quantities with an error lacking a varied cause.
+
+        Each sentence names the missing cause and the reason.
+        """
         return tuple(
             f"{', '.join(names_without_cause)}: error due to the {cause} not included: "
             f"{self.find_reasons_by_missing_cause(names_without_cause[0])[cause]}"
@@ -597,8 +628,10 @@ def displacement_added_by_halved_elements(scene: Scene) -> float:
     F [N] is the amplitude of the force at a point, E Young's modulus [Pa], t the thickness [m], h
     the element size [m]. The force acts at a corner with angle a [rad]: pi on an edge, 2 pi inside.
     In a plate the added displacement is F / (E t) ln 2 (1 / (a + sin a) + 1 / (a - sin a)). In a
-    solid it is about F / (E h). Without a force at a point, without h in a solid, or with matrices
-    as structure, return 0.
+    solid it is about F / (E h).
+
+    Return 0 if no force acts at a point, if the scene gives matrices instead of a body, or if a
+    solid has no ``mesh.size``.
     Source: Timoshenko, Goodier, Theory of Elasticity, sections 36 to 38.
     """
     point_loads = [load for load in scene.loads if load.point is not None]
@@ -629,5 +662,9 @@ def displacement_added_by_halved_elements(scene: Scene) -> float:
 def _make_uncertainty_entries(
     verification: Verification, quantity_name: str, error: float
 ) -> dict[str, float]:
-    """Return a quantity's error as table entries: "uncertainty", absolute, and "relative"."""
+    """Return a quantity's error as two table entries by heading.
+
+    "uncertainty" is the absolute error, in the quantity's unit, as in ``error``. "relative" is the
+    error over the quantity's absolute value.
+    """
     return {"uncertainty": error, "relative": verification.relative(quantity_name, error)}

@@ -75,17 +75,20 @@ SCENE_RUN_NAME = "the scene's settings"
 def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     """Verify the numbers of a scene's steady vibration and frequencies (collective).
 
-    Mesh, modes, harmonics and samples are refined twice, each cause alone: a graded mesh by 1.5
-    and 2 if the result is similar, any further mesh by 2 and 3, counts by 2 and 4. The three values
-    f_i of each quantity give the observed order p, the extrapolated value f and the uncertainty
-    F abs(f_i - f). The factor of safety F is 1.25 or 3 (:func:`fenics_crack.grid_convergence`;
-    Roache 1994, Celik et al. 2008, ASME V&V 20-2009). If the solution has an accepted exact orbit
-    and the scene gives no number of samples, the part of harmonics is the distance to the orbit's
-    numbers. Friction is judged by exact orbits with and without friction.
+    Mesh, modes, harmonics and samples are refined twice, each cause alone. A graded mesh is refined
+    by 1.5 and 2 if a similar finer mesh exists; any further mesh by 2 and 3. Counts are multiplied
+    by 2 and 4. The three values f_i of each quantity give the observed order p, the extrapolated
+    value f and the uncertainty F abs(f_i - f). The factor of safety F is 1.25 or 3
+    (:func:`fenics_crack.grid_convergence`; Roache 1994, Celik et al. 2008, ASME V&V 20-2009).
 
-    A tolerance in the scene chooses harmonics and modes first. A mesh from a file or matrices is
-    not refined, and the result gives the reason. The result lists failed runs, and orbits not known
-    to be stable.
+    The error due to harmonics may follow from an exact orbit, a periodic motion in time without
+    truncated harmonics. This requires an accepted orbit, and no number of samples in the scene. The
+    error is then the distance to the orbit's numbers. The error due to friction follows from exact
+    orbits with and without friction.
+
+    If the scene gives a tolerance, numbers of harmonics and modes are chosen first. A mesh from a
+    file or matrices is not refined, and the result gives the reason. The result lists failed runs,
+    and orbits not known to be stable.
 
     Parameters
     ----------
@@ -145,9 +148,9 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
 def _scene_with_chosen_counts(run: SolvedStudy) -> Scene:
     """Return the solved scene with the harmonics and modes chosen by the solver.
 
-    A tolerance becomes a fixed number of harmonics. The reduction gets the number of modes in the
-    solution; if all modes are kept, the reduction is "off", so a finer mesh keeps all modes, too. A
-    disk's reduction stays unchanged.
+    A tolerance is replaced by the solution's number of harmonics. The mode count becomes the
+    solution's. If all modes are kept, the reduction is "off", so that a finer mesh keeps all modes,
+    too. A disk's reduction stays unchanged.
     """
     scene, whole_structure = run.scene, run.structure.whole
     values_by_key: dict[str, Any] = {}
@@ -168,13 +171,15 @@ def _scene_with_chosen_counts(run: SolvedStudy) -> Scene:
 
 
 def _count_kept_and_possible_modes(study: Study) -> tuple[int, int] | str:
-    """Count the kept and the available modes, for a disk per nodal diameter.
+    """Count the kept modes, and all modes that could be kept.
+
+    For a disk, both are counts per nodal diameter.
 
     Returns
     -------
     (int, int) or str
-        Kept and available modes; or the reason why modes are not varied: no reduction, or all modes
-        are kept.
+        Kept and possible mode counts. If modes cannot be varied, a text with the reason: no
+        reduction, or all modes are kept.
     """
     disk_table, reduction = study.scene.disk, modal_reduction_or_none(study.scene, study.structure)
     if disk_table is not None:
@@ -233,18 +238,22 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         cause : str
             Cause to judge.
         finer_scenes : sequence of (name, count, scene)
-            Finer runs. The count is None for a mesh, to count the elements after meshing.
+            Finer runs: name; number of modes, harmonics or samples; and scene. For a mesh,
+            the count is None: the elements are counted after meshing.
         count : int
-            Count in the answer.
-        formal_order, scheme_order : float
-            Order expected by theory, and largest order (:func:`grid_convergence`).
+            Element, mode, harmonic or sample count in the answer.
+        formal_order : float
+            Convergence order expected by theory.
+        scheme_order : float
+            Largest possible order. Values with a larger observed order are irregular.
         shared_study : Study, optional
-            Study with the structure of all runs; None for meshes, to make a structure per run.
+            Study with the structure for all runs. If None, a structure is made for each run.
 
         Returns
         -------
         PartOrReason
-            Error by quantity name; a text if two runs have equally many elements.
+            Counts in all runs, and the error by quantity name. If two runs have equally many
+            elements, a text with this reason.
 
         Raises
         ------
@@ -280,10 +289,17 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
     def _solve_finer_scene(self, scene: Scene, shared_study: Study | None) -> SolvedStudy:
         """Solve a finer scene (collective).
 
-        With ``shared_study``, use this study's structure; a structure not reduced yet is reduced as
-        the finer scene says. If ``shared_study`` is the answer's study, the search starts from the
-        answer. Without ``shared_study``, make a new mesh and scale the load frequency with the
-        resonance's bilinear frequency. Raise ConvergenceError if the run does not converge.
+        Raise ConvergenceError if the solution does not converge.
+
+        Parameters
+        ----------
+        scene : Scene
+            Scene with a finer mesh, more modes, harmonics or samples.
+        shared_study : Study or None
+            Study with the structure to use. If not reduced yet, the structure is reduced as
+            ``scene`` says. If this is the answer's study, the search starts from the answer. If
+            None, a new mesh is made. The load frequency is then scaled with the bilinear frequency
+            of the resonance.
         """
         study, mode_number = self.study, self.balance_numbers.mode_number
         start_solution = self.answer if shared_study is study else None
@@ -303,9 +319,9 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
     def _compute_run_values_by_name(self, run: SolvedStudy, cause: str) -> dict[str, float]:
         """Return a finer run's values by quantity name (collective).
 
-        For the cause "modes", exact orbits are preferred, since with few harmonics all modes above
-        the harmonics seem static. If the answer and the run both have an accepted orbit, return the
-        answer's values plus the change from orbit to orbit.
+        For the cause "modes" exact orbits are compared, if answer and run both have an accepted
+        orbit. The value is then the answer's value plus the change from orbit to orbit. The reason:
+        with few harmonics, all modes above the highest harmonic seem static.
         """
         if cause == "modes" and self.orbit_values_by_name is not None:
             orbit = find_accepted_orbit_or_none(run.result)
@@ -330,25 +346,27 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
     ) -> PartOrReason:
         """Estimate a cause's error from runs with 2 and 4 times the count (collective).
 
+        The count is a number of modes, harmonics or samples.
+
         Parameters
         ----------
         cause : str
             Cause to judge.
         shared_study : Study
-            Study with the structure of all runs.
+            Study with the structure for all runs.
         scene : Scene
             Scene to refine.
         count_key : str
-            Scene key with the count, such as "harmonic_balance.harmonics".
+            Scene key with the count, for example "harmonic_balance.harmonics".
         count, max_count : int
-            Count in the answer, and limit for finer runs.
+            Count in the answer, and upper limit for finer runs.
         formal_order : float
-            Order expected by theory.
+            Convergence order expected by theory.
 
         Returns
         -------
         PartOrReason
-            As :meth:`_estimate_error_by_finer_runs`.
+            Counts in all runs, and the error by quantity name.
         """
         counts = sorted({min(factor * count, max_count) for factor in REFINED_COUNT_FACTORS})
         count_name = count_key.rpartition(".")[2]
@@ -363,8 +381,14 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
     def estimate_error_by_mesh(self) -> PartOrReason:
         """Estimate the error due to the mesh from two finer meshes (collective).
 
-        Elements become 1.5 and 2 times shorter if :func:`has_similar_finer_mesh`, otherwise 2 and 3
-        times. Matrices and meshes from a file are not refined: return the reason as text.
+        Elements become 1.5 and 2 times shorter if a similar finer mesh exists
+        (:func:`has_similar_finer_mesh`), otherwise 2 and 3 times.
+
+        Returns
+        -------
+        PartOrReason
+            Element counts in all meshes, and the error by quantity name. Matrices and meshes from
+            a file are not refined: then a text with the reason.
         """
         scene = self.unreduced_study.scene
         if scene.structure is not None:
@@ -391,13 +415,23 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         )
 
     def estimate_error_by_shift(self, verification: Verification) -> PartOrReason:
-        """Estimate the error due to the resonance shift by the mesh (collective).
+        """Estimate the error because a finer mesh would shift the resonance (collective).
 
-        A finer mesh shifts the resonance. On the answer's mesh, the load frequency is moved in the
-        opposite direction instead. The part is each quantity's largest change at up to three
-        shifts: half and all of the resonance's uncertainty, and the shift to the extrapolated
-        resonance. Intermediate shifts matter, as a peak may lie between. Without the part "mesh" in
-        the verification, return "".
+        Instead of the resonance, the load frequency is moved on the answer's mesh, in the opposite
+        direction. Two moves are half and all the uncertainty in the resonance frequency. A third
+        move leads to the extrapolated resonance, if known. A quantity's error is the largest change
+        at all these moves. The smaller moves matter, as a peak of the response may lie between.
+
+        Parameters
+        ----------
+        verification : Verification
+            Verification with the resonance frequency's error due to the mesh.
+
+        Returns
+        -------
+        PartOrReason
+            Element counts on the coarsest and finest mesh, and the error by quantity name. "" if
+            ``verification`` has no errors due to the mesh.
         """
         if "mesh" not in verification.parts:
             return ""

@@ -61,10 +61,10 @@ class StudyWithResult(Study):
 
     @cached_property
     def remarks(self) -> tuple[Remark, ...]:
-        """Remarks on unusual values of the scene and its structure (collective).
+        """Remarks on unusual values in the scene and in the structure (collective).
 
-        ``fenics-crack check`` prints the same remarks. If the key figures (natural frequencies,
-        static responses) cannot be computed, the remarks based on them are left out.
+        ``fenics-crack check`` prints the same remarks. Remarks that need key figures (natural
+        frequencies, static responses) are left out if these cannot be computed.
         """
         try:
             key_figures = find_key_figures(self)
@@ -85,7 +85,7 @@ LINEAR_VIBRATION_TEXT = "no contact pair opens and closes: the vibration is line
 
 
 def list_linearity_sentences(closed_share: np.ndarray) -> list[str]:
-    """Return a sentence if the vibration is linear, else an empty list.
+    """Return a list with a sentence if the vibration is linear, else an empty list.
 
     A vibration is linear if all contact pairs stay closed, or all stay open. The list is empty if
     any solution is not linear, and without contact pairs.
@@ -93,8 +93,8 @@ def list_linearity_sentences(closed_share: np.ndarray) -> list[str]:
     Parameters
     ----------
     closed_share : array of any shape
-        For each solution, the fraction of the period for which a pair is closed, averaged over the
-        pairs: 0 to 1, nan without pairs. Any value between 0 and 1 gives an empty list.
+        For each solution, the fraction of the period in which a pair is closed: 0 to 1, the mean
+        over all pairs; nan without pairs. Any value between 0 and 1 gives an empty list.
     """
     breathes = np.any((closed_share > 0.0) & (closed_share < 1.0))
     has_pairs = np.any(np.isfinite(closed_share))
@@ -104,16 +104,17 @@ def list_linearity_sentences(closed_share: np.ndarray) -> list[str]:
 def describe_stated_error(run: StudyWithResult, quantity_name: str = "") -> str:
     """Return a number's relative error in words: "2.4 %, mostly due to the mesh".
 
-    Causes missing in the error follow, with reasons. The text is empty if the run has no estimated
-    errors, or if the error is unknown, 0, or as large as the number. The main cause is named for
-    errors above 1e-4.
+    The main cause is named for errors above 1e-4. Causes not included in the error follow, with
+    reasons. The text is empty if the run has no estimated errors. The text is also empty if the
+    error is unknown, 0, or as large as the number.
 
     Parameters
     ----------
     run : StudyWithResult
         Result with its estimated errors, ``run.stated``.
     quantity_name : str
-        Name as in ``[output] quantities``; by default the amplitude at the first watched dof.
+        Number, named as in ``[output] quantities``; by default the amplitude at the first watched
+        dof.
     """
     if run.stated is None:
         return ""
@@ -129,10 +130,10 @@ def describe_stated_error(run: StudyWithResult, quantity_name: str = "") -> str:
 
 
 def explain_unknown_amplitude_error(run: StudyWithResult) -> str:
-    """Return the reason why the error of the watched amplitude is unknown.
+    """Return why the watched amplitude has no known error, in words.
 
-    The text is empty if the error is known, or if the run has no estimated errors. It is also empty
-    for large structures (over 600 dofs or several ranks, and crack faces with mass).
+    The text is empty if the error is known, or if the run has no estimated errors. For large
+    structures the text is empty, too: over 600 dofs or several ranks, and crack faces with mass.
     """
     if run.stated is None or not is_small(run.structure):  # then the report alone has the error
         return ""
@@ -140,10 +141,10 @@ def explain_unknown_amplitude_error(run: StudyWithResult) -> str:
 
 
 def explain_unknown_solution_error(run: StudyWithResult) -> str:
-    """Return the reason why the error of a periodic solution is unknown.
+    """Return why a periodic solution has no known error, in words.
 
-    The solution's own report (:class:`ErrorReport`) comes first, then the errors stated for the
-    watched amplitude. The text is empty if both are known.
+    If the solution's own error report (:class:`ErrorReport`) is unknown, the text says why.
+    Otherwise the text says why the watched amplitude's error is unknown. Empty if both are known.
     """
     error_report = run.result.report
     return (
@@ -174,7 +175,7 @@ def make_conclusion(run: StudyWithResult) -> Conclusion:
 def _make_conclusion_of_modes(run: StudyWithResult) -> Conclusion:
     """Build the closing sentence on modes.
 
-    It states the first natural frequency with open crack, and its error.
+    The sentence states the first natural frequency with open crack, and its error.
     """
     first_omega = float(run.result.omega[0])
     answer_text = (
@@ -186,9 +187,19 @@ def _make_conclusion_of_modes(run: StudyWithResult) -> Conclusion:
 
 
 def _error_clause(run: StudyWithResult, quantity_name: str = "", fallback_text: str = "") -> str:
-    """Return ", estimated error 2.4 %", or ``fallback_text`` if no error is stated.
+    """Return a clause on a number's error, such as ", estimated error 2.4 %".
 
-    Causes missing in the error follow. ``quantity_name`` is as in :func:`describe_stated_error`.
+    If no error is stated, the clause is ``fallback_text``. Causes not included in the error follow.
+
+    Parameters
+    ----------
+    run : StudyWithResult
+        Result with its estimated errors, ``run.stated``.
+    quantity_name : str
+        Number, named as in ``[output] quantities``; by default the amplitude at the first watched
+        dof.
+    fallback_text : str
+        Clause if no error is stated.
     """
     if error_text := describe_stated_error(run, quantity_name):
         return f", estimated error {error_text}"
@@ -199,7 +210,7 @@ def _error_clause(run: StudyWithResult, quantity_name: str = "", fallback_text: 
 def _make_conclusion_of_solution(run: StudyWithResult) -> Conclusion:
     """Build the closing sentence on a periodic solution.
 
-    It states amplitude, error, crack opening and stability.
+    The sentence states amplitude, error, crack opening and stability.
     """
     solution: PeriodicSolution = run.result
     unknown_error_reason = explain_unknown_solution_error(run)
@@ -274,7 +285,7 @@ def _list_crack_and_verdict_sentences(
 def _make_conclusion_of_curve(run: StudyWithResult) -> Conclusion:
     """Build the closing sentence on a response curve.
 
-    It states the largest response, its error, and how many points are stable.
+    The sentence states the largest response, its error, and how many points are stable.
     """
     response_curve: ResponseCurve = run.result
     peak = response_curve.top(run.watched_dof)
@@ -327,8 +338,8 @@ def _make_conclusion_of_curve(run: StudyWithResult) -> Conclusion:
 def _make_conclusion_of_history(run: StudyWithResult) -> Conclusion:
     """Build the closing sentence on a motion in time.
 
-    It states the amplitude, and whether the motion has settled. For a free decay it states the
-    amplitudes in the first and last period.
+    The sentence states the amplitude, and whether the motion has settled. For a free decay the
+    amplitudes in the first and last period are stated.
     """
     history: TimeHistory = run.result
     integration_table = run.scene.integration or Integration()

@@ -175,11 +175,12 @@ def _follow_curve(study: Study, scene: Scene, progress: bool) -> ResponseCurve:
 
 
 def iterate_curve_studies(scene_or_study: Scene | Study, comm: MPI.Comm) -> Iterator[Study]:
-    """Yield a curve's study, each time reduced to more modes (collective).
+    """Yield a curve's study, reduced to more modes each time (collective).
 
     For a curve over the rotor speed (run-up) a single study is yielded, with one reduction basis
-    for all speeds. A tolerance in the scene chooses the number of modes: as many as the solution at
-    the first resonance on the curve needs, with the structure at the scene's own speed.
+    for all speeds. If the scene has a tolerance, this study has enough modes for the tolerance at
+    the first resonance on the curve. To find the number of modes, the structure has the scene's own
+    rotor speed.
     """
     scene = scene_or_study.scene if isinstance(scene_or_study, Study) else scene_or_study
     parameter_name, start, stop = scene.given("curve").parameter_and_range
@@ -215,17 +216,19 @@ def _find_study_with_enough_modes(
 ) -> Study:
     """Return the first study with enough modes for the scene's tolerance (collective).
 
-    Each study is solved at the lowest bilinear frequency in the range, else at ``start_omega``. The
-    first study whose error due to truncated modes meets the tolerance is returned; also a study
-    with an unknown error, or that cannot be solved. If no study meets the tolerance, the last study
-    is returned.
+    Each study is solved at the lowest bilinear frequency in the range; without a bilinear frequency
+    in the range, at ``start_omega``. A study has enough modes if the error due to truncated modes
+    meets the tolerance. A study with an unknown error, or without a solution, is also returned. If
+    no study meets the tolerance, the last study is returned.
 
     Parameters
     ----------
-    study, studies : Study, iterator of Study
-        First study, and further studies with more modes.
+    study : Study
+        First study.
+    studies : iterator of Study
+        Further studies with more modes.
     start_omega, stop_omega : float [rad/s]
-        Range of the load frequency.
+        Range for the load frequency.
     """
     balance_table, law = study.scene.harmonic_balance, required_contact_law(study)
     for larger_study in chain([study], studies):
@@ -245,7 +248,7 @@ def _find_study_with_enough_modes(
 def _lowest_bilinear_omega(study: Study, start_omega: float, stop_omega: float) -> float:
     """Return the lowest bilinear frequency between two load frequencies [rad/s] (collective).
 
-    ``start_omega`` is returned if no bilinear frequency lies between them.
+    Without a bilinear frequency in this range, return ``start_omega``.
     """
     lower_bound, upper_bound = sorted((start_omega, stop_omega))
     bilinear_omegas = bilinear_frequencies(study.structure).omega_bilinear
@@ -254,9 +257,9 @@ def _lowest_bilinear_omega(study: Study, start_omega: float, stop_omega: float) 
 
 
 def _describe_mode_choice(study: Study, mode_error: float) -> str:
-    """Say in words whether the number of modes meets a curve's tolerance.
+    """Say in words whether a study has enough modes for the curve's tolerance.
 
-    ``mode_error`` is the relative error due to the number of modes; inf if unknown.
+    ``mode_error`` is the relative error due to truncated modes; inf if unknown.
     """
     scene = study.scene
     tolerance, n_modes = scene.harmonic_balance.given("tolerance"), scene.given("reduction").modes

@@ -38,8 +38,8 @@ def integrate(
 ) -> Run[TimeHistory]:
     """Integrate a scene's motion in time, as ``fenics-crack integrate`` does (collective).
 
-    Scheme, steps, periods and initial values are those of the table ``[integration]``. By default
-    the motion starts from rest and is followed until it settles.
+    The table ``[integration]`` gives scheme, time steps, number of periods and initial values. By
+    default the motion starts from rest and is followed until it settles.
 
     Parameters
     ----------
@@ -53,8 +53,8 @@ def integrate(
     Returns
     -------
     Run
-        Scene, structure, contact law, and as ``result`` the motion over the last load periods: at
-        most 4, or all of a free decay.
+        Scene, structure, contact law, and as ``result`` the motion over at most the last 4 load
+        periods. A free decay is recorded as a whole.
 
     Raises
     ------
@@ -123,9 +123,15 @@ def _march_function_and_steps(
 ) -> tuple[Callable[..., TimeHistory], int]:
     """Return an integration method's function, and its time steps per load period.
 
-    ``method_name`` is "events", "exponential" or "central_difference". ``steps_per_period`` is the
-    number of steps, unless None. Then "events" takes 256 and "exponential" 512 steps; central
-    differences take twice the steps needed for numerical stability, at least 512.
+    Parameters
+    ----------
+    study : Study
+        Study with the structure.
+    method_name : str
+        "events", "exponential" or "central_difference".
+    steps_per_period : int or None
+        Number of time steps per load period. If None, "events" takes 256 and "exponential" 512.
+        "central_difference" takes twice the steps needed for numerical stability, at least 512.
     """
     from fenics_crack.time.central_differences import (
         integrate_central_difference,
@@ -162,16 +168,17 @@ def _read_initial_motion_file(path: str, comm: MPI.Comm) -> StoredFile:
 def _start_state_from_run(
     earlier_run: Run[Any], structure: Structure, integration_table: Integration
 ) -> tuple[np.ndarray, ...]:
-    """Return the initial state of an integration from an earlier motion (collective).
+    """Return the initial state for an integration from an earlier motion (collective).
 
-    A periodic solution gives the state at phase 0 of its load, a motion in time its final state. In
-    a reduced structure, the modal amplitudes q = Phi^T M u follow from the displacement u with
-    modes Phi and mass M. Another mesh raises InputError.
+    From a periodic solution the state at the load's phase 0 is taken, from a motion in time the
+    final state. For a reduced structure, the modal amplitudes are q = Phi^T M u, with displacement
+    u, modes Phi and mass M. InputError if the earlier motion has another mesh.
 
     Returns
     -------
     displacement, velocity : (n_local,) [m], [m/s]
-        In the coordinates of ``structure``; the mesh's dofs on this rank if it is not reduced.
+        In the coordinates of ``structure``. If not reduced, these are the n_local dofs on this
+        rank.
     places : (n_pairs,) [m]
         Tangential gaps at which pairs stick; only if the earlier motion has friction.
     """
@@ -207,8 +214,9 @@ def _start_state_from_run(
 def _choose_method(study: Study, integration_table: Integration, law: ContactLaw) -> str:
     """Return the integration method: "events", "exponential" or "central_difference".
 
-    ``integration.method`` decides. The default is "exponential" for crack faces without mass, else
-    "central_difference". InputError if structure or contact law do not suit the method.
+    ``integration.method`` decides. If not given, the method is "exponential" for crack faces
+    without mass, else "central_difference". InputError if structure or contact law do not suit the
+    method.
     """
     structure, contact, requirement_text = study.structure, study.scene.contact, ""
     has_massless_faces = structure.light_lips

@@ -62,8 +62,16 @@ def make_run_from_file(
 ) -> Run[Result]:
     """Build scene, structure and law for the result in an open file (collective).
 
-    With ``with_reference``, a reduced structure also gets a reference structure with more modes,
-    for the reduction error. Raises as :func:`load_run`.
+    Raises as :func:`load_run`.
+
+    Parameters
+    ----------
+    result_file : StoredFile
+        Open file with the result.
+    comm : MPI.Comm
+        Ranks that share the structure.
+    with_reference : bool
+        Also build a reference structure with more modes, for the reduction error.
     """
     result_type, scene = result_class(result_file), result_file.scene()
     if scene is None:
@@ -107,16 +115,16 @@ def make_run_on_this_rank(result_file: StoredFile) -> Run[Result]:
 
 
 def study_under_mean_load(study: Study) -> Study:
-    """Return a study with its mean load alone, for free decay."""
+    """Return a study under the load's mean alone, for a free decay."""
     structure = structure_under_static_load(study.structure, 0.0).watching(study.watched[0].dof)
     return replace(study, structure=structure)
 
 
 def structure_under_static_load(structure: Structure, first_harmonic_fraction: float) -> Structure:
-    """Return a structure under a static load.
+    """Return a structure under a static load f_0 + c (a_1 + b_1).
 
-    The load is f_0 + ``first_harmonic_fraction`` (a_1 + b_1): the mean f_0, and the cosine and sine
-    parts a_1, b_1 of the first harmonic.
+    f_0 is the mean load; a_1 and b_1 are the cosine and sine parts in the first harmonic. The
+    factor c is ``first_harmonic_fraction``.
     """
     load_weight_matrix = np.zeros((len(structure.force),) * 2)
     load_weight_matrix[0, :3] = 1.0, first_harmonic_fraction, first_harmonic_fraction

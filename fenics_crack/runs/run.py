@@ -28,9 +28,9 @@ ResultType = TypeVar("ResultType", bound=Result, covariant=True)
 
 
 class ResultAttribute:
-    """Attribute of a :class:`Run` that is read from its result.
+    """Attribute that a :class:`Run` reads from its result.
 
-    ``run.omega`` is ``run.result.omega``.
+    For example, ``run.omega`` is ``run.result.omega``.
     """
 
     def __set_name__(self, owner: type, attribute_name: str) -> None:
@@ -72,11 +72,13 @@ class Run(StudyWithResult, Generic[ResultType]):
 
     @cached_property
     def errors(self) -> Verification | None:
-        """Estimated errors of the result's numbers, by cause (collective at first use).
+        """Estimated errors by cause for the result's numbers (computed at first use, collective).
 
-        For a curve they are the errors of the largest response. None for motions in time, for
-        solutions without convergence or without estimated errors, and for curves over other
-        parameters than frequency and speed.
+        For a curve, these are errors for the largest response. None
+
+        - for motions in time;
+        - for solutions that have not converged, or without estimated errors;
+        - for curves over parameters other than frequency and speed.
         """
         return self.stated or estimate_result_errors(self, self.result)
 
@@ -90,10 +92,10 @@ class Run(StudyWithResult, Generic[ResultType]):
         return self.result.table().html(str(self))
 
     def peak(self, dof: int | None = None) -> Peak:
-        """Return the largest response of a curve, with its errors (collective).
+        """Return a curve's largest response, with its errors (collective).
 
-        :meth:`ResponseCurve.peak` finds it. At the watched dof, amplitude and frequency get the
-        stated :attr:`errors`. Results other than curves raise AttributeError.
+        If ``dof`` is the watched dof, amplitude and frequency have the stated :attr:`errors`.
+        AttributeError if the result is not a curve. See :meth:`ResponseCurve.peak`.
 
         Parameters
         ----------
@@ -124,9 +126,9 @@ class Run(StudyWithResult, Generic[ResultType]):
         Returns
         -------
         dict of str to array
-            Fourier coefficients a0, a1, b1, ...: (2H+1,) for a solution, (n, 2H+1) for n points of
-            a curve. A motion in time has displacements at n instants (n,). Modes give an empty
-            dict.
+            For a solution, the Fourier coefficients a0, a1, b1, ... up to harmonic H: (2H+1,). For
+            a curve with n points: (n, 2H+1). For a motion in time, displacements at n instants:
+            (n,). For modes the dict is empty.
         """
         result = self.result
         watched_dofs = [watched_displacement.dof for watched_displacement in self.watched]

@@ -59,11 +59,12 @@ def modes(scene: Scene, count: int | None = None, comm: MPI.Comm = MPI.COMM_WORL
 def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution]:
     """Solve a scene for its steady vibration, as ``fenics-crack solve`` does (collective).
 
-    Harmonic balance finds the solution at the load frequency (:func:`solve_harmonic_balance`). With
-    a tolerance, the number of modes is chosen unless the scene gives it. Stability
-    (:func:`floquet`) is added if the solution converges and the structure can be decomposed into
-    all of its modes. Smooth contact laws then need at most 100 dofs, and rigid contact needs crack
-    faces without mass.
+    Harmonic balance finds the solution at the load frequency (:func:`solve_harmonic_balance`). If
+    the scene gives a tolerance but no number of modes, this number is chosen.
+
+    Stability (:func:`floquet`) is added if the solution converges, and if all modes can be
+    computed. Smooth contact laws then need at most 100 dofs. Rigid contact needs crack faces
+    without mass.
 
     Parameters
     ----------
@@ -75,8 +76,8 @@ def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Periodic
     Returns
     -------
     Run
-        Scene, structure, contact law, and as ``result`` the solution. It may not have converged:
-        ``result.converged``.
+        Scene, structure, contact law, and as ``result`` the solution. ``result.converged`` says
+        whether the solution has converged.
 
     Raises
     ------
@@ -95,11 +96,13 @@ def solve(scene: Scene | Study, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Periodic
 def _with_outcome_of_start_from_rest(run: Run[PeriodicSolution]) -> Run[PeriodicSolution]:
     """Integrate the motion from rest and add its outcome to a solution (collective).
 
-    The motion is integrated if the verdict on stability is undecided, or if no pair opens and
-    closes in the solution. The multipliers of such a solution say nothing on larger motions, in
-    which pairs may open and close. The outcome goes to ``stability.from_rest`` and
-    ``stability.rest_amplitude`` [m]. The run stays unchanged without a verdict, if nothing
-    vibrates, or if the verdict is decided and both amplitudes agree within 0.1 %.
+    The motion is integrated if the verdict on stability is undecided. It is also integrated if no
+    pair opens and closes in the solution: larger motions, with pairs that open and close, may
+    exist, and Floquet multipliers do not show them.
+
+    The outcome in words is stored in ``stability.from_rest``, the amplitude [m] in
+    ``stability.rest_amplitude``. The run stays unchanged without a verdict, or if nothing vibrates.
+    The run also stays unchanged if the verdict is decided and both amplitudes agree within 0.1 %.
     """
     solution, watched_dof = run.result, run.watched_dof
     stability = solution.stability

@@ -44,22 +44,22 @@ class StressIntensity(Tabular):
     time : (n,) [s]
         Instants in one period of a solution, or in the record of a motion in time.
     tips : tuple of str
-        Names: "the crack tip", "the left crack tip", "the crack tip of crack 2", "the crack front
-        at 3.2 mm" from the beginning of the front.
+        Names: "the crack tip", "the left crack tip", "the crack tip of crack 2". A station is named
+        by its distance from the front's beginning: "the crack front at 3.2 mm".
     positions : (n_tips,) [m]
         Distances along the crack; in a solid along the front, from its beginning.
     points, growth_directions : (n_tips, d) [m], (n_tips, d)
         Positions of the tips, and unit vectors in which the cracks run straight on.
     K_I, K_II : (n, n_tips) [Pa m^1/2]
-        K_I and K_II. K_I is positive if the crack faces part. K_II is positive if the face on the
-        left, looking ahead, moves ahead. At a front without clearance K_I is never negative, and
+        K_I is positive if the crack faces part. K_II is positive if the left face, seen in the
+        growth direction, moves ahead. At a front with zero clearance K_I is never negative, and
         exactly zero while all contact patches next to the station are closed.
     K_III : (n, n_tips) [Pa m^1/2] or None
         K_III, positive if the upper face moves along the front, in the direction e_3 = e_1 x e_2.
         e_1 points ahead, and e_2 from the lower to the upper face. None for a plate.
     closed_front_errors : (n_tips,) [Pa m^1/2]
-        Error of K_I in a solid, where contact makes K_I zero or not negative. It is the largest
-        |K_I| computed while the front is closed, or negative K_I while it is partly closed.
+        Error of K_I in a solid by the correction at closed fronts. While the front is closed, and
+        while K_I is negative, K_I is set to zero. The error is the largest |K_I| set to zero.
     """
 
     time: np.ndarray
@@ -79,9 +79,10 @@ class StressIntensity(Tabular):
         """Extremes and ranges of K, by name: (n_tips,) [Pa m^1/2] each.
 
         Names are K_max, K_min, delta_K = K_max - K_min, delta_K_effective, K_II_max and in a solid
-        K_III_max. The effective range counts positive K_I only: max(K_max, 0) - max(K_min, 0). A
-        table ``[growth]`` adds delta_K_equivalent: a range from 0 that, once per load period, gives
-        the same crack growth as all rainflow cycles of K_I.
+        K_III_max. The effective range counts positive K_I only: max(K_max, 0) - max(K_min, 0).
+
+        With a table ``[growth]``, delta_K_equivalent is added. This range begins at 0. Applied once
+        per load period, the range gives the same crack growth as all rainflow cycles in K_I.
         """
         return tabulate_tip_values(self._tip_histories)
 
@@ -99,7 +100,7 @@ class StressIntensity(Tabular):
     def effective(self) -> np.ndarray:
         """Range of positive K_I at each tip: (n_tips,) [Pa m^1/2].
 
-        It is max(K_max, 0) - max(K_min, 0): only the open tip counts.
+        The range is max(K_max, 0) - max(K_min, 0), since only the open tip counts.
         """
         return self.numbers["delta_K_effective"]
 
@@ -125,9 +126,9 @@ class StressIntensity(Tabular):
     def turning_angles(self) -> np.ndarray:
         """Angle by which cracks turn left at largest K_I: (n_tips,) [rad].
 
-        In this direction theta the hoop stress is largest: K_I sin(theta) + K_II (3 cos(theta) - 1)
-        = 0 (Erdogan, Sih, Journal of Basic Engineering 85, 1963, 519). The angle is nan if K_I is
-        never positive.
+        The crack turns by the angle theta with the largest hoop stress: K_I sin(theta) + K_II (3
+        cos(theta) - 1) = 0 (Erdogan, Sih, Journal of Basic Engineering 85, 1963, 519). The angle is
+        nan if K_I is never positive.
         """
         instant_index_of_largest = self.K_I.argmax(axis=0)[None]
         K_I = np.take_along_axis(self.K_I, instant_index_of_largest, axis=0)[0]
@@ -139,8 +140,8 @@ class StressIntensity(Tabular):
     def errors(self) -> Verification | None:
         """Estimated errors of the :attr:`numbers` at the leading tip (collective).
 
-        They are computed at first use. None for motions in time, and for solutions without
-        convergence or without estimated errors.
+        The errors are computed at first use. None for motions in time, and for solutions that have
+        not converged or have no estimated errors.
         """
         scene = self._run.scene.replace({"output.quantities": tuple(self.numbers)})
         return estimate_result_errors(
@@ -148,9 +149,9 @@ class StressIntensity(Tabular):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return columns of time and stress intensities, by name.
+        """Return columns by name, with a row for every instant.
 
-        Names are "time", "K_I, the crack tip" etc.; there is a row for every instant.
+        Columns are "time" [s], "K_I, the crack tip" [Pa m^1/2], and so on for each tip.
         """
         values_by_column = {"time": self.time.tolist()}
         values_by_name = {"K_I": self.K_I, "K_II": self.K_II} | (

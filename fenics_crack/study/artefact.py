@@ -93,10 +93,9 @@ class GatheredCsrMatrix:
         return cls(gather_rows(comm, matrix.data), gather_rows(comm, matrix.indices), row_starts)
 
     def to_matrix(self, *shape: int) -> sparse.csr_matrix:
-        """Return the SciPy matrix with a given shape.
+        """Return the SciPy matrix with the shape (n_rows, n_columns).
 
-        ValueError if the arrays make no such matrix. ``shape`` is (n_rows, n_columns). SciPy checks
-        the order of row starts only if the last start is above zero.
+        ValueError if the arrays make no matrix with this shape.
         """
         matrix = sparse.csr_matrix((self.data, self.indices, self.indptr), shape)
         if np.diff(matrix.indptr).min(initial=0) < 0:
@@ -107,31 +106,32 @@ class GatheredCsrMatrix:
 
 @dataclass(frozen=True)
 class PreparedStructure:
-    """Data of a whole structure and its receptances, for a file.
+    """Data of a whole (unreduced) structure and its receptances, for a file.
 
-    A receptance (:class:`Receptance`) has modes and static responses at pairs, load and watched
-    points.
+    A receptance (:class:`Receptance`) has modes, and static responses at contact pairs, load and
+    watched points.
 
     Attributes
     ----------
     gap, tangential : GatheredCsrMatrix or None
-        Gap matrices of :class:`Structure`, dofs by pairs.
+        Matrices (n_dofs, ...) from displacements to normal and tangential gaps, as in
+        :class:`Structure`.
     tangents, shares : GatheredCsrMatrix or None
         The matrices ``tangential_gap_matrix`` and ``pressure_matrix`` of a solid's pairs
-        (:class:`Pairs`). The field ``pairs`` here lacks both.
+        (:class:`Pairs`). They are left out in the field ``pairs``.
     force, clearance, watched, nodes, pairs, clamp
         As in :class:`Structure`, with the rows of all ranks.
     receptances : tuple of Receptance
-        Receptances under this load, first with normal gaps alone; then, for a solid, with
-        tangential gaps, too. Receptances that were not computed are missing.
+        Receptance under this load with normal gaps; then, for a solid, with tangential gaps, too.
+        A receptance that was not computed is missing.
     mass, stiffness : GatheredCsrMatrix or None
         Matrices (n_dofs, n_dofs); None if the file does not keep them.
     key : str
-        Digest of the structure's dependencies, by
-        :func:`fenics_crack.study.shelf.digest_of_dependencies`; "" for a prepared file.
+        Digest (hash) of all values that determine the structure, by
+        :func:`fenics_crack.study.shelf.digest_of_dependencies`. "" in a prepared file.
     excitation : (2K+1, d) [N] or None
-        Force of the excitation: mean, then cosine and sine parts of the harmonics 1 to K. None for
-        a prepared file.
+        Force of the excitation: mean, then cosine and sine parts of the harmonics 1 to K, with d
+        components. None in a prepared file.
     """
 
     gap: GatheredCsrMatrix
@@ -157,11 +157,11 @@ class PreparedStructure:
         Parameters
         ----------
         structure : Structure
-            Whole structure, or a varied copy of it.
+            Whole structure. From a copy with varied properties, the original is gathered.
         vtk_type : int
             VTK's number of the cell type, for :class:`Nodes`.
         datasets
-            Further fields: ``mass``, ``stiffness``, ``key``, ``excitation``.
+            Values of the fields ``mass``, ``stiffness``, ``key`` and ``excitation``.
         """
         structure, comm = structure.original, structure.comm
         nodes = structure.nodes
@@ -198,13 +198,19 @@ class PreparedStructure:
     ) -> Structure:
         """Make the whole structure with a scene's load, damping and clearance (collective).
 
-        Rank 0 has all rows, other ranks none. Data that make no structure raise an error of
-        :data:`fenics_crack.files.codec.DATASET_ERROR_CLASSES`, such as ValueError.
+        Rank 0 has all rows, other ranks none. If the data make no structure, an error of
+        :data:`fenics_crack.files.codec.DATASET_ERROR_CLASSES` is raised, for example ValueError.
 
         Parameters
         ----------
+        scene : Scene
+            Source of damping and clearance.
         load_weight_matrix : (n, 2K+1)
-            W from :func:`weight_matrix_of_load_rows`: the scene's load is W times the file's load.
+            Matrix W (:func:`weight_matrix_of_load_rows`). The scene's load is W times the file's
+            load. The file's load has 2K+1 rows: mean, cosine and sine parts of the harmonics 1 to
+            K.
+        comm : MPI.Comm
+            Ranks that share the structure.
         """
         n_dofs, n_pairs = self._check_arrays_and_count_dofs(), len(self.clearance)
         local_slice = slice(None if comm.rank == 0 else 0)
@@ -324,8 +330,8 @@ class PreparedStructure:
 class PreparedFileContent:
     """Data in a prepared file: a structure, perhaps with a coarser structure.
 
-    The structure on a coarser mesh serves to estimate the error due to the mesh; None without such
-    a mesh.
+    The coarser structure has a coarser mesh, and serves to estimate the error due to the mesh. It
+    is None if there is no coarser mesh.
     """
 
     structure: PreparedStructure
@@ -336,8 +342,16 @@ class PreparedFileContent:
     ) -> SharedStructure:
         """Make the structure for a scene, with its coarser structure, if any (collective).
 
-        ``load_weight_matrix`` W (n, 2K+1) gives the scene's load as W times the file's load
-        (:func:`weight_matrix_of_load_rows`).
+        Parameters
+        ----------
+        scene : Scene
+            Source of damping and clearance.
+        load_weight_matrix : (n, 2K+1)
+            Matrix W (:func:`weight_matrix_of_load_rows`). The scene's load is W times the file's
+            load. The file's load has 2K+1 rows: mean, cosine and sine parts of the harmonics 1 to
+            K.
+        comm : MPI.Comm
+            Ranks that share the structure.
         """
         structure = self.structure.make_structure(scene, load_weight_matrix, comm)
         coarser_scene_or_reason = make_coarser_scene_or_reason(scene)
@@ -414,10 +428,10 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
 
 
 def _gather_prepared_structure(study: Study) -> PreparedStructure:
-    """Gather a reduced study's data for a file (collective).
+    """Gather a reduced study's unreduced structure for a file (collective).
 
-    The number of modes is that of the reduction or of its reference (for the reduction error),
-    whichever is larger.
+    The file gets the modes of the reduction. If the reference structure for the reduction error has
+    more modes, the file gets these.
     """
     reference_structure = getattr(study.structure, "reference", None) or study.structure
     n_modes = max(study.structure.n_modes, reference_structure.n_modes)
@@ -524,9 +538,13 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
 def dependencies_without_amplitudes(dependencies: tuple[Any, Any, Any]) -> tuple[Any, ...]:
     """Return the values that must equal those in a structure's file.
 
-    ``dependencies``, from :func:`dependencies_of_structure`, are all values that determine a
-    structure. Removed are clearances, damping, and the excitation's keys force_mean, force_cos,
-    force_sin and harmonics.
+    Clearances and damping are left out, and from the table ``[excitation]`` the keys force_mean,
+    force_cos, force_sin and harmonics.
+
+    Parameters
+    ----------
+    dependencies : tuple of three
+        All values that determine a structure, from :func:`dependencies_of_structure`.
     """
     mesh_dependencies, (excitation_value_by_key, *other_loads), _ = dependencies
     amplitude_keys = ("force_mean", "force_cos", "force_sin", "harmonics")
@@ -537,10 +555,10 @@ def dependencies_without_amplitudes(dependencies: tuple[Any, Any, Any]) -> tuple
 
 
 def _weight_matrix_between_scene_loads(file_scene: Scene, scene: Scene) -> np.ndarray:
-    """Return the matrix W from a prepared file's load to a scene's load.
+    """Return the matrix W from a prepared file's load to a scene's load: (n, 2K+1).
 
-    ``file_scene`` is the scene in the file. Shape and errors are those of
-    :func:`weight_matrix_of_load_rows`.
+    The scene's load is W times the file's load. ``file_scene`` is the scene in the file. InputError
+    as :func:`weight_matrix_of_load_rows`.
     """
     # Equal loads are not computed: the file of a wave may be gone.
     if dependencies_of_load(file_scene) == dependencies_of_load(scene):
@@ -551,26 +569,23 @@ def _weight_matrix_between_scene_loads(file_scene: Scene, scene: Scene) -> np.nd
 
 
 def weight_matrix_of_load_rows(file_load_rows: np.ndarray, scene: Scene) -> np.ndarray:
-    """Return the matrix W from a file's load to a scene's load.
+    """Return the matrix W from a file's load to a scene's load: (n, 2K+1).
 
-    The load is F, with a row for the mean and for each cosine and sine part of the excitation's
-    force: F_scene = W F_file. Static responses to the file's rows then give those to the scene's.
+    A load matrix F has rows for the mean force and for the cosine and sine parts of each harmonic.
+    W is such that F_scene = W F_file. W also gives the static responses to the scene's load from
+    those to the file's load.
 
     Parameters
     ----------
     file_load_rows : (2K+1, d) [N]
-        F_file.
+        F_file, for the harmonics 1 to K, with d components of the force.
     scene : Scene
         Source of F_scene, with n rows.
-
-    Returns
-    -------
-    (n, 2K+1)
 
     Raises
     ------
     InputError
-        F_scene is no linear combination of the file's rows, or it differs from F_file while the
+        F_scene is no linear combination of the file's rows. Or it differs from F_file, and the
         scene has other loads, too.
     """
     scene_load_rows = np.array(list_force_harmonic_vectors(scene), dtype=float)

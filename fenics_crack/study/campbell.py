@@ -103,6 +103,8 @@ PeakAmplitudeFunction = Callable[[Modes], np.ndarray]
 class Campbell(SavedResult):
     """Result of a Campbell diagram: natural frequencies over the rotor speed.
 
+    "tied" stands for bonded crack faces.
+
     Attributes
     ----------
     scene : Scene
@@ -110,28 +112,30 @@ class Campbell(SavedResult):
     speed : (n,) [rad/s]
         Rotor speeds W, rising.
     omega_open, omega_tied : (n, m) [rad/s]
-        Frequencies with open crack, ascending at each speed, and with bonded crack for the same
-        mode shapes. Both are the same without a crack.
+        Frequencies of m modes with open crack, ascending at each speed; and with bonded crack for
+        the same mode shapes. Both are the same without a crack.
     omega_partly : (n, m) [rad/s]
-        Frequencies for the same mode shapes with those pairs bonded that are pressed at rest.
+        Frequencies for the same mode shapes with a partly open crack: the contact pairs pressed at
+        rest are bonded.
     cracked : bool
         True if there are crack faces.
     kind : (n, m) of "open", "tied", "partly" or "bilinear"
-        Kind of the crack's frequency under the scene's load: the crack is held open, held shut,
-        held with some pairs pressed and the others open, or breathes.
+        Which frequency each mode has under the scene's load. The crack is held open ("open"), held
+        shut ("tied"), or held with some pairs pressed and the others open ("partly"). A crack that
+        is not held breathes ("bilinear").
     changes : tuple of (mode, speed, kind)
-        Changes of the kind between two speeds: mode (from 1), speed [rad/s] and the kind from this
+        Changes of the kind between two speeds: mode (from 1), speed [rad/s], and the kind from this
         speed on.
     coriolis : (m,)
-        Relative changes of the open frequencies at the fastest speed by the Coriolis force of a
-        solid, which all frequencies here leave out.
+        Relative changes of the open frequencies by the Coriolis force of a solid, at the fastest
+        speed. All frequencies here leave the Coriolis force out.
     at : function of a speed [rad/s], optional
         Returns frequencies [rad/s] and margins, (3, m) each, for the crack held open, shut and
         partly open (:data:`FrequenciesAndMarginsFunction`). None in a diagram from a file; the
         blade is then meshed again on demand.
     met : tuple of (mode, LoadResonance)
-        Mode (from 1) and resonance under the load, where the load's own engine order crosses a
-        frequency.
+        Mode (from 1) and resonance under the load, for each crossing of the load's engine order
+        with a natural frequency.
     """
 
     scene: Scene
@@ -163,9 +167,9 @@ class Campbell(SavedResult):
 
     @cached_property
     def _frequencies_and_margins_function(self) -> FrequenciesAndMarginsFunction:
-        """Function of the speed in :attr:`at`.
+        """Function from a rotor speed to frequencies and margins, as in :attr:`at`.
 
-        If it is None (diagram from a file), the blade is meshed again.
+        If :attr:`at` is None (diagram from a file), the blade is meshed again to make it.
         """
         count = self.omega_open.shape[1]
         return (
@@ -193,9 +197,10 @@ class Campbell(SavedResult):
         return self._select_omega(self.kind)
 
     def _select_omega(self, kinds: np.ndarray) -> np.ndarray:
-        """Return natural frequencies of given kinds: (n, m) [rad/s].
+        """Return the natural frequencies of given kinds: (n, m) [rad/s].
 
-        ``kinds`` are (n, m) as :attr:`kind`, or (m,) for all speeds.
+        ``kinds`` are "open", "tied", "partly" or "bilinear", as in :attr:`kind`: (n, m) for n
+        speeds and m modes, or (m,) for all speeds.
         """
         omega_of_kinds = [getattr(self, f"omega_{kind}") for kind in STATE_TEXT_BY_KIND]
         return np.select([kinds == kind for kind in STATE_TEXT_BY_KIND], omega_of_kinds)
@@ -259,10 +264,15 @@ class Campbell(SavedResult):
         return np.array(sorted(crossings)).reshape(-1, 2)
 
     def _crossings_in_actual_state(self, order: int) -> np.ndarray:
-        """Return an engine order's crossings for the crack's actual state.
+        """Return an engine order's crossings with frequencies in the crack's actual state.
 
-        The result (k, 2) has mode (from 1) and rotor speed [rad/s]. Included are changes of the
-        state that drop the frequency across the order's line.
+        If a change of the state drops the frequency across the order's line, this is a crossing,
+        too.
+
+        Returns
+        -------
+        (k, 2)
+            Mode (from 1) and rotor speed [rad/s] of each crossing, sorted.
         """
         crossings = [
             (mode, speed)
@@ -309,7 +319,7 @@ class Campbell(SavedResult):
         return float(omega_of_kinds[HELD_FREQUENCY_KINDS.index(kind)])
 
     def real_line(self, mode: int) -> list[tuple[float, float, str]]:
-        """Return a mode's line in the diagram, for the crack's actual state.
+        """Return a mode's frequency over the speed, for the crack's actual state.
 
         Parameters
         ----------
@@ -319,8 +329,8 @@ class Campbell(SavedResult):
         Returns
         -------
         list of (speed, omega, kind)
-            Rotor speed [rad/s], natural frequency [rad/s] and kind, by rising speed. A change of
-            the state gives two points.
+            Points by rising speed: rotor speed [rad/s], natural frequency [rad/s] and kind (crack
+            state). At a change of the state there are two points.
         """
         speeds = {
             *self.speed.tolist(),
@@ -333,13 +343,14 @@ class Campbell(SavedResult):
         ]
 
     def _list_crossings_with_resonances(self, order: int) -> list[tuple[int, float, LoadResonance]]:
-        """Return each crossing of an engine order, with the resonance there.
+        """Return each crossing of an engine order, with the resonance near it.
 
         Returns
         -------
         list of (mode, speed, resonance)
             Mode (from 1), estimated rotor speed [rad/s], and the resonance under the scene's load.
-            For orders other than the load's, the resonance was not sought (UNSOUGHT_RESONANCE).
+            If ``order`` is not the load's engine order, no resonance was sought
+            (UNSOUGHT_RESONANCE).
         """
         load_engine_order = self.scene.excitation.order
         crossings = self.crossings(order, "real").tolist()
@@ -353,8 +364,8 @@ class Campbell(SavedResult):
     def yield_crossing_texts(self, order: int) -> Iterator[str]:
         """Yield a text for each crossing of an engine order.
 
-        Each text names the mode, the resonance under the load if known, and the speed for the
-        crack's actual state. Speeds for other states follow.
+        A text names the mode and, if known, the resonance under the load. Then follow the speed for
+        the crack's actual state, and the speeds if the crack were in other states.
         """
         for mode, speed, resonance in self._list_crossings_with_resonances(order):
             crossing_text = f"engine order {order} meets mode {mode} at "
@@ -392,9 +403,9 @@ class Campbell(SavedResult):
     def stiffening(self, speed: float, omega: float) -> float:
         """Return d ln w / d ln W for the mode nearest to a frequency.
 
-        The frequencies w have the kind (crack state) at the nearest speed in the diagram. Between
-        two speeds W and beyond them, w^2 is taken as linear in W^2 (Southwell).
-        :func:`find_passages` calls this method.
+        w is the mode's natural frequency, W the rotor speed. The crack's state is that at the
+        nearest speed in the diagram. w^2 is taken as linear in W^2 (Southwell), between two speeds
+        in the diagram and beyond the diagram. :func:`find_passages` calls this method.
 
         Parameters
         ----------
@@ -411,10 +422,19 @@ class Campbell(SavedResult):
         return float(squared_omega_slopes[mode_index] * speed**2 / squares[mode_index])
 
     def interpolate_open_and_tied(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
-        """Interpolate the frequencies with open and bonded crack at a speed.
+        """Interpolate the frequencies with open and bonded crack at a rotor speed.
 
-        ``speed`` is in rad/s. Squares of the frequencies are linear in the square of the speed,
-        also beyond the diagram. Both arrays are (m,) [rad/s].
+        Squared frequencies are taken as linear in the squared speed, also beyond the diagram.
+
+        Parameters
+        ----------
+        speed : float [rad/s]
+            Rotor speed.
+
+        Returns
+        -------
+        omega_open, omega_tied : (m,) [rad/s]
+            Frequencies of m modes with open and with bonded crack.
         """
         omega_open, omega_tied = (
             np.sqrt(np.maximum(self._interpolate_squares_and_slopes(speed, omega)[0], 0.0))
@@ -505,7 +525,7 @@ def campbell(
     *,
     few: int = 4,
 ) -> Campbell:
-    """Find a blade's natural frequencies at some rotor speeds (collective).
+    """Find a blade's natural frequencies at several rotor speeds (collective).
 
     The blade is meshed once.
 
@@ -516,7 +536,7 @@ def campbell(
     speeds : (n,) [rad/s]
         Two or more speeds, rising from 0 or more.
     count : int, optional
-        Number of the lowest modes. Default: ``few``, or all if there are fewer.
+        Number of modes, the lowest first. Default: ``few``, or all if there are fewer.
     comm : MPI.Comm
         Ranks that share the mesh.
     few : int
@@ -602,10 +622,16 @@ def campbell(
 def _find_modes_and_load_resonances(
     diagram: Campbell, projection: RitzProjection
 ) -> tuple[tuple[int, LoadResonance], ...]:
-    """Find resonances at the crossings of the load's engine order.
+    """Find the resonance at each crossing of the load's engine order.
 
-    They are resonances of the nonlinear structure under the load. ``projection`` gives the blade's
-    structure in few coordinates at any speed.
+    A resonance is that of the nonlinear structure under the load.
+
+    Parameters
+    ----------
+    diagram : Campbell
+        Diagram with the crossings.
+    projection : RitzProjection
+        Gives the blade's structure in few coordinates at any speed.
 
     Returns
     -------
@@ -669,8 +695,13 @@ def report_of_campbell(diagram: Campbell) -> Report:
 def _frequency_kinds_from_margins(hold_margins: np.ndarray) -> np.ndarray:
     """Return each mode's kind of frequency: (n_modes,) of str.
 
-    ``hold_margins`` (3, n_modes) belong to "open", "tied" and "partly". The first kind with a
-    positive margin is returned, else "bilinear".
+    A positive margin holds the crack in a state. The first of the states "open", "tied" and
+    "partly" with a positive margin is the kind. If there is none, the crack breathes: "bilinear".
+
+    Parameters
+    ----------
+    hold_margins : (3, n_modes)
+        Margins for the states "open", "tied" and "partly".
     """
     return np.select([*(hold_margins > 0.0)], HELD_FREQUENCY_KINDS, "bilinear")
 
@@ -683,16 +714,18 @@ def _yield_state_changes(
 ) -> Iterator[tuple[float, str]]:
     """Yield each change of a crack's state between two rotor speeds.
 
-    From held to breathing or back, the state changes at the zero of the held state's margin. If the
-    states at both ends are held and different, the range is halved until a breathing crack is found
-    between them; or until the range is shorter than :data:`RELATIVE_SPEED_TOLERANCE`.
+    A crack is held open, shut or partly open, or breathes. Between a held and a breathing crack,
+    the state changes where the margin of the held state is zero. If the crack is held at both ends,
+    but in different states, the range is halved. This ends if a breathing crack is found, or if the
+    range is shorter than :data:`RELATIVE_SPEED_TOLERANCE`.
 
     Parameters
     ----------
     find_frequencies_and_margins : callable
-        See :data:`FrequenciesAndMarginsFunction`.
+        Returns frequencies and margins of three states at a speed
+        (:data:`FrequenciesAndMarginsFunction`).
     lower_speed, upper_speed : float [rad/s]
-        Ends of the search.
+        Ends of the range.
     mode_index : int
         Index of the mode, from 0.
 
@@ -738,13 +771,13 @@ def _find_modal_peak_amplitudes(
 ) -> np.ndarray:
     """Return modal amplitudes at the modes' own resonances: (n_modes,).
 
-    a = |phi . f| / (2 xi w^2) for the mode shape phi, damping ratio xi and frequency w; inf without
-    damping, 0 without a modal force.
+    The amplitude is |phi . f| / (2 xi w^2), with the mode shape phi, the damping ratio xi, the
+    frequency w and the load f. It is inf without damping, and 0 without a modal force.
 
     Parameters
     ----------
     complex_load : (n,) complex [N]
-        f, cosine part less i times sine part of the load, in the modes' coordinates.
+        f = cosine part - i sine part of the load, in the n coordinates of the modes.
     damped_structure : Structure
         Whole structure whose damping gives xi.
     modes : Modes
@@ -768,18 +801,29 @@ def _find_frequencies_and_margins(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find natural frequencies and margins for three states of the crack.
 
-    The states are open, shut, and partly open. The frequencies with open crack are the lowest.
-    The frequencies of the other states belong to the same mode shapes, sought among the lowest
-    ``n_bonded_modes``. In the state partly open, only pairs pressed at rest are bonded.
+    The states are: crack open; crack shut (all pairs bonded); and partly open (pairs pressed at
+    rest are bonded).
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure at a rotor speed.
+    peak_amplitude_function : callable
+        Returns the modal amplitudes at resonance (:data:`PeakAmplitudeFunction`).
+    n_modes : int
+        Number of lowest modes with open crack. The frequencies of the other states belong to the
+        same mode shapes.
+    n_bonded_modes : int
+        Number of lowest modes of the other states, among which these shapes are sought.
 
     Returns
     -------
     omega : (3, n_modes) [rad/s]
         Frequencies of the states open, shut, partly open.
     hold_margins : (3, n_modes)
-        Margin against a change of the state: the smallest over all pairs, at resonance. An open
-        pair has its opening at rest less the amplitude [m]; a bonded pair has its force at rest
-        less the amplitude [N].
+        Margin that holds the crack in each state at resonance: the smallest over all pairs. For an
+        open pair it is the opening at rest less the amplitude [m]. For a bonded pair it is the
+        force at rest less the amplitude [N].
     """
     open_modes = solve_modes(structure, n_modes)
     if not structure.n_pairs:
@@ -813,26 +857,27 @@ def _find_held_frequencies_and_margins(
     is_bonded: np.ndarray,
     n_bonded_modes: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Find natural frequencies with some pairs bonded, and the margins that keep them bonded.
+    """Find natural frequencies with some pairs bonded, and the margins that hold the crack so.
 
     Parameters
     ----------
     open_modes : Modes
-        Modes with open crack, whose shapes the modes with bonds shall resemble.
+        Modes with open crack. A mode with bonds is selected for each, with the most similar shape.
     peak_amplitude_function : callable
-        See :data:`PeakAmplitudeFunction`.
+        Returns the modal amplitudes at resonance (:data:`PeakAmplitudeFunction`).
     rest_state : (n_pairs,) [m], [N]
-        Openings of open pairs, and forces of bonded pairs, at rest.
+        For an open pair the opening at rest [m], for a bonded pair the force at rest [N].
     is_bonded : (n_pairs,) of bool
         True for bonded pairs.
     n_bonded_modes : int
-        Number of the lowest modes with bonds in which the shapes are sought.
+        Number of lowest modes with bonds, among which the shapes are sought.
 
     Returns
     -------
     omega : (n_modes,) [rad/s]
+        Natural frequencies.
     hold_margins : (n_modes,) [m], [N]
-        Smallest value over the pairs: opening or force at rest, less its amplitude at resonance.
+        Smallest margin over the pairs: opening or force at rest, less the amplitude at resonance.
     """
     modes, structure = open_modes, open_modes.structure
     bonded_gap_rows = structure.gap[:, is_bonded]

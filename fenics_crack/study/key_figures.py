@@ -61,10 +61,10 @@ class KeyFigures:
     mesh_extents : (d,) [m]
         Width, height and, for a solid, thickness of the mesh.
     n_face_elements : int or None
-        Number of elements along each face of the crack with the fewest; None without a crack.
+        Number of elements along a crack face, for the crack with the fewest; None without a crack.
     omega_open, omega_tied : (at most 4,) [rad/s]
-        Lowest natural frequencies with open and with bonded crack; the latter are infinite if the
-        bonded structure has fewer modes.
+        Lowest natural frequencies with open and with bonded crack. If the bonded structure has
+        fewer modes, its missing frequencies are inf.
     omega_bilinear : (at most 4,) [rad/s]
         Bilinear frequencies of the open modes.
     damping_ratios : (at most 4,)
@@ -73,27 +73,29 @@ class KeyFigures:
         S = d(w^2) / d(W^2) of the open modes with frequency w, over the rotor speed W; 0 without
         rotation.
     face_stiffness : (n_pairs,) [N/m]
-        Static stiffness of the crack faces at each pair, 1 / (B^T K^-1 B)_jj.
+        Static stiffness of the crack faces at each pair j, 1 / (B^T K^-1 B)_jj. B is the gap matrix
+        and K the stiffness matrix.
     contact_stiffness_ratio : (n_pairs,) or None
         Contact stiffness over ``face_stiffness``; None without a law, or for rigid contact.
-    opening_under_mean_load, largest_static_gap_motion : float [m]
-        Largest static opening of an open crack under the mean load, and largest static motion of
-        its gaps under the load's amplitude.
+    opening_under_mean_load : float [m]
+        Largest static opening of an open crack under the mean load.
+    largest_static_gap_motion : float [m]
+        Largest static amplitude of an open crack's gaps under the load's harmonics, added up.
     peak_displacement, peak_gap_motion : float [m]
-        Largest amplitudes of the watched displacements and of the gaps, with an open crack at the
-        requested frequencies.
+        Largest amplitudes of the watched displacements and of the gaps. The crack is open, and the
+        maximum is over the load frequencies that the scene requests.
     peak_rotation : float [rad]
         Largest amplitude of a watched displacement over its distance from the clamp.
     n_closed_pairs : int
         Number of pairs that are closed under the mean load and the preload alone.
     breathes : bool
-        True if one of these pairs opens, or another pair closes, at the requested frequencies.
+        True if a pair opens or closes at the requested frequencies.
     n_modes_below_highest_harmonic : int
         Number of natural frequencies below the frequency of the highest harmonic; 0 without pairs.
     n_kept_modes : int
         Number of modes after the reduction.
     load_resonance : LoadResonance
-        Resonance at the scene's own load, if it has been sought.
+        Resonance under the scene's load, if it has been sought.
     """
 
     mesh_extents: tuple[float, ...]
@@ -120,9 +122,8 @@ class KeyFigures:
 def find_key_figures(study: Study) -> KeyFigures:
     """Compute natural frequencies, static responses and amplitudes for remarks (collective).
 
-    Only linear equations are solved, and a static contact problem for the pairs that the mean load
-    closes. A reduced study is evaluated in its own coordinates, in which static responses are
-    exact.
+    Linear equations are solved, and a single nonlinear problem: which pairs the mean load closes. A
+    reduced study is not expanded, since its static responses are exact.
     """
     scene, law = study.scene, study.contact
     structure = study.structure.structure_in_few_coordinates()
@@ -203,8 +204,9 @@ def _solve_modes_and_static_responses(
         Lowest modes with open crack: 10 (N_SEARCH_MODES), or all if there are fewer.
     modes, bonded_modes : Modes
         At most 4 modes with open and with bonded crack, for the key figures.
-    static_displacements : (2K+1, n_local) [m]
-        Static responses to the load's mean, cosine and sine parts.
+    static_displacements : (2N+1, n_local) [m]
+        Static responses to the load's mean, and to the cosine and sine parts of N harmonics; with
+        the n_local coordinates on this rank.
     face_compliance : (n_pairs, n_pairs) [m/N]
         B^T K^-1 B with the gap matrix B and the stiffness K.
     """
@@ -238,7 +240,9 @@ def _amplitude_bounds(
     watched_dofs: Sequence[int],
     load_omega: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return upper bounds of amplitudes at a load frequency, summed over harmonics (collective).
+    """Return upper bounds of amplitudes at a load frequency (collective).
+
+    A bound is the sum of the amplitudes of all harmonics.
 
     Parameters
     ----------
@@ -247,10 +251,12 @@ def _amplitude_bounds(
     modal_damping_ratios : (n_modes,)
         Ratios of critical damping.
     static_complex_amplitudes : three arrays of complex
-        Static displacements (K, n_local) [m], static gaps (K, n_pairs) [m] and modal loads (K,
-        n_modes) of the harmonics 1 to K.
-    face_compliance, modal_gaps : (n_pairs, n_pairs) [m/N], (n_modes, n_pairs)
-        B^T K^-1 B, and gaps of the mode shapes.
+        Responses to the harmonics 1 to N of the load: static displacements (N, n_local) [m], static
+        gaps (N, n_pairs) [m] and modal loads (N, n_modes). n_local coordinates are on this rank.
+    face_compliance : (n_pairs, n_pairs) [m/N]
+        Static gaps under unit forces at the pairs, with open crack.
+    modal_gaps : (n_modes, n_pairs)
+        Gaps of the mode shapes.
     is_closed : (n_pairs,) of bool
         Pairs that stay closed.
     watched_dofs : sequence of int
@@ -263,9 +269,13 @@ def _amplitude_bounds(
     watched_amplitudes : (n_watched,) [m]
         Watched displacements with open crack.
     open_crack_gap_amplitudes : (n_pairs,) [m]
-        Gaps with all pairs open. This array and those below are (1,), zero, under a steady load.
-    closed_pairs_gap_amplitudes, contact_force_amplitudes : (n_pairs,) [m], [N]
-        Gaps and contact forces while the pairs in ``is_closed`` stay closed.
+        Gaps with all pairs open.
+    closed_pairs_gap_amplitudes : (n_pairs,) [m]
+        Gaps while the pairs in ``is_closed`` stay closed.
+    contact_force_amplitudes : (n_pairs,) [N]
+        Contact forces while the pairs in ``is_closed`` stay closed.
+
+    Under a steady load (N = 0) each output is a single zero, (1,).
     """
     (
         watched_amplitudes,
@@ -310,8 +320,8 @@ def _amplitude_bounds(
 def _count_modes_below(structure: Structure, modes: Modes, omega: float) -> int:
     """Return the number of natural frequencies below ``omega`` [rad/s] (collective).
 
-    ``modes`` are the lowest modes. If none lies above ``omega``, a factorization of K - omega^2 M
-    counts all frequencies below.
+    ``modes`` are the lowest modes. If all lie below ``omega``, there may be more. Then a
+    factorization of K - omega^2 M counts them, with stiffness K and mass M.
     """
     if omega < modes.omega[-1]:
         return int(np.sum(modes.omega < omega))
@@ -321,8 +331,8 @@ def _count_modes_below(structure: Structure, modes: Modes, omega: float) -> int:
 def _static_displacements(stiffness_factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
     """Return static displacements under forces: (m, n_local) [m] (collective).
 
-    A structure with rigid-body motions accelerates under the forces; returned is the deformation
-    alone, without the rigid-body motion.
+    If the structure has rigid-body motions, it accelerates under the forces. Then the deformation
+    alone is returned, without the rigid-body motion.
 
     Parameters
     ----------
@@ -331,7 +341,7 @@ def _static_displacements(stiffness_factor: Factor, modes: Modes, forces: np.nda
     modes : Modes
         Modes with open crack, rigid-body motions first.
     forces : (m, n_local) [N]
-        m load cases.
+        Forces of m load cases, on the n_local coordinates of this rank.
     """
     structure, rigid_body_shapes = modes.structure, modes.shapes[:, modes.omega == 0.0]
     residual_flexibility = ResidualFlexibility(
@@ -347,8 +357,9 @@ def _static_displacements(stiffness_factor: Factor, modes: Modes, forces: np.nda
 def _slopes_of_squared_omegas(modes: Modes) -> np.ndarray:
     """Return slopes of squared natural frequencies over the squared rotor speed: (n_modes,).
 
-    S = d(w^2) / d(W^2) = phi^T (K_1 + K_2 + 2 W^2 K_3) phi for the mass-normalised shape phi; 0
-    without rotation. The K_i are terms of the stiffness due to rotation.
+    S = d(w^2) / d(W^2) for the natural frequency w and the rotor speed W; 0 without rotation.
+    S = phi^T (K_1 + K_2 + 2 W^2 K_3) phi with the mass-normalised shape phi. The matrices K_i are
+    terms of the stiffness due to rotation.
     """
     structure, slopes = modes.structure, np.zeros(len(modes.omega))
     rotation = structure.rotation if structure.n_sectors == 1 else structure.whole.rotation
@@ -369,8 +380,8 @@ def _slopes_of_squared_omegas(modes: Modes) -> np.ndarray:
 def _count_elements_along_face(scene: Scene, structure: Structure) -> int | None:
     """Return the number of elements along the crack with fewest contact pairs.
 
-    It is the number of pairs over the order of the elements, rounded up because the node at a tip
-    is no pair. Patches count as elements. None without pairs.
+    The number of pairs is divided by the order of the elements. The result is rounded up, because
+    the node at a tip is no pair. Contact patches count as elements. None without pairs.
     """
     if not structure.n_pairs:
         return None
@@ -387,7 +398,7 @@ def _count_elements_along_face(scene: Scene, structure: Structure) -> int | None
 def mesh_extents(whole_structure: Structure) -> tuple[float, ...]:
     """Return the lengths of a mesh along x, y (and z) [m] (collective).
 
-    Without nodes (given matrices) it is (nan, nan).
+    Given matrices have no nodes: then (nan, nan) is returned.
     """
     if whole_structure.nodes is None:
         return np.nan, np.nan
@@ -399,7 +410,7 @@ def mesh_extents(whole_structure: Structure) -> tuple[float, ...]:
 def distances_from_clamp(whole_structure: Structure, dofs: Sequence[int]) -> np.ndarray:
     """Return distances from dofs' nodes to the clamp: (n_dofs,) [m] (collective).
 
-    They are at most the mesh's longest side, and infinite without nodes (given matrices).
+    A distance is at most the mesh's longest side. Given matrices have no nodes: then all are inf.
     """
     if whole_structure.nodes is None:
         return np.full(len(dofs), np.inf)
@@ -472,8 +483,8 @@ def _modal_receptance_increase(
 def _list_requested_omegas(scene: Scene, natural_omegas: np.ndarray) -> list[float]:
     """Return the load frequencies that a scene asks for [rad/s], ascending.
 
-    They are the excitation's frequency, the ends of the curve's and the sweep's range, and those of
-    the ``natural_omegas`` in these ranges.
+    These are the frequency in ``[excitation]`` and the ends of the range of curve and sweep. All
+    ``natural_omegas`` within a range are added.
     """
     omegas = {scene.excitation.omega}
     for lowest_omega, highest_omega in (
@@ -507,10 +518,10 @@ def lowest_and_highest_load_omega(scene: Scene, command: str) -> tuple[float, fl
 
 
 def highest_harmonic_omega(scene: Scene, command: str = "") -> float:
-    """Return H w, the frequency of a command's highest harmonic [rad/s].
+    """Return the frequency of a command's highest harmonic [rad/s].
 
-    ``command`` is "solve", "curve" or "sweep"; by default the highest frequency of all three is
-    returned.
+    This is the highest load frequency times the number of harmonics. ``command`` is "solve",
+    "curve" or "sweep"; by default the highest frequency of all three is returned.
     """
     if not command:
         return max(
@@ -531,12 +542,16 @@ def highest_harmonic_omega(scene: Scene, command: str = "") -> float:
 def propose_curve_or_none(scene: Scene, key_figures: KeyFigures) -> Curve | None:
     """Propose a table ``[curve]`` through the resonance, or return None.
 
-    None is returned if the scene's curve meets the resonance, or is not over frequency or rotor
-    speed; also if the mode has no damping or no bonded frequency.
+    The proposed curve extends three half-power widths beyond the resonance under the load, and
+    beyond the resonance under a small load. If the resonance is not known, the open and bonded
+    frequencies of the mode nearest to the load replace it. Ends are rounded outwards to three
+    digits.
 
-    The curve extends three half-power widths beyond the resonance under the load and under a small
-    load. If the resonance is not known, it extends so far beyond the open and bonded frequencies of
-    the mode nearest to the load. Ends are rounded outwards to three digits.
+    None is returned
+
+    - if the scene's curve already meets the resonance;
+    - if its parameter is neither frequency nor rotor speed;
+    - if the mode has no damping or no bonded frequency.
     """
     curve_table, load_resonance = scene.curve, key_figures.load_resonance
     is_speed_curve = scene.excitation.order is not None and scene.disk is None
@@ -593,9 +608,9 @@ def _round_to_three_digits(value: float, round_function: Callable[[float], int])
 def is_response_proportional_to_load(scene: Scene) -> bool:
     """Return True if the response is proportional to the load.
 
-    This requires contact that begins at the gap g = 0 without smoothing or a layer, no clearance
-    and no rotation. If all forces and displacements are then multiplied by the same positive
-    number, the equations still hold. With rotation, the centrifugal load stays unchanged.
+    This is so if the equations still hold after all forces and displacements are multiplied by a
+    positive number. Contact must begin at the gap g = 0, without smoothing or a soft layer, and
+    without clearance. Nothing may rotate, since the centrifugal load stays unchanged.
     """
     contact_table = scene.contact
     if contact_table is not None and (

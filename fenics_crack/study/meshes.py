@@ -23,17 +23,20 @@ from fenics_crack.study.sharing import make_empty_coarser_structure_list
 
 
 def prepare_coarser_study_or_reason(study: Study) -> tuple[Study, tuple[int, int], float] | str:
-    """Prepare a study on a coarser mesh, reduced if the study is (collective).
+    """Prepare a study on a coarser mesh, or return the reason for none (collective).
+
+    If ``study`` is reduced, the coarser study is reduced, too.
 
     Returns
     -------
     coarser_study : Study
+        Study with the coarser mesh.
     element_counts : (int, int)
         Numbers of elements of the study and of the coarser study.
     length_ratio : float
         Element length of the coarser mesh over that of the study's mesh.
 
-    Without a usable coarser mesh, a str with the reason is returned instead.
+    Without a usable coarser mesh, a text with the reason is returned instead.
     """
     structure, coarser_scene = study.structure, make_coarser_scene_or_reason(study.scene)
     if isinstance(coarser_scene, str):
@@ -106,12 +109,19 @@ def make_coarser_scene_or_reason(scene: Scene) -> Scene | str:
 def _coarser_over_fine_element_length(
     scene: Scene, coarser_scene: Scene, element_counts: tuple[int, int]
 ) -> float:
-    """Return the element length of a coarser mesh over a scene's.
+    """Return the ratio of element lengths: coarser mesh over a scene's mesh.
 
-    It is the ratio of both values of ``mesh.size`` for a solid with cracks or a disk's sector that
-    is meshed here: this ratio holds at crack fronts, tips and corners, where the error is largest.
-    A size above a solid's shortest side is not used, since elements of this length do not fit.
-    Otherwise the ratio follows from ``element_counts`` (scene, coarser scene).
+    If a solid with cracks, or a disk's sector, is meshed here, it is the ratio of both values of
+    ``mesh.size``. This ratio holds at crack fronts, tips and corners, where the error is largest.
+    A ``mesh.size`` above a solid's shortest side is not used, since such elements do not fit.
+    In all other cases the ratio follows from the numbers of elements.
+
+    Parameters
+    ----------
+    scene, coarser_scene : Scene
+        Scene, and the same scene with a coarser mesh.
+    element_counts : (int, int)
+        Numbers of elements of both meshes.
     """
     element_size, is_plane = scene.mesh.size, scene.dimension == 2
     if (
@@ -164,8 +174,11 @@ def _describe_crack_mismatch(structure: Structure, coarser_structure: Structure)
 def _pair_areas_and_points_of_cracks(structure: Structure) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return areas and positions of each crack's contact pairs.
 
-    The list has an entry for each crack: areas (n,) [m^2] and positions (n, d) [m] of its n pairs.
-    It is empty if areas or positions are unknown.
+    Returns
+    -------
+    list of (areas, positions)
+        For each crack with n pairs: areas (n,) [m^2] and positions (n, d) [m]. The list is empty if
+        areas or positions are unknown.
     """
     pairs = structure.whole.pairs
     if pairs.cracks is None or pairs.areas is None or pairs.points is None:
@@ -177,15 +190,24 @@ def _pair_areas_and_points_of_cracks(structure: Structure) -> list[tuple[np.ndar
 def refine_scene_or_none(scene: Scene, refinement_factor: float) -> Scene | None:
     """Return a scene with a finer or coarser mesh, or None.
 
-    Element lengths are divided by ``refinement_factor``; below 1 the mesh becomes coarser. None for
-    mesh files, and for grids to be made coarser whose number of columns or rows is odd.
+    None is returned for mesh files. A grid cannot be made coarser if its number of columns or rows
+    is odd: then, too, None is returned.
 
-    The number of elements along crack faces is rounded up. ``mesh.size`` and ``mesh.patches``
-    change by the resulting factor, so that the mesh stays similar. In a solid or a disk's sector
-    with three or more elements along a face, the grading changes, too
-    (:func:`_refine_graded_elements`). For a finer mesh of a solid or sector, a size above the
-    shortest side is first replaced by this side. A grid becomes finer by the next whole factor, so
-    that cracks stay on grid lines, or coarser by 2.
+    - The number of elements along crack faces is rounded up. ``mesh.size`` and ``mesh.patches``
+      change by the resulting factor, so that the mesh stays similar.
+    - In a solid or a disk's sector with three or more elements along a face, the grading changes,
+      too (:func:`_refine_graded_elements`).
+    - For a finer mesh of a solid or sector, a ``mesh.size`` above the shortest side is first
+      replaced by this side.
+    - A grid becomes finer by the next whole factor, so that cracks stay on grid lines. It becomes
+      coarser by 2.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with a mesh.
+    refinement_factor : float
+        Divides the element lengths; below 1 the mesh becomes coarser.
     """
     mesh_table = scene.mesh
     if mesh_table is None or mesh_table.layout == "file":
@@ -226,8 +248,13 @@ def refine_scene_or_none(scene: Scene, refinement_factor: float) -> Scene | None
 def _patch_key_changes(scene: Scene, refinement_factor: float) -> dict[str, int]:
     """Return the changed number of contact patches, for ``Scene.replace``.
 
-    The result is ``{"mesh.patches": n}``, or {} without patches. Lengths of patches are divided by
-    ``refinement_factor``, as those of elements: so the mesh error includes the error by patches.
+    Lengths of patches are divided by ``refinement_factor``, as the lengths of elements. So the mesh
+    error includes the error due to patches.
+
+    Returns
+    -------
+    dict of str to int
+        ``{"mesh.patches": n}`` with the new number n; empty if the scene has no patches.
     """
     n_patches = scene.mesh.patches
     return (
@@ -242,14 +269,14 @@ def _refine_graded_elements(
 ) -> tuple[int, float, float]:
     """Refine graded elements along a solid's crack face to a similar mesh.
 
-    The n elements are h_0 r^k long, k = 0 to n - 1 from the front, with the grading r^(n - 1).
-    Neighbouring elements are h_0 + (r - 1) d long at the distance d from the front. The mesh stays
-    similar if r^n, and so h_0 / (r - 1), stays the same.
+    Element k = 0 to n - 1 from the front has the length h_0 r^k. The grading is r^(n - 1). The
+    element at the distance d from the front is h_0 + (r - 1) d long. The mesh stays similar if r^n,
+    and so h_0 / (r - 1), stays the same.
 
     Parameters
     ----------
     n_elements : int
-        n.
+        Number n of elements along the face.
     grading : float
         Length of the longest over the shortest element.
     refinement_factor : float
@@ -276,10 +303,7 @@ def _refine_graded_elements(
 
 
 def count_elements(structure: Structure) -> int:
-    """Return the number of elements in a structure's mesh (collective).
-
-    It is 1 for given matrices.
-    """
+    """Return the number of elements in a structure's mesh; 1 for given matrices (collective)."""
     whole_structure = structure.whole
     return max(
         1,

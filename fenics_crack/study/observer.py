@@ -52,9 +52,10 @@ Each expansion factors the structure again."""
 def make_requested_rows_and_readers(study: Study) -> list[ExtraRows]:
     """Make rows and readers for requested numbers of crack tips and clamp (collective).
 
-    Each :class:`ExtraRows` has rows R, and a function that reads numbers, such as K_max, from the
-    time histories R u of a displacement u. The list is empty if the scene requests no such numbers.
-    Rows are made once for the study's structure.
+    A requested number is for example K_max. It follows from the time histories R u of a
+    displacement u. Each :class:`ExtraRows` has the rows R, and a function that reads the numbers
+    from R u. The list is empty if the scene requests no such numbers. Rows are made once for the
+    study's structure.
     """
     requested_places = {
         OBSERVABLES_BY_NAME[name].place for name in list_requested_extra_quantities(study.scene)
@@ -71,12 +72,16 @@ class ObservedQuantity(NamedTuple):
 
     Attributes
     ----------
-    column_name, name : str
-        Name of its column, "tip.ux.ratio_2_1", and of its observable, "ratio_2_1".
-    words, unit : str
-        Description, with the watched displacement, and unit.
+    column_name : str
+        Name of the number's column in tables, such as "tip.ux.ratio_2_1" at the point "tip".
+    words : str
+        Description, with the watched displacement.
     value : float or (n,)
-        The number; for a curve an array over its n points.
+        The number; for a curve with n points, n values.
+    unit : str
+        Unit of the number.
+    name : str
+        Name without the point, such as "ratio_2_1".
     """
 
     column_name: str
@@ -89,8 +94,8 @@ class ObservedQuantity(NamedTuple):
 def observe_quantities(study: Study, motion: ObservedMotion) -> list[ObservedQuantity]:
     """Return a motion's numbers for tables and files (collective).
 
-    They are numbers of the watched displacements, then of the crack faces, then requested numbers
-    of crack tips and clamp. For a curve each is an array over the points.
+    First come numbers of the watched displacements, then of the crack faces, then requested numbers
+    of crack tips and clamp. For a curve, each number is an array over the curve's points.
     """
     watched_dofs = [watched_displacement.dof for watched_displacement in study.watched]
     observed_displacements, requested_value_by_name = motion.observe_dofs(
@@ -138,7 +143,8 @@ class ClampReactions(NamedTuple):
 def compute_clamp_reactions(record: Record) -> ClampReactions:
     """Compute the clamp's forces and moments from a motion's record.
 
-    ``record`` has the products of the rows from :func:`clamp_inertia_rows` with the displacement.
+    ``record`` has time histories R u of the displacement u, with the rows R from
+    :func:`clamp_inertia_rows`.
     """
     whole_structure, load_omega = record.structure.whole, record.omega
     clamp, rayleigh_mass_factor = _clamp_and_rayleigh_mass_factor(whole_structure)
@@ -170,8 +176,8 @@ def _clamp_and_rayleigh_mass_factor(whole_structure: Structure) -> tuple[Clamp, 
 def clamp_inertia_rows(structure: Structure) -> np.ndarray:
     """Return the rows r^T M for the rigid-body motions r: (n_rigid, n_local) (collective).
 
-    M is the mass matrix; the columns are the structure's coordinates. In a reduced structure only
-    the kept modes have inertia, since truncated modes respond quasi-statically.
+    M is the mass matrix. The columns are the structure's n_local coordinates on this rank. In a
+    reduced structure only the kept modes have inertia, since truncated modes respond statically.
     """
     whole_structure = structure.whole
     inertia_rows = _clamp_and_rayleigh_mass_factor(structure.whole)[0].inertia
@@ -204,8 +210,9 @@ class CrackTipHistory(NamedTuple):
     growth_law : Growth or None
         Table ``[growth]`` of the scene: law of fatigue crack growth.
     closed_front_error : float [Pa m^1/2]
-        Largest correction of K_I by contact in a solid without clearance: K_I is set to zero while
-        the front is closed, and while negative. 0 in a plate.
+        Error of K_I at the front of a solid's crack with zero clearance. There K_I is set to zero
+        while the front is closed, and while K_I is negative. The error is the largest |K_I| set to
+        zero; 0 in a plate.
     """
 
     K_I: np.ndarray
@@ -221,9 +228,10 @@ class CrackTipHistory(NamedTuple):
 
             (sum_i (delta K_i / (1 - R_i)^(1 - gamma))^m / T)^(1 / m) [Pa m^1/2]
 
-        The sum is over the rainflow cycles i of max(K_I, 0). Each has the range delta K_i and the
-        ratio R_i of minimum to maximum. gamma and m are ``ratio_exponent`` and ``exponent`` of the
-        growth law. Cycles below the threshold are left out if another cycle is above it.
+        The sum is over the rainflow cycles i of max(K_I, 0). Cycle i has the range delta K_i, and
+        the ratio R_i of minimum to maximum. gamma and m are ``ratio_exponent`` and ``exponent`` of
+        the growth law. T is ``duration_in_load_periods``. If at least one cycle is above the
+        threshold of the growth law, cycles below it are left out.
         """
         assert self.growth_law is not None
         maxima, minima = find_rainflow_cycles(np.maximum(self.K_I, 0.0)).T
@@ -246,9 +254,9 @@ class CrackTipHistory(NamedTuple):
         )
 
     def value_by_name(self) -> dict[str, float]:
-        """Return the tip's numbers by name: K_max, delta_K, ....
+        """Return stress intensity numbers of the tip [Pa m^1/2] by name: "K_max", "delta_K", ....
 
-        The equivalent range is included only with a growth law, and K_III_max only in a solid.
+        The equivalent range is included only with a growth law, and "K_III_max" only in a solid.
         """
         excluded_flags = IN_FILES_ONLY if self.growth_law is not None else REQUIRES_GROWTH_LAW
         return read_observables(
@@ -263,18 +271,18 @@ def compute_crack_tip_histories(
 ) -> list[CrackTipHistory]:
     """Compute stress intensity factors at each tip over a motion's record.
 
-    At the front of a solid's crack without clearance K_I is never negative, and zero while all
-    adjacent pairs are closed.
+    At the front of a solid's crack with zero clearance, K_I is corrected: negative values become
+    zero, and K_I is zero while all contact pairs next to the station are closed.
 
     Parameters
     ----------
     record : Record
-        Products of the displacement rows from :func:`make_tips_and_intensity_rows`, and contact
-        forces.
+        Contact forces, and time histories R u of the displacement u. R are the displacement rows
+        from :func:`make_tips_and_intensity_rows`.
     tips : sequence of Tip or Station
         Tips, or stations along fronts, from the same function.
     force_rows : (2 n_tips, n_pairs), or (3 n_tips, n_pairs) in a solid
-        Factors of the contact forces.
+        Factors of the contact forces, from the same function.
     growth_law : Growth or None
         Law of crack growth, for the equivalent range.
     """
@@ -303,9 +311,14 @@ def compute_crack_tip_histories(
 
 
 class EllipseTipHistories(NamedTuple):
-    """Stress intensity factors at an elliptic front's deepest station and ends.
+    """Stress intensity factors over time along the front of an elliptic crack.
 
-    Each history has values over time. The ends are the two stations at the surface of the body.
+    Attributes
+    ----------
+    deepest_history : CrackTipHistory
+        History at the deepest station.
+    end_histories : list of CrackTipHistory
+        Histories at the ends of the front, at the surface of the body.
     """
 
     deepest_history: CrackTipHistory
@@ -319,15 +332,22 @@ def estimate_closed_front_and_mesh_errors(
 
     Both dicts are empty for a plate, or if the scene requests no numbers of crack fronts.
 
+    Parameters
+    ----------
+    study, motion : Study, ObservedMotion
+        Study, and its motion.
+    coarser_study, coarser_motion : Study, ObservedMotion
+        Study on a coarser mesh, and its motion.
+
     Returns
     -------
     closed_error_by_name : dict of str to float [Pa m^1/2]
-        For each requested number, the largest correction of K_I by contact
-        (``closed_front_error``). Empty if ``difference_by_name`` is infinite.
+        For each requested number, the largest error of K_I by contact (``closed_front_error``).
+        Empty if ``difference_by_name`` is infinite.
     difference_by_name : dict of str to float [Pa m^1/2]
-        Largest difference between the meshes along the fronts; at a single station the difference
-        may vanish by chance. Infinite if the coarser mesh lacks the numbers or has fewer than 3
-        stations on a front.
+        For each requested number, the largest difference between both meshes along the fronts. At
+        a single station the difference may vanish by chance. Infinite if the coarser mesh lacks the
+        numbers, or has fewer than 3 stations on a front.
     """
     requested_quantity_names = set(list_requested_extra_quantities(study.scene))
     quantity_names = sorted(
@@ -365,15 +385,15 @@ def estimate_closed_front_and_mesh_errors(
 def _collect_intensities_by_front(
     study: Study, motion: ObservedMotion
 ) -> tuple[dict[str, tuple[np.ndarray, dict[str, np.ndarray]]], float]:
-    """Collect stress intensities along each crack front, by name (collective).
+    """Collect stress intensities along each crack front, by the front's name (collective).
 
     Returns
     -------
     intensities_by_front : dict of str to (relative_positions, values_by_name)
-        Positions (n,) of the stations along the front, 0 to 1; and each number at these stations
-        (n,) [Pa m^1/2].
+        For each front: relative positions (n,) of its n stations, from 0 to 1; and a dict of
+        numbers such as "K_max", each with n values [Pa m^1/2].
     closed_front_error : float [Pa m^1/2]
-        Largest correction of K_I by contact.
+        Largest error of K_I by contact, over all stations (:class:`CrackTipHistory`).
     """
     stations, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
     [record] = motion.yield_records_of_row_products(displacement_rows)
@@ -393,7 +413,10 @@ def _collect_intensities_by_front(
 
 
 def tabulate_tip_values(tip_histories: Sequence[CrackTipHistory]) -> dict[str, np.ndarray]:
-    """Return each number of crack tips or stations by name: (n_tips,) [Pa m^1/2]."""
+    """Return stress intensity numbers of all tips: dict of str to (n_tips,) [Pa m^1/2].
+
+    Names are for example "K_max". A tip may also be a station on a crack front.
+    """
     value_by_name_of_tips = [tip_history.value_by_name() for tip_history in tip_histories]
     return {
         name: np.array([value_by_name[name] for value_by_name in value_by_name_of_tips])
@@ -414,9 +437,9 @@ def station_indices_by_front(station_names: Sequence[str]) -> dict[str, list[int
 
 
 def leading_crack_tip_index(tip_histories: list[CrackTipHistory]) -> int:
-    """Return the index of the tip with the largest delta_K_effective.
+    """Return the index of the tip with the largest range of positive K_I.
 
-    This is the range of positive K_I, max(max K_I, 0) - max(min K_I, 0).
+    The range is max(max K_I, 0) - max(min K_I, 0).
     """
     return int(
         np.argmax(
@@ -433,18 +456,20 @@ def make_tips_and_intensity_rows(
 ) -> tuple[list[Tip] | list[Station], np.ndarray, np.ndarray]:
     """Make the rows that give K at crack tips or front stations (collective).
 
-    K = displacement_rows u + force_rows lambda for displacement u and contact forces lambda. The
-    rows are made once for a structure and its copies with other load, damping or clearance. In a
-    reduced structure u includes the static responses to load and contact, so that K converges
-    faster than a sum over modes.
+    K = displacement_rows u + force_rows lambda, with displacement u and contact forces lambda. The
+    rows are made once for a structure, and hold for copies with other load, damping or clearance.
+    In a reduced structure, u includes the static responses to load and contact forces. So K
+    converges faster than a sum over modes.
 
     Returns
     -------
     tips : list of Tip or Station
+        Crack tips of a plate, or stations along the crack fronts of a solid.
     displacement_rows : (2 n_tips, n_local), or (3 n_tips, n_local) in a solid
-        Factors of the structure's coordinates for K_I, K_II and in a solid K_III, tip by tip.
+        Factors of the structure's n_local coordinates on this rank. For each tip: the row of K_I,
+        then K_II, and in a solid K_III.
     force_rows : (2 n_tips, n_pairs), or (3 n_tips, n_pairs) in a solid
-        Factors of the contact forces.
+        Factors of the contact forces, in the same order.
 
     Raises
     ------
@@ -503,9 +528,10 @@ class _TipsAndIntensityRowsMaker:
 def find_rainflow_cycles(values: np.ndarray) -> np.ndarray:
     """Return each rainflow cycle's maximum and minimum: (k, 2).
 
-    The values are periodic. Counting starts at the largest value of ``values`` (n,). A range is a
-    cycle if the next range is at least as large (ASTM E1049, 5.4.5; Downing and Socie,
-    International Journal of Fatigue 4, 1982, 31). Constant values give no cycle, (0, 2).
+    ``values`` (n,) are a period of a signal. Counting starts at the largest value. The range
+    between two turning points is a cycle if the next range is at least as large (ASTM E1049, 5.4.5;
+    Downing and Socie, International Journal of Fatigue 4, 1982, 31). Constant values give no cycle:
+    (0, 2).
     """
     start_index = int(values.argmax())
     periodic_values = np.append(values[start_index:], values[: start_index + 1])
@@ -526,15 +552,19 @@ def find_rainflow_cycles(values: np.ndarray) -> np.ndarray:
 
 
 def _make_tip_rows_and_reader(study: Study) -> ExtraRows:
-    """Make the rows of K at crack tips, and their reader (collective).
+    """Make the rows of K at crack tips, and the function that reads numbers (collective).
 
-    The numbers are those of the tip or station with the largest range of positive K_I. In a solid
+    The numbers belong to the tip or station with the largest range of positive K_I. In a solid,
     K_max is the largest K_I of all stations, which decides on fracture.
     """
     tips, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
 
     def read_leading_tip_numbers(record: Record) -> dict[str, float]:
-        """Return numbers by name of the tip with the largest range of positive K_I."""
+        """Return the stress intensity numbers [Pa m^1/2] of the leading tip, such as "K_max".
+
+        The leading tip has the largest range of positive K_I. In a solid "K_max" is the maximum
+        over all stations of the fronts.
+        """
         tip_histories = compute_crack_tip_histories(record, tips, force_rows, study.scene.growth)
         value_by_name = tip_histories[leading_crack_tip_index(tip_histories)].value_by_name()
         if study.scene.dimension == 3:  # under a mean load it may be largest at another station
@@ -547,9 +577,10 @@ def _make_tip_rows_and_reader(study: Study) -> ExtraRows:
 
 
 def _make_ellipse_rows_and_reader(study: Study) -> ExtraRows:
-    """Make the rows of K along a half-ellipse's front, and their reader (collective).
+    """Make the rows of K along a half-ellipse's front, and the reading function (collective).
 
-    The numbers are taken at the deepest station, and as mean over the front's ends at the surface.
+    The function returns numbers at the deepest station, and the mean over the front's ends at the
+    surface.
     """
     stations, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
     station_positions = np.array([station.point for station in stations])
@@ -565,7 +596,7 @@ def _make_ellipse_rows_and_reader(study: Study) -> ExtraRows:
     ]
 
     def read_ellipse_numbers(record: Record) -> dict[str, float]:
-        """Return numbers by name of the deepest station and of the front's ends."""
+        """Return numbers by name: at the deepest station, and as mean over the front's ends."""
         tip_histories = compute_crack_tip_histories(
             record, stations, force_rows, study.scene.growth
         )
@@ -579,9 +610,10 @@ def _make_ellipse_rows_and_reader(study: Study) -> ExtraRows:
 
 
 def _make_clamp_rows_and_reader(study: Study) -> ExtraRows:
-    """Make the clamp's rows r^T M, and their reader (collective).
+    """Make the clamp's rows r^T M, and the function that reads numbers (collective).
 
-    The numbers are the largest force and moment.
+    r are the rigid-body motions and M the mass matrix. The numbers are the largest force [N] and
+    moment [N m] of the clamp.
     """
     inertia_rows = study.structure.compute_once(clamp_inertia_rows)
     return ExtraRows(

@@ -90,18 +90,20 @@ class RemarkRule(NamedTuple):
     Attributes
     ----------
     keys_text : str
-        Keys, separated by blanks. The remark names the first key with a value other than 0; "crack"
-        stands for every crack.
+        Scene keys, separated by blanks, such as "excitation.force_sin excitation.force_cos". The
+        remark names the first key with a value other than 0. A key of "crack" stands for every
+        crack.
     lower_limit, upper_limit : float
         Plausible range; a number outside gets a remark.
     text_template : str
-        Text with fields for the number, further values, {kind} and {faces}.
+        Text of the remark, with fields for the number and further values. {kind} is the kind of
+        body, {faces} the word for crack faces.
     number_function : callable, optional
-        Function of the value, the scene, and in some tables the structure or the key figures. It
-        returns the number, or a tuple of the number and further values; None if the rule does not
-        apply. Default: the largest value of the key.
+        Function that returns the number, given the key's value and the scene. Some rules also give
+        it the structure or the key figures. It may return a tuple: the number, and further values
+        for the text. It returns None if the rule does not apply. Default: the key's largest value.
     factor_by_unit : mapping of str to float
-        Units in which values are mistyped, and the factor from the unit to the key's unit.
+        For each unit in which the value may be given by mistake, the factor to the key's unit.
     """
 
     keys_text: str
@@ -117,7 +119,14 @@ def remarks_on_scene(
 ) -> list[Remark]:
     """Return remarks on unusual values in a scene (collective).
 
-    The unreduced ``structure`` and the ``key_figures`` add further remarks, if they are given.
+    Parameters
+    ----------
+    scene : Scene
+        Scene to check.
+    structure : Structure, optional
+        Unreduced structure, for further remarks.
+    key_figures : KeyFigures, optional
+        Natural frequencies, static responses and amplitudes, for further remarks.
     """
     remarks = [*_iterate_remarks(SCENE_REMARK_RULES, scene)]
     if structure is not None:
@@ -134,14 +143,19 @@ def remarks_on_scene(
 def _iterate_remarks(
     rules: Iterable[RemarkRule], scene: Scene, *rule_arguments: object
 ) -> Iterator[Remark]:
-    """Yield the remarks of some rules on a scene.
+    """Yield the remarks of several rules on a scene.
 
-    A remark proposes the first unit in ``factor_by_unit`` in which the value would be plausible.
+    A value may be plausible in another unit of ``factor_by_unit``. The remark then proposes the
+    first such unit.
 
     Parameters
     ----------
+    rules : iterable of RemarkRule
+        Rules to apply.
+    scene : Scene
+        Scene to check.
     rule_arguments
-        Further arguments of the rules' functions: the structure or the key figures.
+        Further arguments for the rules' functions: the structure or the key figures.
     """
     geometry_table = scene.geometry
     body_kind = "structure" if geometry_table is None else geometry_table.kind
@@ -168,9 +182,20 @@ def _iterate_remarks(
 def _list_first_given_key_and_value(scene: Scene, keys: str) -> list[tuple[str, object]]:
     """Return the first key with a nonzero value, and the value.
 
-    ``keys`` are separated by blanks. If all values are zero, the first given key is returned. A key
-    of the table "crack" yields an entry for each crack with this key. The list is empty if no key
-    is given.
+    If all values are zero, the first given key is returned.
+
+    Parameters
+    ----------
+    scene : Scene
+        Source of the values.
+    keys : str
+        Keys such as "geometry.width", separated by blanks.
+
+    Returns
+    -------
+    list of (key, value)
+        The key and its value. For a key of the table "crack", an entry for each crack that has it.
+        Empty if no key is given.
     """
     keys_and_values_by_key: list[list[tuple[str, object]]] = []
     for dotted_key in keys.split():
@@ -202,7 +227,7 @@ def _list_first_given_key_and_value(scene: Scene, keys: str) -> list[tuple[str, 
 
 
 def _longest_side_or_none(side_length: float, scene: Scene) -> float | None:
-    """Return a plate's side [m] if none is longer, else None."""
+    """Return ``side_length`` [m] if no side of the plate is longer, else None."""
     geometry_table = scene.geometry
     return (
         side_length
@@ -212,9 +237,9 @@ def _longest_side_or_none(side_length: float, scene: Scene) -> float | None:
 
 
 def _length_over_side(length: float, side: float | None) -> float | None:
-    """Return a crack's length or depth over a side.
+    """Return a crack's length or depth divided by a side of the body.
 
-    None if the scene gives no such side.
+    None if ``side`` is None, as the scene does not give it.
     """
     return None if side is None else length / side
 
@@ -226,9 +251,9 @@ def _shorter_side(scene: Scene) -> float:
 
 
 def _thickness_over_shorter_side(thickness: float, scene: Scene) -> float | None:
-    """Return a thickness over the shorter side in the plane.
+    """Return a thickness divided by the shorter side in the plane.
 
-    None for a plate of 1 m, the usual thickness of plane problems, and for a disk of plates.
+    None for a plate 1 m thick, the usual thickness of plane problems, and for a disk of plates.
     """
     is_thickness_irrelevant = scene.geometry.kind == "plate" and (
         thickness == 1.0 or scene.disk is not None
@@ -244,9 +269,11 @@ def _relative_distance_and_node_text(
     Returns
     -------
     (float, str) or None
-        Distance over the mesh's longest extent, and the node's position as text. None if the load
-        acts inside a cell, without nodes, and for scenes with neither a part file
-        (``geometry.file``) nor given matrices.
+        Distance divided by the mesh's longest extent, and the node's position as text. None
+
+        - if the load acts inside a cell, between nodes;
+        - if the structure has no nodes;
+        - if the scene has neither a part file (``geometry.file``) nor given matrices.
     """
     if structure.nodes is None or (scene.structure is None and scene.geometry.file is None):
         return None
@@ -271,8 +298,8 @@ def _relative_distance_and_node_text(
 def _blade_tip_speed(speed_value: float, scene: Scene, structure: Structure) -> float | None:
     """Return the speed of the node farthest from the rotor's axis [m/s] (collective).
 
-    None without rotation or nodes, for a hub radius above 20 m, or if ``speed_value`` is not from
-    the key that sets the rotor's speed.
+    None without rotation or nodes, or for a hub radius above 20 m. Also None if ``speed_value`` is
+    not the value that sets the rotor's speed: ``rotation.rpm``, or without it ``rotation.speed``.
     """
     rotation_table = scene.rotation
     if (
@@ -293,10 +320,14 @@ def _blade_tip_speed(speed_value: float, scene: Scene, structure: Structure) -> 
 def _clamp_height_ratio_and_height(
     _: float, scene: Scene, structure: Structure
 ) -> tuple[float, float] | None:
-    """Return a clamp's height, relative and in m (collective).
+    """Return the height y at which a mesh from a file is clamped (collective).
 
-    The height y is divided by the mesh's longest extent. None unless the mesh is from a file. y is
-    the clamped node's coordinate farthest from 0.
+    y is the coordinate of the clamped node farthest from y = 0.
+
+    Returns
+    -------
+    (float, float) or None
+        |y| divided by the mesh's longest extent, and y [m]. None if the mesh is not from a file.
     """
     nodes = structure.nodes
     if scene.mesh is None or scene.mesh.layout != "file" or nodes is None:
@@ -316,13 +347,14 @@ def _clamp_bending_ratio_and_stress(
 ) -> tuple[float, float] | None:
     """Return the bending stress in a solid's clamp by an eccentric axis (collective).
 
-    The centrifugal force bends a blade whose rotor axis passes beside the clamp's centre.
+    The centrifugal force bends a blade if the rotor axis passes beside the clamp's centre. The
+    clamp counts as a rectangle.
 
     Returns
     -------
     (float, float) or None
-        Bending stress over the direct stress of the centrifugal force, and in MPa. The clamp counts
-        as a rectangle. None for plates, disks, and without rotation or clamp.
+        Bending stress divided by the direct stress of the centrifugal force; and the bending stress
+        [MPa]. None for plates and disks, and without rotation or clamp.
     """
     nodes, rotation, clamp = structure.nodes, structure.rotation, structure.clamp
     if nodes is None or rotation is None or clamp is None or scene.dimension == 2 or scene.disk:
@@ -355,10 +387,9 @@ def _clamp_bending_ratio_and_stress(
 
 
 def _largest_coriolis_change(_: float, scene: Scene, structure: Structure) -> float | None:
-    """Return the largest frequency change by the Coriolis force.
+    """Return the largest relative frequency change by the Coriolis force in a solid.
 
-    The change is relative, for a solid. The lowest 4 modes are examined. None for plates, disks and
-    without rotation.
+    The lowest 4 modes are examined. None for plates and disks, and without rotation.
     """
     if scene.rotation is None or structure.rotation is None or scene.dimension == 2 or scene.disk:
         return None
@@ -370,7 +401,8 @@ def _largest_coriolis_change(_: float, scene: Scene, structure: Structure) -> fl
 def describe_coriolis(relative_changes: np.ndarray) -> str:
     """Describe the Coriolis force's effect in words; "" if at most 1 %.
 
-    ``relative_changes`` (m,) are those of the lowest natural frequencies; the largest one counts.
+    ``relative_changes`` (m,) are those of the m lowest natural frequencies. The largest absolute
+    value counts.
     """
     largest_change = np.abs(relative_changes).max()
     return (
@@ -381,9 +413,9 @@ def describe_coriolis(relative_changes: np.ndarray) -> str:
 
 
 def _count_rigid_pairs_with_mass(_: str, scene: Scene, structure: Structure) -> float | None:
-    """Return the number of rigid contact pairs between crack faces with mass.
+    """Return the number of contact pairs, if contact is rigid and crack faces have mass.
 
-    None for other contact laws, and for crack faces without mass.
+    None if the contact law is not rigid, or if the crack faces have no mass.
     """
     reduction, contact_table = modal_reduction_or_none(scene, structure), scene.contact
     has_massless_faces = reduction is not None and reduction.method == "massless"
@@ -397,12 +429,17 @@ def _count_rigid_pairs_with_mass(_: str, scene: Scene, structure: Structure) -> 
 def _compare_frequency_in_other_unit(
     other_unit_factor: float, _: float, scene: Scene, key_figures: KeyFigures
 ) -> tuple[float, ...] | None:
-    """Return three frequencies if the load frequency seems to be in another unit, else None.
+    """Return three numbers if the load frequency seems to be in another unit, else None.
 
     The unit is doubtful under two conditions. The load frequency is not within 10 % of a natural
     frequency. But ``other_unit_factor`` times the load frequency is within 10 % of the first open
-    or bonded frequency. Returned are the load frequency over the first natural frequency with open
-    crack, and the latter in Hz and rad/s.
+    or bonded frequency.
+
+    Returns
+    -------
+    (float, float, float) or None
+        Load frequency divided by the first natural frequency with open crack; and this natural
+        frequency in [Hz] and in [rad/s].
     """
     first_omega, omega = float(key_figures.omega_open[0]), scene.excitation.omega
     natural_omegas = np.concatenate([key_figures.omega_open, key_figures.omega_tied])
@@ -427,14 +464,15 @@ def _missed_first_omega_and_text(
 ) -> tuple[float, str] | None:
     """Return the first natural frequency if a curve meets no resonance.
 
-    Resonances are sought between the open and bonded frequencies of the first modes, with the
-    harmonics 1/2, 1, 2 and 3.
+    Resonances are expected between the open and the bonded frequency of each of the first modes.
+    The load frequency, or 1/2, 2 or 3 times the load frequency, must lie there.
 
     Returns
     -------
     (float, str) or None
-        Frequency [rad/s], and a text with the curve's end and a proposed range. None if the curve
-        meets a resonance or ends above the modes computed, or is not over frequency or rotor speed.
+        Frequency [rad/s] with open crack, and a text with the curve's end and a proposed range.
+        None if the curve meets a resonance or ends above the modes computed. Also None if its
+        parameter is neither frequency nor rotor speed.
     """
     curve_table = scene.curve
     if curve_table is None or curve_table.parameter not in FACTOR_AND_UNIT_BY_CURVE_PARAMETER:
@@ -474,10 +512,10 @@ def _missed_first_omega_and_text(
 def _peak_rotation_and_displacement(
     _: object, scene: Scene, key_figures: KeyFigures
 ) -> tuple[float, float] | None:
-    """Return peak rotation [rad] and displacement [m] under the excitation's force.
+    """Return the largest rotation [rad] and displacement [m] under the excitation's force.
 
-    The crack is open; the peak is over the load frequencies that the scene asks for. None with
-    other loads, or without damping.
+    The crack is open. The maximum is over the load frequencies that the scene asks for. None if the
+    scene has other loads, or no damping.
     """
     has_other_loads_or_no_damping = scene.has_other_loads or key_figures.damping_ratios.min() == 0.0
     return (
@@ -490,8 +528,8 @@ def _peak_rotation_and_displacement(
 def _n_face_elements_or_none(_: object, scene: Scene, key_figures: KeyFigures) -> int | None:
     """Return the smallest number of elements along a crack face, or None.
 
-    None for a grid without patches, whose columns and rows set the number. None, too, for contact
-    at the mouth alone.
+    None for a grid without contact patches, since columns and rows set the number. Also None if
+    contact acts at the crack's mouth alone.
     """
     has_mouth_contact_only = scene.contact is not None and scene.contact.pairs == "mouth"
     is_grid_without_patches = scene.mesh.layout == "grid" and scene.mesh.patches is None
@@ -503,10 +541,13 @@ def _n_face_elements_or_none(_: object, scene: Scene, key_figures: KeyFigures) -
 def _linear_gap_motion_and_verb(
     _: object, scene: Scene, key_figures: KeyFigures
 ) -> tuple[float, str] | None:
-    """Return the gaps' largest motion [m] if no pair breathes.
+    """Return the gaps' largest motion if no contact pair opens and closes.
 
-    The second output is the verb for the remark "the crack never ...": "opens" or "closes". None if
-    a pair opens and closes, without contact, and for given matrices.
+    Returns
+    -------
+    (float, str) or None
+        Motion [m], and the verb for the remark "the crack never ...": "opens" or "closes". None if
+        a pair opens and closes. Also None without contact, and for given matrices.
     """
     if scene.contact is None or scene.structure is not None or key_figures.breathes:
         return None

@@ -121,14 +121,14 @@ def prepare(
     whole : bool
         Do not reduce, whatever the scene says.
     like : Study, optional
-        Study of another scene. Its mesh and matrices are used if only rotor speed and load
-        frequency differ, or the mistuning of a bladed disk.
+        Study of another scene, to use its mesh and matrices. This is possible if only rotor speed
+        and load frequency differ; for a bladed disk, mistuning and load frequency.
     judged : bool
         Reduce with a reference structure of more modes, for the error of the reduction
         (:func:`reduce_structure`).
     last : list
-        At most one structure, reused if it has the same mesh. Afterwards the list has the new
-        structure. Default: the structure of the last scene.
+        List with at most one structure, which is used if it has the same mesh. Afterwards the list
+        has the new structure. Default: the structure of the last prepared scene.
 
     Returns
     -------
@@ -138,9 +138,9 @@ def prepare(
     Raises
     ------
     InputError
-        As :func:`build_structure` and :func:`reduce_structure`. Or a point of ``[output.points]``
-        is off the mesh by more than 5 % of its size, or next to a clamped node or a crack face. Or
-        solving the scene would take more than 80 % of the machine's memory.
+        As :func:`build_structure` and :func:`reduce_structure`. Or a watched point is off the mesh
+        by more than 5 % of the mesh's size, or next to a clamped node or a crack face. Or solving
+        the scene would take more than 80 % of the machine's memory.
 
     Examples
     --------
@@ -171,7 +171,7 @@ def _find_watched_displacements(
     """Find the displacements to be printed, written and drawn (collective).
 
     Each point in ``[output.points]`` is watched in its free directions, x before y before z.
-    Without points it is the structure's watched dof, by default the dof with most of the load.
+    Without points, the structure's watched dof is taken: by default the dof with the largest load.
 
     Raises
     ------
@@ -208,10 +208,11 @@ def _find_watched_displacements(
 
 
 def _find_structure_in_reference_study(scene: Scene, reference_study: Study) -> Structure | None:
-    """Return a scene's structure, made from another study's mesh and matrices (collective).
+    """Make a scene's structure from another study's mesh and matrices (collective).
 
-    ``reference_study`` may differ in rotor speed and load frequency; for a bladed disk in mistuning
-    and load frequency. None if more differs, or if nothing rotates.
+    The scene may differ from the scene of ``reference_study`` in rotor speed and load frequency;
+    for a bladed disk in mistuning and load frequency. None if more differs. For a structure other
+    than a disk, also None if it does not rotate.
     """
     reference_scene, reference_structure = reference_study.scene, reference_study.structure.whole
     if reference_scene.disk is not None:
@@ -283,14 +284,15 @@ class ModalReduction(NamedTuple):
 
 
 def modal_reduction_or_none(scene: Scene, structure: Structure) -> ModalReduction | None:
-    """Return method and number of modes of a scene's reduction.
+    """Return method and number of modes of a scene's reduction; None without reduction.
 
-    None if the structure is not reduced. Not reduced are structures with ``reduction.method =
-    'off'``, and on one rank structures with at most 100 dofs and no table ``[reduction]``. If all
-    modes are damped and no number of modes is given, 50 are kept.
+    A structure is not reduced if ``reduction.method = 'off'``. On one rank, a structure with at
+    most 100 dofs and no table ``[reduction]`` is not reduced, either. If all modes are damped and
+    no number of modes is given, 50 are kept.
 
-    Crack faces lose their mass ("massless") by default. They keep it if the scene names another
-    method, if all modes are kept, or for at most 100 dofs and no table.
+    ``reduction.method`` sets the method. The default is "massless": crack faces lose their mass. In
+    three cases the default is "free_interface", and crack faces keep their mass: without contact
+    pairs, if all modes are kept, or for at most 100 dofs and no table.
     """
     reduction_table = scene.reduction
     if scene.disk is not None:
@@ -354,7 +356,8 @@ def estimate_and_check_memory(
 def _estimate_needed_memory(scene: Scene, structure: Structure, is_run_up: bool) -> float:
     """Estimate the peak memory to solve a scene, or its run-up [byte] (collective).
 
-    The memory is not compared with a limit.
+    A run-up (``is_run_up``) is a curve over the rotor speed. ``structure`` is not reduced. The
+    memory is not compared with a limit.
     """
     if (disk := scene.disk) is not None:
         return estimate_wheel_memory(
@@ -371,8 +374,16 @@ def _estimate_needed_memory(scene: Scene, structure: Structure, is_run_up: bool)
 def estimate_reduction_memory(structure: Structure, n_modes: int, method: str) -> float:
     """Estimate the peak memory of :func:`reduce_structure` [byte] (collective).
 
-    ``n_modes`` and ``method`` are those of :class:`ModalReduction`. The estimate is a sum over all
-    ranks and includes the memory held already.
+    The estimate is a sum over all ranks and includes the memory held already.
+
+    Parameters
+    ----------
+    structure : Structure
+        Unreduced structure.
+    n_modes : int
+        Number of kept modes.
+    method : str
+        Method of the reduction: "massless" or "free_interface".
     """
     n_dofs, n_static_columns = structure.n_dofs, structure.n_pairs + 1
     n_reference_modes = n_modes + max(n_modes // 2, 10) if method == "massless" else n_modes
@@ -392,8 +403,8 @@ def estimate_reduction_memory(structure: Structure, n_modes: int, method: str) -
 def estimate_wheel_memory(wheel: Wheel, n_families: int) -> float:
     """Estimate the peak memory of :func:`reduce_wheel` [byte] (collective).
 
-    ``n_families`` is the number of modes per nodal diameter in the basis. The estimate is a sum
-    over all ranks and includes the memory held already.
+    The estimate is a sum over all ranks and includes the memory held already. ``n_families`` is the
+    number of modes per nodal diameter in the basis.
     """
     sector = wheel.sector
     n_real_dofs, n_dofs = 2 * len(sector.dof_numbering.own_members), sector.structure.n_dofs
@@ -427,9 +438,9 @@ def estimate_unreduced_memory(structure: Structure, n_harmonics: int) -> float:
 def estimate_run_up_memory(structure: Structure, n_modes: int) -> float:
     """Estimate the peak memory of :func:`run_up_structure` [byte] (collective).
 
-    ``n_modes`` is the number of modes at each of the 3 speeds from which the basis is made. The
-    peak is the larger of two: the basis with the factor and modes of a further speed; or three
-    bases, while a basis is extended (old, addition, union). The memory held already is included.
+    The basis has modes of 3 speeds. The peak is the larger of two: the basis, with the factor and
+    modes at a further speed; or three bases, while a basis is extended (old, addition, union). The
+    memory held already is included. ``n_modes`` is the number of modes at each speed.
     """
     basis_bytes = 8.0 * structure.n_dofs * N_BASIS_SPEEDS * (n_modes + structure.n_pairs + 1)
     bytes_of_modes = (
@@ -445,9 +456,8 @@ def estimate_run_up_memory(structure: Structure, n_modes: int) -> float:
 def _estimate_mode_memory(structure: Structure, n_modes: int) -> float:
     """Estimate the memory to find ``n_modes`` modes [byte] (collective).
 
-    The factor of the stiffness, which exists already, is not included. The larger of two counts:
-    the Krylov vectors of the eigensolver; or the second factor that counts modes, with a matrix and
-    its copy.
+    The estimate is the larger of two: the Krylov vectors of the eigensolver; or a second factor, to
+    count modes, with a matrix and its copy. The existing factor of the stiffness is not included.
     """
     krylov_bytes = 8.0 * structure.n_dofs * n_krylov_vectors(n_modes)
     return max(
@@ -456,10 +466,7 @@ def _estimate_mode_memory(structure: Structure, n_modes: int) -> float:
 
 
 def _estimate_matrix_memory(structure: Structure) -> float:
-    """Return the memory of a matrix like the stiffness [byte] (collective).
-
-    The number of nonzeros is the same.
-    """
+    """Return the memory of a matrix with as many nonzeros as the stiffness [byte] (collective)."""
     bytes_per_entry = np.dtype(PETSc.ScalarType).itemsize + np.dtype(PETSc.IntType).itemsize
     n_entries: float = structure.stiffness.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
     return bytes_per_entry * n_entries
@@ -472,10 +479,10 @@ def _estimate_factor_memory(structure: Structure) -> float:
 
 
 def release_freed_memory() -> None:
-    """Return memory freed by the program to the system.
+    """Return memory freed by the program to the operating system.
 
-    Otherwise it counts as memory of this program. Without ``malloc_trim`` in the C library nothing
-    happens.
+    Without this, freed memory still counts as memory of this program. Nothing happens if the C
+    library has no ``malloc_trim``.
     """
     with suppress(AttributeError):  # a C library without it
         ctypes.CDLL(None).malloc_trim(0)
@@ -517,15 +524,15 @@ def scene_contact_law(scene: Scene, structure: Structure) -> ContactLaw | None:
 def contact_law(contact: Contact, structure: Structure | None = None) -> ContactLaw:
     """Make the contact law of a scene's contact table.
 
-    A stiffness per area [N/m^3] becomes that of each pair [N/m] by the structure's ``pair_areas``,
-    so that refining the mesh does not change the physics.
+    A stiffness per area [N/m^3] is multiplied by the area of each contact pair, which gives a
+    stiffness per pair [N/m]. So refining the mesh does not change the physics.
 
     Parameters
     ----------
     contact : Contact
         The table: ``scene.contact``.
     structure : Structure, optional
-        Structure with areas, needed for a stiffness per area.
+        Structure with areas of pairs, needed for a stiffness per area.
 
     Returns
     -------
@@ -535,8 +542,8 @@ def contact_law(contact: Contact, structure: Structure | None = None) -> Contact
     Raises
     ------
     InputError
-        A stiffness per area comes without a structure with areas, or friction with a structure
-        without tangents.
+        The table has a stiffness per area, but no structure with areas is given. Or it has
+        friction, and the structure has no tangential gaps.
 
     Examples
     --------
@@ -567,8 +574,14 @@ def _stiffness_of_pairs(
 ) -> np.ndarray:
     """Return the stiffness of a structure's contact pairs: (n_pairs,) [N/m].
 
-    It is ``stiffness_per_area`` [N/m^3] times the area of each pair. InputError if the areas are
-    unknown; ``stiffness_key`` is the key of ``[contact]`` in the message.
+    Parameters
+    ----------
+    stiffness_key : str
+        Key of ``[contact]`` with the stiffness, for the message of an InputError.
+    stiffness_per_area : float [N/m^3]
+        Stiffness, which is multiplied by the area of each pair.
+    structure : Structure or None
+        Structure with the areas; InputError if they are unknown.
     """
     if structure is None or structure.pair_areas is None:
         requirement_text = (
@@ -581,7 +594,7 @@ def _stiffness_of_pairs(
 def _make_normal_contact_law(contact_table: Contact, structure: Structure | None) -> ContactLaw:
     """Make the normal contact law of a table ``[contact]``, without friction.
 
-    ``structure`` is needed for a stiffness per area; InputError without.
+    InputError if the table has a stiffness per area, but no ``structure`` with areas is given.
     """
     if contact_table.law == "unilateral":
         return UnilateralConstraint()

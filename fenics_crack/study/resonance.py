@@ -57,10 +57,12 @@ class LoadResonance:
 
     Attributes
     ----------
-    value, width : float [rad/s]
-        Load frequency, or rotor speed under an engine order, at resonance; and half-power width.
+    value : float [rad/s]
+        Load frequency at resonance; under an engine order the rotor speed at resonance.
+    width : float [rad/s]
+        Half-power width of the resonance, in load frequency or rotor speed.
     rest : float [rad/s]
-        The frequency or speed at resonance under a small load; nan if not sought.
+        Load frequency or rotor speed at resonance under a small load; nan if not sought.
     amplitude : float [m]
         Half the peak-to-peak of the watched displacement.
     error : float
@@ -68,8 +70,8 @@ class LoadResonance:
     verdict : str
         Verdict on the stability: "stable", "unstable", "irregular" or "undecided".
     unknown : str
-        Reason why there is no amplitude; "" if there is one. If several modes answer together,
-        ``value``, ``width`` and ``rest`` are known without an amplitude.
+        Reason why there is no amplitude; "" if there is one. If several modes respond together,
+        ``value``, ``width`` and ``rest`` are known, but the amplitude is not.
     mesh_error : float
         Relative error of the amplitude due to the mesh; nan if it is not estimated.
     """
@@ -87,7 +89,7 @@ class LoadResonance:
     def in_words(self) -> str:
         """Amplitude, verdict on stability, and errors by cause, as text.
 
-        Causes missing in the errors are named last. Without an amplitude the text is the reason.
+        Causes that no error includes are named last. Without an amplitude, the text is the reason.
         """
         known_error_by_cause = {"harmonics": self.error, "mesh": self.mesh_error}
         error_by_cause = (
@@ -193,15 +195,17 @@ def find_study_resonance(
 
     Parameters
     ----------
+    study : Study
+        Study with the unreduced structure.
     estimated_omegas : (m,) [rad/s]
         Estimated resonance frequencies of m modes, at the study's rotor speed.
     squared_omega_slopes : (m,)
-        S = d(w^2) / d(W^2) of each natural frequency w over the speed W, for an engine order.
+        S = d(w^2) / d(W^2) of each natural frequency w over the rotor speed W, for an engine order.
 
     Returns
     -------
     LoadResonance
-        If no resonance is found, only the reason ``unknown``.
+        If no resonance is found, only the reason ``unknown`` is set.
     """
     scene, law = study.scene, study.contact
     if law is None:
@@ -223,11 +227,18 @@ def find_study_resonance(
 
 
 def _make_search_structure(study: Study, crossing_speed: float | None) -> Structure:
-    """Reduce a study's structure to few modes, in which a resonance is sought (collective).
+    """Reduce a study's structure to few modes, to search a resonance (collective).
 
-    ``crossing_speed`` [rad/s] is the rotor speed at which an engine order meets the mode; the
-    reduced structure then follows the speed. None without an engine order: then a disk, and a small
-    structure that the scene does not reduce, keep the modes that the scene requests.
+    Without an engine order, a disk keeps the modes that the scene requests. So does a small
+    structure that the scene does not reduce: it keeps all modes.
+
+    Parameters
+    ----------
+    study : Study
+        Study with the unreduced structure.
+    crossing_speed : float or None [rad/s]
+        Rotor speed at which an engine order meets the mode. The reduced structure then follows the
+        rotor speed. None without an engine order.
     """
     whole_structure = study.structure
     reduction = modal_reduction_or_none(study.scene, whole_structure)
@@ -257,7 +268,7 @@ def find_load_resonance(
     Parameters
     ----------
     scene : Scene
-        Source of harmonics and samples.
+        Source of the numbers of harmonics and samples.
     law : ContactLaw
         Contact law; its friction, if any, is left out.
     make_structure : callable
@@ -272,7 +283,8 @@ def find_load_resonance(
     Returns
     -------
     LoadResonance
-        If no resonance is found, or the structure cannot be made, only the reason ``unknown``.
+        If no resonance is found, or the structure cannot be made, only the reason ``unknown`` is
+        set.
     """
     from fenics_crack.curves.resonance import (  # where one is sought
         problem_at_small_load,

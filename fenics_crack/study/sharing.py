@@ -23,16 +23,17 @@ from fenics_crack.scene.scene import Scene
 
 
 class SharedStructure(NamedTuple):
-    """A structure kept for further scenes, with its dependencies.
+    """A structure kept for further scenes, with the values that determine it.
 
     Attributes
     ----------
     structure : Structure
-        Not reduced.
+        Unreduced structure.
     comm : MPI.Comm
         Ranks that were asked to share the structure.
     dependencies : tuple of three
-        Values for mesh, loads, and clearances with damping, from :func:`dependencies_of_structure`.
+        Values that determine mesh, loads, and clearances with damping, from
+        :func:`dependencies_of_structure`.
     """
 
     structure: Structure
@@ -45,7 +46,7 @@ LAST_STRUCTURES: list[SharedStructure] = []
 
 
 def make_empty_coarser_structure_list(structure: Structure) -> list[SharedStructure]:
-    """Return an empty list for the structure on a coarser mesh.
+    """Return an empty list, to be filled with the structure on a coarser mesh.
 
     :meth:`Structure.compute_once` calls this function and keeps the list with the finer structure.
     """
@@ -62,8 +63,9 @@ def assemble_or_reuse_structure(
 ) -> Structure:
     """Return a scene's structure, an existing one if possible (collective).
 
-    The last structure comes first, then a structure file, then a new mesh or matrices. The scene
-    must give the crack length, not a natural frequency instead.
+    First the last structure is tried, then a structure file. If neither fits, the structure is made
+    from a new mesh or from matrices. The scene must give the crack length, not a natural frequency
+    instead.
 
     Parameters
     ----------
@@ -72,8 +74,8 @@ def assemble_or_reuse_structure(
     comm : MPI.Comm
         Ranks that share the structure.
     last_shared_structures : list of SharedStructure
-        At most one structure, used if it has the same mesh (:func:`_can_reuse`). Afterwards the
-        list has the result alone.
+        List with at most one structure, used if it has the same mesh (:func:`_can_reuse`).
+        Afterwards the list has the result alone.
 
     Raises
     ------
@@ -139,11 +141,21 @@ def _can_reuse(
 ) -> bool:
     """Return True if a kept structure can serve a scene.
 
-    ``dependencies`` are the scene's values from :func:`dependencies_of_structure`. Mesh and ranks
-    must be the same. Without a mesh of DOLFINx (structure from a file) the loads must be the same,
-    too. With ``needs_equal_dependencies`` (rotation, disk or given matrices), so must clearances
-    and damping. A structure with matrices but without a mesh, from a structure file, is used only
-    by a command with such a file (:data:`STRUCTURE_FILES`).
+    Mesh and ranks must be the same. If the structure is from a file, without a mesh of DOLFINx, the
+    loads must be the same, too. A structure with matrices but without a mesh serves only a command
+    that keeps a structure file (:data:`STRUCTURE_FILES`).
+
+    Parameters
+    ----------
+    shared_structure : SharedStructure
+        Kept structure.
+    dependencies : tuple of three
+        Values that determine the scene's structure (:func:`dependencies_of_structure`).
+    comm : MPI.Comm
+        Ranks that shall share the structure.
+    needs_equal_dependencies : bool
+        Loads, clearances and damping must be the same, too. So it is with rotation, a disk or given
+        matrices.
     """
     has_mesh = getattr(shared_structure.structure.nodes, "mesh_dofs", None) is not None
     has_same_ranks = MPI.Comm.Compare(shared_structure.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)
@@ -170,9 +182,9 @@ def dependencies_of_structure(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, A
     Returns
     -------
     mesh_dependencies : tuple
-        Tables for mesh and matrices, and digests of their files.
+        Tables that determine mesh and matrices, and digests of the files that they name.
     loads : tuple
-        As :func:`dependencies_of_load` returns them.
+        Values that determine the loads, from :func:`dependencies_of_load`.
     clearances_and_damping : tuple
         Clearance of each crack, and the table ``[damping]``.
     """
@@ -194,8 +206,11 @@ def dependencies_of_structure(scene: Scene, comm: MPI.Comm) -> tuple[Any, Any, A
 def dependencies_of_load(scene: Scene) -> tuple[Any, ...]:
     """Return the values in a scene that determine the load vectors.
 
-    They are the table ``[excitation]`` by key, without its frequency, then other loads and the base
-    motion.
+    Returns
+    -------
+    tuple of three
+        Values of the table ``[excitation]`` by key, without the frequency; other loads; and the
+        base motion.
     """
     return _value_by_key_without(scene.excitation, "omega", "frequency"), scene.loads, scene.base
 

@@ -43,7 +43,7 @@ def digest_of_dependencies(dependencies: tuple[Any, Any, Any]) -> str:
     """Return a SHA-256 digest, equal for scenes with the same structure.
 
     ``dependencies`` come from :func:`dependencies_of_structure`. Load amplitudes, clearances and
-    damping do not count; the files of program and libraries do.
+    damping do not change the digest. Changed files of this program or its libraries do.
     """
     digest_inputs = dependencies_without_amplitudes(dependencies), program_fingerprint_text()
     return hashlib.sha256(repr(digest_inputs).encode()).hexdigest()
@@ -68,10 +68,10 @@ class StructureFile:
         self._noted_structures_and_scenes: list[tuple[SharedStructure, Scene]] = []
 
     def read_shared_structure_or_none(self, scene: Scene, comm: MPI.Comm) -> SharedStructure | None:
-        """Return a scene's structure from the file (collective).
+        """Return a scene's structure from the file, or None (collective).
 
-        None if the file is missing or unusable (a line is printed), or has another mesh or another
-        program version.
+        None if the file is missing or unusable; then a line is printed. Also None if the file has
+        another mesh, or was written by another program version.
         """
         try:
             if not self._cached_prepared_files:
@@ -102,9 +102,10 @@ class StructureFile:
         return shared_structure
 
     def note_shared_structure(self, shared_structure: SharedStructure, scene: Scene) -> None:
-        """Note a structure for :meth:`write_noted_structure`, in place of the one noted before.
+        """Note a structure, for :meth:`write_noted_structure` to write.
 
-        Nothing happens if the mesh differs from that of the structure noted before.
+        It replaces the structure noted before, if both have the same mesh. If the meshes differ,
+        nothing happens.
         """
         if (
             not self._noted_structures_and_scenes
@@ -116,8 +117,8 @@ class StructureFile:
     def write_noted_structure(self, comm: MPI.Comm) -> None:
         """Write the noted structure with its coarser structure (collective).
 
-        Nothing is written if the arrays in the file that was read are at least as large. If writing
-        fails, or the arrays exceed 500 MB, a line is printed.
+        Nothing is written if the arrays that were read from the file are at least as large. If
+        writing fails, or the arrays exceed 500 MB, a line is printed.
         """
         for shared_structure, scene in self._noted_structures_and_scenes:
             if shared_structure.comm.size < comm.size and comm.rank:

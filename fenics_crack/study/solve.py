@@ -55,8 +55,8 @@ def solve_study(
 ) -> SolvedStudy:
     """Solve a study for its steady vibration, reduced as its scene says (collective).
 
-    With a tolerance in the scene, the number of modes is chosen unless the scene gives it.
-    Stability is added if the solution converges and the structure is small.
+    If the scene gives a tolerance but no number of modes, the number is chosen. Stability is added
+    if the solution converges and the structure is small.
 
     Parameters
     ----------
@@ -65,7 +65,8 @@ def solve_study(
     initial_solution : PeriodicSolution, optional
         Initial guess on the same structure; ignored with a tolerance or without contact.
     omega : float, optional [rad/s]
-        Load frequency in place of the scene's; with a tolerance only for the lines of friction.
+        Load frequency in place of the scene's. With a tolerance, it only sets the directions of
+        friction.
 
     Returns
     -------
@@ -128,8 +129,8 @@ def required_contact_law(study: Study) -> ContactLaw:
 def with_friction_lines(study: Study, omega: float) -> Study:
     """Return a study with friction along a fixed line at each pair (collective).
 
-    Only a solid with friction changes. The lines are those along which pairs slide without friction
-    at the load frequency ``omega`` [rad/s].
+    Only a solid with friction changes. A pair's line is the direction in which the pair slides if
+    there is no friction, at the load frequency ``omega`` [rad/s].
     """
     if study.contact is None:
         return study
@@ -146,7 +147,7 @@ def _solve_to_tolerance(unreduced_study: Study) -> tuple[Study, PeriodicSolution
     reduced_studies = list[Study]()
 
     def iterate_structures() -> Iterator[Structure]:
-        """Yield structures with more and more modes; append the studies to reduced_studies."""
+        """Yield structures with more and more modes; keep the studies in ``reduced_studies``."""
         for study in iterate_studies_with_more_modes(unreduced_study):
             reduced_studies.append(study)
             yield study.structure
@@ -176,9 +177,10 @@ curve takes four times as long."""
 def candidate_mode_counts(study: Study, max_modes: int = MAX_MODES_FOR_MONODROMY) -> list[int]:
     """Return the numbers of modes to try for a tolerance, ascending (collective).
 
-    Each number doubles the last, up to ``max_modes``. The list is empty if the scene gives the
-    number of modes, or has no tolerance or no crack. It is also empty if the structure is reduced
-    already or not to be reduced.
+    Each number doubles the last, up to ``max_modes``. The list is empty
+
+    - if the scene gives the number of modes, or has no tolerance or no crack;
+    - if the structure is reduced already, or shall not be reduced.
     """
     scene, structure = study.scene, study.structure
     if structure.whole is not structure:
@@ -215,10 +217,10 @@ def reduce_to_modes(study: Study, n_modes: int) -> Study:
 def iterate_studies_with_more_modes(
     study: Study, max_modes: int = MAX_MODES_FOR_MONODROMY
 ) -> Iterator[Study]:
-    """Yield a study reduced with more and more modes, on demand (collective).
+    """Yield a study reduced to more and more modes, on demand (collective).
 
-    :func:`candidate_mode_counts` gives the numbers. If the list is empty, the study is reduced
-    once, as the scene says.
+    The numbers of modes are those of :func:`candidate_mode_counts`, up to ``max_modes``. If that
+    list is empty, the study is reduced once, as the scene says.
 
     The modes for the first two numbers, with their reference structures, are computed together.
     Computed separately, they take two more factorizations, and for a plate 173 instead of 106 steps
