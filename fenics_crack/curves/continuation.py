@@ -355,7 +355,7 @@ class Continuation(GrowingCurve):
         Problem at the first point. A structure with many dofs is first reduced to a model whose
         crack faces have no mass (``reduce_structure(structure, method="massless")``). ``omega`` counts unless
         it is the parameter. All points have the same quasi-static modes: those above
-        ``static_above``, by default 2 H times the highest base frequency, with the first point's H.
+        ``static_above``, by default 2 H times the highest base frequency (first point's H).
     parameter : str
         "omega": load frequency [rad/s]. "load", "stiffness", "damping", "friction": factor of the
         load, the contact stiffness, the structure's damping, or the coefficient of friction.
