@@ -154,9 +154,9 @@ class BlockSystem(Snes):
     def _linear_jacobian_rows(self, base_omega: float) -> sparse.coo_matrix:
         """Return this rank's rows of the dynamic stiffness, the Jacobian without contact.
 
-        ``base_omega`` [rad/s] is the response's frequency. The matrix takes unknowns divided by
-        ``length_unit`` to forces divided by ``force_unit``. Rows for the amplitudes of damped modes
-        are on the last rank.
+        ``base_omega`` [rad/s] is the response's frequency. The matrix takes displacements
+        divided by ``length_unit`` to forces divided by ``force_unit``. Rows for the amplitudes of
+        damped modes are on the last rank.
         """
         structure, n_rows = self.structure, self._shape[0]
         mass, stiffness = (

@@ -242,15 +242,22 @@ def solve_harmonic_balance(
 
     Parameters
     ----------
-    structure, omega, contact, subharmonic
-        As in :class:`fenics_crack.Problem`.
-    samples : int, optional
-        As in :class:`fenics_crack.Problem`; at least 4 H + 1.
+    structure : Structure
+        Structure that vibrates under its own load.
+    omega : float [rad/s]
+        Angular frequency of the load.
+    contact : ContactLaw
+        Law for all pairs.
     harmonics : int, optional
         Number of harmonics H; default: 5, or as many as ``tolerance`` requires.
+    samples : int, optional
+        Instants per period of the response at which the contact force is evaluated, at least
+        4 H + 1. Default: exact integrals if the law permits (:class:`fenics_crack.Problem`).
     initial : PeriodicSolution, optional
         Solution at which Newton's method starts; default: the linear solution. It may have other
         harmonics, and a subharmonic that divides the response's.
+    subharmonic : int
+        The response has this many times the load's period.
     tolerance : float, optional
         Choose H, at least 5 times ``subharmonic``, so that the relative error
         (:class:`ErrorReport`) is below this; for a structure with many dofs also the modes of a

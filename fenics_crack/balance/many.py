@@ -92,7 +92,8 @@ class ManyOrbits(Tabular):
     multiplier : (n,)
         Largest modulus of the Floquet multipliers.
     verdict : (n,) str
-        "stable", "unstable", or "undecided" if the multiplier is 1 to 1e-6.
+        "stable", "unstable", or "undecided" if the multiplier differs from 1 by
+        at most 1e-6.
     truncation : (n,)
         Relative error of the gap due to the harmonics above H.
     states : (n, flow.state_size)

@@ -289,9 +289,9 @@ class MoreModes:
 
     @property
     def is_orbit_left_out(self) -> bool:
-        """True if the orbit with more modes is not searched: the change would be too large.
+        """True if the orbit with more modes is unknown and its predicted change is too large.
 
-        No such orbit is then known, and the gap's predicted error exceeds ``allowed_prediction``.
+        The gap's predicted error then exceeds ``allowed_prediction``.
         """
         errors = self.gap_and_displacement_errors
         return self.orbit is None and errors is not None and errors[0] > self.allowed_prediction

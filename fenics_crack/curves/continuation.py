@@ -353,9 +353,10 @@ class Continuation(GrowingCurve):
     ----------
     problem : Problem
         Problem at the first point. A structure with many dofs is first reduced to a model whose
-        crack faces have no mass (``reduce_structure(structure, method="massless")``). ``omega`` counts unless
-        it is the parameter. All points have the same quasi-static modes: those above
-        ``static_above``, by default 2 H times the highest base frequency (first point's H).
+        crack faces have no mass (``reduce_structure(structure, method="massless")``). The
+        problem's ``omega`` is the load frequency, unless the parameter is "omega". All points have
+        the same quasi-static modes: those above ``static_above``. Default: 2 H times the response's
+        highest frequency on the curve, with the first point's H.
     parameter : str
         "omega": load frequency [rad/s]. "load", "stiffness", "damping", "friction": factor of the
         load, the contact stiffness, the structure's damping, or the coefficient of friction.
@@ -366,15 +367,16 @@ class Continuation(GrowingCurve):
     exact : bool
         Follow exact periodic orbits. The problem's harmonics are then ignored.
     initial : PeriodicSolution, PeriodicOrbit or Bifurcation, optional
-        A solution near the first point. For exact orbits, also the orbit at ``start``. A
-        bifurcation starts the branch that begins there; ``start`` and ``end`` then bound the
-        parameter on either side (:func:`follow_branch`).
+        A solution near the first point; for exact orbits, the orbit at ``start`` is allowed, too.
+        From a bifurcation the curve is the branch that begins there. ``start`` and ``end`` then
+        bound the parameter on either side (:func:`follow_branch`).
     branch_of : ResponseCurve, optional
         Curve with the bifurcation ``initial``.
     tolerance : float, optional
-        Requires ``samples`` to be None. Choose the number of harmonics, from the problem's
-        ``harmonics`` to 500, for a truncation error below the tolerance at the first point. For
-        exact orbits: the curve's ``tolerance``; default: the value of ``branch_of``, or 0.01.
+        Harmonic balance: choose the number of harmonics, from the problem's ``harmonics`` to 500.
+        The truncation error at the first point is then below the tolerance; ``samples`` must be
+        None. Exact orbits: the curve's ``tolerance``; default: the value of ``branch_of``, or
+        0.01.
     stability : bool
         Assess ``curve`` on each access (:func:`judge_curve`). Exact orbits always have their
         stability.

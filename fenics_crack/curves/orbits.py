@@ -230,9 +230,10 @@ class OrbitEquations(CurveSystem):
 
     @cached_property
     def compiled_equations(self) -> ShootingEquations | None:
-        """Same equations in the C kernel; None over contact stiffness, speed and friction.
+        """Same equations in the C kernel, or None.
 
-        Over the damping they are None with friction.
+        None over contact stiffness, speed and friction coefficient. Over the damping, None if the
+        law has friction.
         """
         is_over_damping = self.parameter_name == "damping"
         # With friction, the places where pairs stick depend on the damping, too.

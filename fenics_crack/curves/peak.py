@@ -81,8 +81,8 @@ class Peak(Described, LargestResponse):
         Stability of the vibration: "stable", "unstable", "irregular" or "undecided".
     damping : float
         Damping ratio by the half-power width of the load's own harmonic. nan if this harmonic does
-        not fall to 1/sqrt(2) on both sides, as if a higher one resonates, or if the curve is over
-        neither the frequency nor the speed.
+        not fall to 1/sqrt(2) on both sides; an example: a higher harmonic resonates. Also nan if
+        the parameter is neither the frequency nor the speed.
     omega_error : float
         Estimated relative error of the frequency; nan if unknown, or if the response is still
         rising.

@@ -493,8 +493,9 @@ def attractor_from_rest(solution: PeriodicSolution) -> Attractor | None:
 def stability_of(assessment: Assessment) -> Stability:
     """Return the stability of an assessed solution by its nearest exact orbit.
 
-    The verdict is "undecided", with a reason, if no orbit is accepted or the largest multiplier is
-    1 to 1e-6. Without an orbit, it is "irregular" if a small disturbance of the exact motion grows.
+    The verdict is "undecided", with a reason, if no orbit is accepted, or if the largest
+    modulus differs from 1 by at most 1e-6. Without an orbit, the verdict is "irregular" if a small
+    disturbance of the exact motion grows.
     """
     orbit, irregular_attractor = assessment.nearest_orbit, assessment.irregular_attractor
     if orbit is None:

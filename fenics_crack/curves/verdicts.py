@@ -69,7 +69,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
         Same points, with the multipliers of their orbits. Points with an irregular exact motion are
         "irregular", with the growth of a small disturbance. Points are "undecided" (nan) if the
         predicted error is above 0.1, or if no orbit is accepted for the solution. They are also
-        undecided if the largest multiplier is 1 to 1e-6.
+        undecided if the largest multiplier's modulus differs from 1 by at most 1e-6.
 
     Raises
     ------

@@ -600,7 +600,8 @@ class Track:
     causes, is_first, ratios : (n,) or None
         Events at the intervals' ends; None without friction. ``causes``: index of the force or gap
         function that becomes zero (-1: none). ``is_first``: 1 for the first event at an instant.
-        ``ratios``: the pair's tangential gap rate over this function's rate (``kernel/flow.h``).
+        ``ratios``: rate of the pair's tangential gap, divided by this function's rate
+        (``kernel/flow.h``).
     """
 
     flow: ContactFlow

@@ -381,7 +381,8 @@ def is_slipping(
 ) -> np.ndarray:
     """Return True for slipping pairs: (n, n_pairs) bool.
 
-    A closed pair slips if the friction force reaches mu times the normal force, to 1e-6.
+    A closed pair slips if the friction force reaches mu times the normal force. The force may
+    be smaller by a relative 1e-6.
 
     Parameters
     ----------

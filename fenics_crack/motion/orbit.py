@@ -799,8 +799,8 @@ def find_orbit(
     """Search for an orbit from a state by Newton's method.
 
     The search fails after 20 integrated periods, or if all motions together need more Taylor pieces
-    (intervals with one Taylor series) than the budget: 20,000, or more for a slow load. After a
-    period, an orbit's state must return to 1e-6, relative.
+    (intervals with one Taylor series) than the budget: 20,000, or more for a slow load. An
+    orbit's state must return after a period, with a relative error up to 1e-6.
 
     Parameters
     ----------
@@ -984,7 +984,7 @@ def orbit_through_state(
 
 
 def is_same_orbit_in_phase(orbit: PeriodicOrbit, other_orbit: PeriodicOrbit) -> bool:
-    """Return True if two orbits' states agree to 1e-6, relative, in the energy norm.
+    """Return True if two orbits' states agree in the energy norm, to a relative 1e-6.
 
     An orbit with the same motion, but shifted in time, counts as another orbit.
     """

@@ -849,8 +849,9 @@ class Path:
         Returns
         -------
         PathSegment or None
-            The last earlier point and the new points; None if the step control rejects the first
-            step, to be repeated with half the length. Length 1: the steps became too short.
+            The last earlier point and the new points. None: the step control rejects the first
+            step, to be repeated with half the length. A segment with the earlier point alone: the
+            steps became too short.
         """
         path_options, start_points = self._options, self._start_points
         start_parameter, residual_rounding = (

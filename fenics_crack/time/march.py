@@ -337,10 +337,10 @@ class TimeHistory(ObservedMotion, Tabular):
         return largest_difference_norm / weight_sum if weight_sum > 0.0 else math.inf
 
     def change(self, periods: int = 1) -> float:
-        """Return the motion's relative change from ``periods`` before to the last (collective).
+        """Return the relative change between the last load period and an earlier one (collective).
 
-        Changes in the gaps and, if recorded, in the watched displacement are relative to the
-        oscillation; the larger change is returned.
+        The earlier one is ``periods`` load periods before. Changes in the gaps and, if recorded, in
+        the watched displacement are relative to the oscillation; the larger change is returned.
 
         Raises
         ------
