@@ -138,9 +138,9 @@ class Assessment:
 
     @property
     def can_search_orbit(self) -> bool:
-        """True if there is an exact flow, and a search for orbits is affordable.
+        """True if the motion has an exact flow, and a search for an orbit does not take too long.
 
-        See :func:`is_orbit_search_affordable`.
+        :func:`is_orbit_search_affordable` decides on the time.
         """
         flow, wave = self.flow, self.wave
         return flow is not None and is_orbit_search_affordable(flow, wave.omega, wave.subharmonic)
@@ -206,14 +206,15 @@ class Assessment:
     def is_accepted(self) -> bool:
         """True if the nearest orbit is accepted as the exact form of this solution.
 
-        The relative distance is then at most 0.1, or 0.5 if crack faces have no mass. An orbit by
-        Newton's method from the solution must also lie within three times the prediction.
+        The relative distance must be at most 0.1, or 0.5 if crack faces have no mass. If Newton's
+        method found the orbit from this solution, the distance must also be at most three times the
+        predicted error.
         """
         return self._orbit_and_acceptance[1]
 
     @cached_property
     def _orbit_and_acceptance(self) -> tuple[PeriodicOrbit | None, bool]:
-        """Nearest orbit or None, and True if it is accepted as the solution's exact form."""
+        """Nearest orbit or None; and True if the orbit is accepted as the solution's exact form."""
         if self.exact_orbit is not None:
             return self.exact_orbit, True
         orbit_or_none = self._source_orbit or self._search_nearest_orbit()
@@ -300,8 +301,8 @@ class Assessment:
     def relative_orbit_distance(self) -> float:
         """Relative distance between the gaps of solution and orbit; nan without an orbit.
 
-        Root mean square over the period and the pairs, relative to the orbit's gaps plus clearance.
-        In this reference the mean counts at most as much as the vibration.
+        Root mean square over the period and the pairs, divided by that of the orbit's gaps plus
+        clearance. In this divisor the mean over time is limited to the vibration.
         """
         return (
             np.nan
@@ -313,9 +314,9 @@ class Assessment:
         """Return relative errors of the gap, and of the displacement at the load.
 
         If the solution has an orbit's coefficients, the errors are the distances to this orbit.
-        With ``search`` they are the distances to the nearest orbit; if none is found,
-        :func:`stated_error` of the predictions. Without ``search`` they are the predictions. Each
-        is at most 1, and 1 means unknown.
+        Otherwise, with ``search``, they are the distances to the nearest orbit. If no orbit is
+        found, each is :func:`stated_error` of the predicted error. Without ``search`` they are the
+        predicted errors. Each is at most 1, and 1 means unknown.
         """
         wave = self.wave
         if self.exact_orbit is not None or (search and self.nearest_orbit is not None):
@@ -356,10 +357,10 @@ class Assessment:
 
     @cached_property
     def more_modes(self) -> MoreModes | None:
-        """Change of the nearest orbit if the structure has more modes.
+        """Motion next to the nearest orbit if the structure has more modes.
 
         None: no orbit is found, no flow with more modes is known, or the search would take long.
-        The orbit need not be accepted.
+        The orbit need not be accepted as the solution's exact form.
         """
         if self._more_modes is not None:
             return self._more_modes
@@ -441,7 +442,7 @@ def wave_with_twice_the_harmonics(wave: Wave) -> Wave | None:
 
 
 def _relative_change_at_load(wave: Wave, change: np.ndarray, motion: np.ndarray) -> float:
-    """Return a change of the displacement relative to the motion, along the load (collective).
+    """Return a change of the displacement along the load, divided by the motion (collective).
 
     ``change`` and ``motion`` are displacements (n, n_local) [m] at n instants. Both are projected
     on the load (:func:`motion_along_load`). The result is the ratio of both root sums of squares.
@@ -457,9 +458,9 @@ def _relative_change_at_load(wave: Wave, change: np.ndarray, motion: np.ndarray)
 def relative_gap_distance(wave: Wave, orbit: PeriodicOrbit) -> float:
     """Return the relative distance between the gaps of a solution and an orbit.
 
-    Root mean square over the period and the pairs, relative to the orbit's gaps plus clearance. In
-    this reference the mean counts at most as much as the vibration. The result is 0 if the load
-    presses the crack faces together, and gaps move only by rounding.
+    Root mean square over the period and the pairs, divided by that of the orbit's gaps plus
+    clearance. In this divisor the mean over time is limited to the vibration. The result is 0 if
+    the load presses the crack faces together, and gaps move only by rounding.
     """
     orbit_samples = orbit.period_samples
     if are_crack_faces_still(orbit_samples):

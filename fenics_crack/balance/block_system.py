@@ -154,9 +154,9 @@ class BlockSystem(Snes):
     def _linear_jacobian_rows(self, base_omega: float) -> sparse.coo_matrix:
         """Return this rank's rows of the dynamic stiffness, the Jacobian without contact.
 
-        ``base_omega`` [rad/s] is the response's frequency. The matrix takes unknowns divided by
-        ``length_unit`` to forces divided by ``force_unit``. Rows for the amplitudes of damped modes
-        are on the last rank.
+        ``base_omega`` [rad/s] is the response's frequency. The matrix takes displacements
+        divided by ``length_unit`` to forces divided by ``force_unit``. Rows for the amplitudes of
+        damped modes are on the last rank.
         """
         structure, n_rows = self.structure, self._shape[0]
         mass, stiffness = (
@@ -229,8 +229,8 @@ class BlockSystem(Snes):
     def _contact_jacobian_rows(self, tangent: np.ndarray) -> sparse.csr_matrix:
         """Return this rank's rows of the Jacobian's contact part, B T ds/du.
 
-        B takes contact forces to the dofs, u is the displacement, s the slow gap (gap plus residual
-        flexibility times contact force), and T = ``tangent`` the forces' derivative by s.
+        B takes contact forces to the dofs, and u is the displacement. s is the slow gap: gap plus
+        residual flexibility times contact force. T = ``tangent`` is the forces' derivative by s.
         """
         n_gap_coefficients = self._pair_force_matrix.shape[1]
         sparse_tangent = sparse.csr_matrix(
@@ -262,10 +262,10 @@ class BlockSystem(Snes):
         )
 
     def scaled_unknowns_of(self, displacement: np.ndarray) -> np.ndarray:
-        """Return this rank's scaled unknowns for a displacement (2H+1, n_local) [m] (collective).
+        """Return this rank's scaled unknowns for a displacement (collective).
 
-        The result is flat: displacement over ``length_unit``, on the last rank then the amplitudes
-        of damped modes.
+        ``displacement`` is (2H+1, n_local) [m]. The result is a flat array of the displacement
+        divided by ``length_unit``. On the last rank the amplitudes of damped modes follow.
         """
         scaled_displacement, comm = displacement / self.length_unit, self.structure.comm
         modal_unknowns = self.structure.sum_over_ranks(
@@ -436,17 +436,17 @@ def _solve_with_growing_stiffness(
 ) -> tuple[np.ndarray, float]:
     """Solve at growing contact stiffness, up to the law's.
 
-    Newton's method starts at ``displacement`` (2H+1, n_local) [m] with the factor
-    ``first_stiffness_factor`` of the law's stiffness. Later starts are extrapolated from the last
-    two solutions, linearly in the logarithm of the factor. If a later start fails, the ratio of
-    successive factors is reduced, down to 1.1.
+    Newton's method starts at ``displacement`` (2H+1, n_local) [m], with the law's stiffness times
+    ``first_stiffness_factor``. Later starts are extrapolated from the last two solutions, linearly
+    in the logarithm of the factor. If a later start fails, the ratio of successive factors is
+    reduced, down to 1.1.
 
     Returns
     -------
     displacement : (2H+1, n_local) [m]
         Last solution.
     reached_factor : float
-        Its factor of the contact stiffness; 1 for the law, 0 without any solution.
+        Factor of the law's stiffness in this solution: 1 for the law, 0 without any solution.
     """
     reached_factor, trial_factor = 0.0, first_stiffness_factor
     stiffness_ratio, slope = MAX_STIFFNESS_RATIO, np.zeros_like(displacement)

@@ -143,9 +143,10 @@ class DynamicStiffness:
             )
 
     def solve(self, dof_forces: np.ndarray) -> np.ndarray:
-        """Return displacements under forces on the dofs, both (m, n_local) (collective).
+        """Return displacements (m, n_local) [m] under forces on the dofs (collective).
 
-        Forces [N] are real or complex. Each of the m rows is a load case of its own.
+        ``dof_forces`` (m, n_local) [N] are real or complex. Each of the m rows is a load case of
+        its own.
         """
         n_local = self.structure.n_local
         if self._damping_matrix is not None:
@@ -274,9 +275,16 @@ class ModalCompliance:
     def _set_parameters(
         self, base_omega: float, load_factor: float, damping_factor: float, added_clearance: float
     ) -> None:
-        """Set frequency [rad/s], factors and added clearance [m], and all that follows from them.
+        """Set the parameters of a varied structure, and compute all that follows from them.
 
-        The modal receptances, modal loads and ``gap_without_modes`` are computed again.
+        Parameters
+        ----------
+        base_omega : float [rad/s]
+            Frequency of the response.
+        load_factor, damping_factor : float
+            Factors of the structure's load and damping.
+        added_clearance : float [m]
+            Clearance added to every pair.
         """
         self._base_omega, self._damping_factor = base_omega, damping_factor
         is_mode_loaded = self._modal_load_at_unit_factor != 0.0
@@ -303,8 +311,9 @@ class ModalCompliance:
     ) -> ModalCompliance:
         """Return the compliance at another frequency, and for a varied structure.
 
-        ``base_omega`` [rad/s] is the response's frequency. ``load`` and ``damping`` are factors,
-        ``clearance`` [m] is added, as in :meth:`Structure.varied`.
+        ``base_omega`` [rad/s] is the response's frequency. ``load`` and ``damping`` are factors of
+        the structure's own load and damping. ``clearance`` [m] is added to every pair's own
+        clearance.
         """
         varied_model = object.__new__(type(self))  # faster than copy
         vars(varied_model).update(vars(self))
@@ -436,23 +445,33 @@ class ModalCompliance:
     ) -> dict[str, Any] | None:
         """Return fields of the C struct ``structure_at_pairs`` for this compliance by modes.
 
-        The response's frequency w and the damping factor d change along a path: ``omega`` and
-        ``damping`` are each a value at the path's start and the change to its end.
-        ``residual_compliance`` is the residual flexibility R_inf [m/N]. At harmonic k, with h_kj =
-        1 / (s_j - (k w)^2 + i k w d c_j) for the mode j,
+        Along a path the response's frequency w and the damping factor d change linearly. At
+        harmonic k, mode j has the receptance
 
-            R_k - R_inf = P^T h_k P + static_compliance,    g_lin gains P^T h_k l_k from the load,
+            h_kj = 1 / (s_j - (k w)^2 + i k w d c_j).
 
-        where R_k is the dynamic compliance and g_lin the gap without contact.
+        With diag(h_k) of all modes, the dynamic compliance R_k less the residual flexibility R_inf
+        is
+
+            R_k - R_inf = P^T diag(h_k) P + static_compliance.
+
+        The load adds P^T diag(h_k) l_k to the gap without contact.
+
+        Parameters
+        ----------
+        omega, damping : (float, float)
+            w [rad/s] and d: value at the path's start, and change to its end.
+        residual_compliance : (n_pairs, n_pairs) [m/N], optional
+            R_inf; None: zero.
 
         Returns
         -------
         dict or None
             None if damping couples modes. Otherwise ``squares``, s (n_modes,) [rad^2/s^2];
             ``modal_damping``, c (n_modes,) [1/s]; ``shapes``, P (n_modes, n_pairs); ``load``, l
-            (H+1, n_modes) complex; ``static_compliance`` (n_pairs, n_pairs) or None; ``modes``,
-            their number; ``omega``, ``damping``, w and d at the start, and ``..._rate``, their
-            changes.
+            (H+1, n_modes) complex; ``static_compliance`` (n_pairs, n_pairs) or None; ``modes``, the
+            number of modes; ``omega`` and ``damping``, w and d at the start; ``omega_rate`` and
+            ``damping_rate``, their changes.
         """
         modes = self._all_modes
         if modes.damping.ndim == 2:
@@ -487,13 +506,22 @@ class ModalCompliance:
     def residual_derivative(self, parameter_name: str, contact_force: np.ndarray) -> np.ndarray:
         """Return the residual's derivative by a parameter at fixed contact forces: (2H+1, n_pairs).
 
-        The residual is R lambda - g_lin, with the compliance R, contact forces lambda and
-        the gap without contact g_lin. ``parameter_name`` is a parameter of :meth:`with_parameters`;
-        "omega" is the response's frequency w. Mode j has the natural frequency omega_j and the
-        modal damping c. At harmonic k, with the damping factor d, the modal impedance Z_k =
-        omega_j^2 - (k w)^2 + i k w d c, and H = Z^-1,
+        The residual is R lambda - g_lin, with the compliance R, contact forces lambda and the gap
+        g_lin without contact. Mode j has the natural frequency omega_j and the modal damping c. At
+        harmonic k the response's frequency w and the damping factor d give the modal impedance
 
-            dH = -H dZ H,        dZ_k = (-2 k^2 w + i k d c) dw + i k w c dd.
+            Z_k = omega_j^2 - (k w)^2 + i k w d c.
+
+        The inverse H_k = 1 / Z_k has the derivatives
+
+            dH_k/dw = -H_k^2 (-2 k^2 w + i k d c),        dH_k/dd = -H_k^2 i k w c.
+
+        Parameters
+        ----------
+        parameter_name : "omega", "load", "damping" or "clearance"
+            Response's frequency, factor of the load, factor of the damping, or added clearance.
+        contact_force : (2H+1, n_pairs) [N]
+            Coefficients of the contact forces.
         """
         harmonic_orders = self._harmonic_orders[:, None]
         if parameter_name == "clearance":
@@ -574,14 +602,19 @@ class ModalCompliance:
 class FactoredCompliance:
     """Dynamic compliance of the gaps by a sparse factorisation for each harmonic.
 
-    The compliance is exact. The factored matrices are kept until :meth:`destroy`. ``gap_shape``,
-    ``matrices`` and ``linear_gap`` are as in :class:`ModalCompliance`.
+    The compliance is exact. The factored matrices are kept until :meth:`destroy`.
 
     Attributes
     ----------
     structure : Structure
     load : (2H+1, n_local) [N]
         Fourier coefficients of the load.
+    gap_shape : tuple of int
+        (2H+1, n_pairs).
+    matrices : (H+1, n_pairs, n_pairs) complex [m/N]
+        Compliance for each harmonic, symmetric.
+    linear_gap : (2H+1, n_pairs) [m]
+        Gap under the load without contact forces: B^T u less the clearance.
     """
 
     reachable_gap_basis: np.ndarray | None = None
@@ -645,9 +678,9 @@ class FactoredCompliance:
         )
 
     def displacement_under_force_harmonics(self, dof_force_rows: np.ndarray) -> np.ndarray:
-        """Return the displacement under forces on the dofs, both (2H+1, n_local).
+        """Return the displacement under forces on the dofs: (2H+1, n_local) [m].
 
-        Rows are Fourier coefficients [m], [N].
+        ``dof_force_rows`` (2H+1, n_local) [N] and the result have Fourier coefficients as rows.
         """
         complex_displacements = [
             dynamic_stiffness.solve(complex_force.real[None] if k == 0 else complex_force[None])[0]
@@ -727,8 +760,8 @@ def _omegas_damping_rates_and_gap_shapes(
 def relative_residual_rounding(compliance_model: ComplianceModel, law: ContactLaw) -> float:
     """Return the rounding error |F| / |x| of the residual F for uncoupled pairs.
 
-    x are the unknowns. The error is machine epsilon times the largest contact stiffness times
-    compliance. Raises InputError if rounding leaves nothing of the contact force.
+    x are the unknowns. The error is machine epsilon times the largest product of contact stiffness
+    and compliance. Raises InputError if rounding leaves nothing of the contact force.
     """
     max_contact_stiffness = float(np.max(law.stiffness))
     row_sums = np.abs(compliance_model.matrices).sum(axis=2)

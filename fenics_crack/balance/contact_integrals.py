@@ -99,8 +99,7 @@ class ContactForces(ABC):
     def softness_derivative(self) -> np.ndarray:
         """Return the forces' derivative by the softness: (2H+1, n_pairs) [N].
 
-        The softness is a compliance in series with every pair, relative to the mean pair
-        compliance.
+        The softness is a compliance in series with every pair, divided by the mean pair compliance.
         """
 
     @abstractmethod
@@ -286,8 +285,9 @@ class SampledIntegrals(ContactIntegrals):
 class ExactIntegrals(ContactIntegrals):
     """Exact integrals of uncoupled contact forces, for lambda = k max(g, 0).
 
-    Between the instants at which a pair opens or closes, the integrals have a closed form. With
-    kappa = k while the pair is closed, else 0, and the phase theta, the means over a period are
+    Between the instants at which a pair opens or closes, the integrals have a closed form. The
+    slope kappa is k while the pair is closed, else 0. With the phase theta, the means over a period
+    are
 
         c_m + i s_m = 1 / (2 pi) int kappa exp(i m theta) d theta.
 
@@ -449,8 +449,8 @@ def tangent_from_means(stiffness_means: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     stiffness_means : (4H+1, n, n)
-        Means over the period of the stiffness matrix of n pairs: plain, then with the factors cos(m
-        theta) and sin(m theta) for m = 1 to 2H, with the phase theta.
+        Means over the period of the stiffness matrix of n pairs. First the plain mean. Then, for
+        m = 1 to 2H, the means with the factors cos(m theta) and sin(m theta), with the phase theta.
 
     Returns
     -------
@@ -497,8 +497,9 @@ class CoupledIntegrals(ContactIntegrals):
     def active_set_solver(self) -> ActiveSetSolver:
         """Solver for contact forces by sets of closed pairs.
 
-        The solver's compliance is residual flexibility plus contact springs' compliance plus
-        softness. A smooth law has no contact springs: their compliance is left out.
+        The solver's compliance is the sum of residual flexibility, contact springs' compliance and
+        ``relative_softness`` times the mean pair compliance. A smooth law has no contact springs:
+        their compliance is left out.
         """
         if self.shared_active_set_solver is not None:
             return self.shared_active_set_solver
@@ -663,11 +664,11 @@ class _ExactForces(CoupledForces):
         return tangent_from_means(stiffness_means)
 
     def _diagonal_compliance_derivative(self, compliance_rates: np.ndarray) -> np.ndarray:
-        """Return the forces' derivative by a parameter of the series compliance: (2H+1, n_pairs).
+        """Return the forces' derivative by a parameter p of the compliances: (2H+1, n_pairs).
 
-        The compliance matrix is residual flexibility plus contact springs' compliance plus
-        softness. ``compliance_rates`` (n_pairs,) is the derivative of the matrix's diagonal by the
-        parameter.
+        Each pair has compliances in series: residual flexibility, contact spring, and an added
+        softness. Their sum is a matrix with a diagonal d (n_pairs,) [m/N]. Only d depends on p;
+        ``compliance_rates`` (n_pairs,) is dd/dp.
         """
         force_derivative = np.empty(self._gap_coefficients.shape)
         compliance_rates = require_shape(compliance_rates, self._gap_coefficients.shape[1])
@@ -692,9 +693,10 @@ class _SampledForces(CoupledForces):
 
         lambda = h(s - D lambda),    d lambda = S (ds - dD lambda),    S = h' (I + D h')^-1
 
-    lambda is the force, s the slow gap, and D the residual flexibility plus softness. If the law is
-    piecewise linear, D includes the contact springs' compliance 1/k, and S is the inverse of D on
-    the closed pairs.
+    lambda is the force, s the slow gap (gap plus residual flexibility times force). D is the
+    residual flexibility plus the diagonal compliance by the softness. If the law is piecewise
+    linear, D includes the contact springs' compliance 1/k, and S is the inverse of D on the
+    closed pairs.
     """
 
     def __init__(self, integrals: CoupledIntegrals, gap_coefficients: np.ndarray) -> None:

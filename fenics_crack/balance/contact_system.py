@@ -197,7 +197,7 @@ class ContactSystem:
         compliance_or_modes: np.ndarray | Mapping[str, Any],
         **path_rates: Any,
     ) -> CompiledEquations:
-        """Return these pairs' equations in the C kernel, along a path parameter from 0 to 1.
+        """Return these pairs' equations in the C kernel, along a path parameter p from 0 to 1.
 
         Parameters
         ----------
@@ -207,8 +207,10 @@ class ContactSystem:
             Dynamic compliance less residual flexibility, or its modes
             (:meth:`ModalCompliance.modal_fields_for_kernel`).
         **path_rates
-            Changes along the path: ``linear_gap_rate``, ``log_stiffness_rate``,
-            ``start_series_compliance`` of :class:`CompiledEquations`.
+            Keywords of :class:`CompiledEquations` for changes along the path. ``linear_gap_rate``
+            (2H+1, n_pairs) [m]: derivative of the gap by p. ``log_stiffness_rate``: derivative of
+            ln(contact stiffness) by p. ``start_series_compliance`` [m/N]: compliance in series with
+            each pair at p = 0.
         """
         return CompiledEquations(
             self.residual_compliance, self._gap_spring_compliances(self.integrals.law),
@@ -265,8 +267,9 @@ class ContactSystem:
     def gap(self, unknown: np.ndarray, force: np.ndarray) -> np.ndarray:
         """Return the gap: slow gap less residual flexibility times contact force.
 
-        ``unknown`` [m] is the slow gap. All are (n, n_rows), for n Fourier coefficients or
-        instants; n_rows is the number of pairs, with friction twice as many.
+        ``unknown`` [m] is the slow gap. Gap, slow gap and ``force`` [N] are (n, n_rows), for n
+        Fourier coefficients or instants. n_rows is the number of pairs, with friction twice as
+        many.
         """
         return (
             unknown
@@ -278,8 +281,8 @@ class ContactSystem:
         """Return the equations, linearised at a slow gap.
 
         ``unknown`` (2H+1, n_rows) [m] is the slow gap: gap plus residual flexibility times contact
-        force. ``parameter`` 1 is the law itself; below 1, a compliance in series softens the
-        contact.
+        force. ``parameter`` is the path parameter. At 1 the law itself acts; below 1, an added
+        compliance in series softens the contact.
         """
         parameter_distance_to_law = 1.0 - parameter
         softness_derivative_by_parameter = (
@@ -349,9 +352,9 @@ class ContactSystem:
     def with_harmonics(self, harmonics: int) -> ContactSystem:
         """Return these equations with another number of harmonics.
 
-        Large structures have no factored matrices for harmonics above the present H. There, the
-        lowest modes (at least 20) respond dynamically and higher modes statically, enough for an
-        error estimate.
+        A large structure has no factored matrices for harmonics above the present H. For these
+        harmonics the lowest modes (at least 20) respond dynamically, and higher modes statically.
+        This is enough for an error estimate.
         """
         compliance_model = resized_compliance_model(self.compliance_model, harmonics)
         return ContactSystem(compliance_model, self.integrals.with_harmonics(harmonics))
@@ -401,8 +404,8 @@ class ContactPoint(DenseLinearisation):
     def residual(self) -> np.ndarray:  # type: ignore[override]
         """Residual of the equations: (2H+1, n_rows) [m].
 
-        Slow gap, less gap without contact, plus dynamic compliance (less residual flexibility)
-        times force.
+        s - g_lin + (R - R_inf) b, with the slow gap s, the gap g_lin without contact, the dynamic
+        compliance R, the residual flexibility R_inf and the contact forces' coefficients b.
         """
         system = self.system
         return (
@@ -476,8 +479,9 @@ class ContactPoint(DenseLinearisation):
     def gap_change_by_force(self, force_change: np.ndarray) -> np.ndarray:
         """Return the gap's linearised change for a given error of the contact force.
 
-        ``force_change`` (2H+1, n_rows) [N] is added to the force by the law. The equations are
-        solved again, linearised: the result (2H+1, n_rows) [m] includes the law's reaction.
+        ``force_change`` (2H+1, n_rows) [N] is added to the force that the law gives. The linearised
+        equations are solved again. So the result (2H+1, n_rows) [m] includes the change of the
+        law's own force.
         """
         unknown_change = self.solve(
             -multiply_compliance_and_force(self.system.dynamic_less_static_compliance, force_change)
@@ -501,7 +505,26 @@ class Wave:
 
         u(t) = a0 + sum_k a_k cos(k w t) + b_k sin(k w t),    w = omega / subharmonic
 
-    u are displacements of dofs. For the attributes see :class:`fenics_crack.PeriodicSolution`.
+    u are displacements of dofs. Coefficients have the rows a0, a1, b1, ..., aH, bH.
+
+    Attributes
+    ----------
+    structure : Structure
+        Structure that vibrates.
+    omega : float [rad/s]
+        Angular frequency of the load.
+    contact : ContactLaw or None
+        Law between the crack faces; None for a linear motion.
+    displacement_coefficients : (2H+1, n_local) [m]
+        Displacement of this rank's dofs.
+    gap_coefficients, force_coefficients : (2H+1, n_pairs) [m], [N]
+        Normal gaps and normal contact forces.
+    subharmonic : int
+        The response has this many times the load's period.
+    static_above : float or None
+        Frequency [rad/s] above which modes respond quasi-statically; None: no mode does.
+    tangential_gap_coefficients, tangential_force_coefficients : (2H+1, n_pairs) or None
+        Tangential gaps [m] and friction forces [N]; None without friction.
     """
 
     frequency = hertz_property()
@@ -535,9 +558,9 @@ class Wave:
     def residual_compliance(self) -> np.ndarray | None:
         """Residual flexibility: (n_rows, n_rows) [m/N], or None if ``static_above`` is None.
 
-        The flexibility is the quasi-static response of gaps to contact forces. Rows are the normal
-        gaps of pairs; with friction their tangential gaps follow, and under the layered law the
-        normal gaps come twice.
+        The flexibility is the quasi-static response of gaps to contact forces. The rows are the
+        pairs' normal gaps. With friction, tangential gaps follow. Under the layered law, the normal
+        gaps come twice.
         """
         if self.static_above is None:
             return None
@@ -560,9 +583,10 @@ class Wave:
 
     @cached_property
     def _integrals(self) -> ContactIntegrals:
-        """Object to compute contact forces from slow gaps, for coupled pairs or friction.
+        """Object to compute contact forces from slow gaps (gap plus residual flexibility times
+        force).
 
-        A slow gap is the gap plus residual flexibility times contact force.
+        Only for coupled pairs or friction.
         """
         assert self.contact is not None
         residual_compliance_or_none = self.residual_compliance
@@ -612,7 +636,12 @@ class Wave:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return Fourier basis, gaps and contact forces at equally spaced instants of a period.
 
-        Shapes are those of :meth:`basis_gaps_and_forces_at_phases`, with n = ``n_instants``.
+        Returns
+        -------
+        basis : (n_instants, 2H+1)
+            1, cos, sin, ..., the factors of coefficients.
+        gap, force : (n_instants, n_columns) [m], [N]
+            Normal columns; with friction, tangential ones follow.
         """
         phases = 2.0 * np.pi / n_instants * np.arange(n_instants)
         return self._gaps_and_forces_with_basis_at(
@@ -622,10 +651,10 @@ class Wave:
     def _gaps_and_forces_with_basis_at(
         self, basis_at_phases: np.ndarray, phases: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return ``basis_at_phases``, gaps [m] and contact forces [N].
+        """Return the given basis, gaps [m] and contact forces [N].
 
         ``basis_at_phases`` (n, 2H+1) has a row for each response phase in ``phases`` (n,) [rad].
-        Gaps and forces are (n, n_columns).
+        Gaps and forces are (n, n_columns): normal columns; with friction, tangential ones follow.
         """
         contact_law = self.contact
         slow_gap_at_phases = basis_at_phases @ self.slow_gap_coefficients
@@ -675,10 +704,10 @@ class Wave:
     def contact_force(self, time: np.ndarray) -> np.ndarray:
         """Return the normal contact force at times [s]: (len(time), n_pairs) [N].
 
-        The force follows from the law and the gap at each time. With a residual flexibility R, the
-        force follows from the slow gap g + R lambda. A rigid law of uncoupled pairs has eps max(0,
-        g + lambda / eps), with truncated series of gap g and force lambda, and the law's ``weight``
-        eps.
+        The law gives the force from the gap at each time. With a residual flexibility R, the law
+        and R give the force lambda from the slow gap g + R lambda. Under a rigid law of uncoupled
+        pairs the force is eps max(0, g + lambda / eps). There g and lambda are the truncated series
+        of gap and force, and eps is the law's ``weight``.
         """
         return self.gaps_and_forces(time)[1][:, : self.structure.n_pairs]
 
@@ -736,7 +765,8 @@ class Wave:
     def _static_displacement_per_force(self) -> np.ndarray:
         """Quasi-static displacement by unit contact forces: (n_local, n_columns) [m/N].
 
-        Columns are those of :attr:`row_force_coefficients`. Only with quasi-static modes.
+        Columns are normal forces; with friction, friction forces follow. The motion must have
+        quasi-static modes, that is, ``static_above``.
         """
         assert self.static_above is not None
         responses = all_modes(self.structure_with_row_pairs).static_pair_responses(
@@ -849,7 +879,7 @@ class CompiledEquations(Equations):
         return CompiledPoint(self, require_shape(unknown, *self.shape), parameter)
 
     def function_table_at(self, point: CompiledPoint) -> Any:
-        """Return a pointer to the kernel's C functions, with the equations evaluated at a point.
+        """Return a pointer to the kernel's C functions, with the equations evaluated at ``point``.
 
         Raises ConvergenceError if no contact forces were found at an instant.
         """

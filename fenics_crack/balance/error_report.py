@@ -73,9 +73,10 @@ PART_NAMES_OF_TOTAL_ERROR = ("truncation", "reduction", "sampling", "residual")
 class ErrorReport(Described):
     """Estimated relative errors of a solution.
 
-    The reference is the root mean square of B^T u, the gap plus clearance. In this reference the
-    mean over time counts at most as much as the vibration. An error of 1 is unknown: the equations
-    with more harmonics or modes were not solved, or lead to another motion.
+    Gap errors are divided by the root mean square of B^T u, the gap plus clearance. In this divisor
+    the mean over time is limited to the vibration: a large mean does not make errors small. An
+    error of 1 is unknown: the equations with more harmonics or modes were not solved, or lead to
+    another motion.
 
     Attributes
     ----------
@@ -247,7 +248,7 @@ UNESTIMATED_REPORT = ErrorReport(math.nan, math.nan, math.nan, math.nan, math.na
 
 
 def report_by_more_modes(solution: Wave, more_modes_solution: Wave) -> ErrorReport:
-    """Return the error report of a linear solution (collective).
+    """Return the error report of the linear solution ``solution`` (collective).
 
     ``more_modes_solution`` is the linear solution for the reduced structure's reference, a
     reduction with more modes. The difference between both gives the modal truncation error.
@@ -282,8 +283,9 @@ def _relative_change_at_load(wave: Wave, structure: Structure, displacement: np.
     Returns
     -------
     float
-        Root mean square of the change over that of the first motion. Both are projected on the
-        load (:func:`motion_along_load`). The mean counts at most as much as the vibration.
+        Root mean square of the change, divided by the root mean square of the first motion. Both
+        are projected on the load (:func:`motion_along_load`). In the divisor the mean over time is
+        limited to the vibration. 0 if the first motion is zero.
     """
     motion_coefficients = motion_along_load(wave.structure, wave.displacement_coefficients)
     change_mean_square = mean_square(
@@ -299,7 +301,7 @@ def _relative_change_at_load(wave: Wave, structure: Structure, displacement: np.
 def relative_rms_of_gap_change(
     gap_change: np.ndarray, point: ContactPoint, clearance: np.ndarray
 ) -> float:
-    """Return the root mean square of a gap change, relative to gap plus clearance.
+    """Return the root mean square of a gap change, divided by that of gap plus clearance.
 
     Parameters
     ----------
@@ -313,8 +315,8 @@ def relative_rms_of_gap_change(
     Returns
     -------
     float
-        In the reference the mean counts at most as much as the vibration. 0 if the load presses
-        the crack faces together, so that gaps move only by rounding.
+        In the divisor the mean over time is limited to the vibration. 0 if the load presses the
+        crack faces together, so that gaps move only by rounding.
     """
     gap_plus_clearance = point.gap.copy()
     linear_gap = point.system.compliance_model.linear_gap.copy()
@@ -415,9 +417,10 @@ def _reduction_errors(
 ) -> GapAndDisplacementErrors:
     """Return the modal truncation errors of gaps and of displacement at the load.
 
-    The equations are solved again with more modes, in the reduced structure's reference. The
-    reference removes the fraction :attr:`ReducedStructure.share` of the truncation error, and the
-    changes are divided by this fraction. Without a reference both errors are 0.
+    The reduced structure has a reference: a reduction with more modes. The equations are solved
+    again for the reference. The change removes only a fraction of the truncation error,
+    :attr:`ReducedStructure.share`. So the changes are divided by this fraction. Both errors are 0
+    without a reference.
     """
     more_modes_structure = more_modes_structure_of(wave)
     residual_compliance = point.system.residual_compliance
@@ -478,11 +481,11 @@ def mean_square(coefficients: np.ndarray) -> float:
 
 
 def mean_square_with_limited_mean(coefficients: np.ndarray) -> float:
-    """Return the mean square over a period, with a limited mean.
+    """Return the mean square over a period, with the mean limited to the vibration.
 
-    ``coefficients`` (2H+1, n) have the mean, then cosine and sine of each harmonic; squares are
-    summed over n. The mean counts at most as much as the vibration. The result is at least 1e-300,
-    for divisions.
+    ``coefficients`` (2H+1, n) have the mean, then cosine and sine of each harmonic. Squares are
+    summed over n. A sum over the means that exceeds the vibration's sum is replaced by it, unless
+    the vibration is rounding error. The result is at least 1e-300, for divisions.
     """
     vibration_mean_square = 0.5 * np.sum(coefficients[1:] ** 2)
     squared_means_sum = np.sum(coefficients[0] ** 2)

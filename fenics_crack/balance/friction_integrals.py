@@ -77,8 +77,8 @@ the slider positions falls to a ninth per period. After twelve periods only roun
 class FrictionIntegrals(ContactIntegrals):
     """Integrals of contact and friction forces over a period, for coupled pairs.
 
-    The residual flexibility, in series with contact, is (2 n_pairs, 2 n_pairs), normal gaps before
-    tangential ones.
+    The residual flexibility, in series with contact, is (2 n_pairs, 2 n_pairs). Its first n_pairs
+    rows and columns are normal, the others tangential.
 
     Attributes
     ----------
@@ -102,10 +102,10 @@ class FrictionIntegrals(ContactIntegrals):
 
     @cached_property
     def compliance_matrix(self) -> np.ndarray:
-        """All compliances in series with contact: (2 n_pairs, 2 n_pairs) [m/N].
+        """Sum of all compliances in series with contact: (2 n_pairs, 2 n_pairs) [m/N].
 
-        The sum of residual flexibility, contact springs' compliance 1/k, and ``relative_softness``
-        times the mean pair compliance.
+        The terms are the residual flexibility, the contact springs' compliance 1/k, and
+        ``relative_softness`` times the mean pair compliance. k is the contact stiffness.
         """
         assert self.residual_compliance is not None
         series_compliances = (
@@ -128,12 +128,13 @@ class FrictionIntegrals(ContactIntegrals):
         """Follow contact and friction forces, period after period, until they repeat.
 
         ``gap_samples`` (n, 2 n_pairs) [m] are the slow gaps at n instants of the period: gap plus
-        residual flexibility times contact force. Raises as
-        :meth:`FrictionContactSolver.solve`.
+        residual flexibility times contact force. ConvergenceError: an instant has no contact
+        forces, or more than one solution.
 
         Returns
         -------
         forces : (n, 2 n_pairs) [N]
+            Normal forces, then friction forces.
         states : (n, n_pairs) int8
             0: open, 1: sticks, 2 and 3: slips with growing and with falling tangential gap.
         places : (n, n_pairs) [m]
@@ -156,13 +157,14 @@ class FrictionIntegrals(ContactIntegrals):
         Parameters
         ----------
         gap_coefficients : (2H+1, 2 n_pairs) [m]
-            Coefficients of the slow gaps.
+            Coefficients of the slow gaps: gap plus residual flexibility times contact force.
         requested_phases : (n,) [rad]
             Phases of the response.
 
         Returns
         -------
         forces : (n, 2 n_pairs) [N]
+            Normal forces, then friction forces.
         places : (n, n_pairs) [m]
             Sliders' positions: tangential gap less the tangential spring's deformation. A pair that
             sticks keeps its position.
@@ -199,8 +201,8 @@ class FrictionIntegrals(ContactIntegrals):
 class FrictionForces(CoupledForces):
     """Fourier coefficients of contact and friction forces, with derivatives.
 
-    ``gap_coefficients`` (2H+1, 2 n_pairs) [m] are the slow gaps', normal ones first. Slow gap: gap
-    plus residual flexibility times contact force.
+    ``gap_coefficients`` (2H+1, 2 n_pairs) [m] belong to the slow gaps: gap plus residual
+    flexibility times contact force. Normal gaps come first, then tangential ones.
     """
 
     def __init__(self, integrals: FrictionIntegrals, gap_coefficients: np.ndarray) -> None:

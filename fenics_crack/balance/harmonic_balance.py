@@ -85,10 +85,13 @@ def solve_linear(
 
     Parameters
     ----------
-    structure, omega
-        As in :class:`fenics_crack.Problem`.
+    structure : Structure
+        Structure under its load.
+    omega : float [rad/s]
+        Angular frequency of the load.
     harmonics : int, optional
-        H; harmonics above those of the load are zero. Default: 5, or as many as the load has.
+        Number of harmonics H; harmonics above those of the load are zero. Default: 5, or as many
+        as the load has.
 
     Returns
     -------
@@ -114,7 +117,7 @@ def solve_linear(
 
     @cache
     def estimate() -> ErrorReport:
-        """Return the modal truncation errors, from the linear solution with more modes."""
+        """Return the error report: modal truncation, from the linear solution with more modes."""
         more_modes_structure = more_modes_structure_of(solution)
         if more_modes_structure is None:
             return ErrorReport()
@@ -239,15 +242,22 @@ def solve_harmonic_balance(
 
     Parameters
     ----------
-    structure, omega, contact, subharmonic
-        As in :class:`fenics_crack.Problem`.
-    samples : int, optional
-        As in :class:`fenics_crack.Problem`; at least 4 H + 1.
+    structure : Structure
+        Structure that vibrates under its own load.
+    omega : float [rad/s]
+        Angular frequency of the load.
+    contact : ContactLaw
+        Law for all pairs.
     harmonics : int, optional
         Number of harmonics H; default: 5, or as many as ``tolerance`` requires.
+    samples : int, optional
+        Instants per period of the response at which the contact force is evaluated, at least
+        4 H + 1. Default: exact integrals if the law permits (:class:`fenics_crack.Problem`).
     initial : PeriodicSolution, optional
         Solution at which Newton's method starts; default: the linear solution. It may have other
         harmonics, and a subharmonic that divides the response's.
+    subharmonic : int
+        The response has this many times the load's period.
     tolerance : float, optional
         Choose H, at least 5 times ``subharmonic``, so that the relative error
         (:class:`ErrorReport`) is below this; for a structure with many dofs also the modes of a
@@ -364,8 +374,8 @@ def mode_counts_to_try(
 ) -> list[int]:
     """Return the numbers of modes to try one after the other.
 
-    The numbers begin with ``first_modes`` and double up to ``max_modes``, or to the structure's
-    dofs.
+    The numbers begin with ``first_modes`` and double up to ``max_modes``, or up to the number of
+    the structure's dofs if that is smaller.
     """
     max_modes = min(max(first_modes, max_modes), structure.n_dofs)
     n_doublings = max(0, math.ceil(math.log2(max_modes / first_modes)))
@@ -464,8 +474,9 @@ def solve_from_neighbour(
 ) -> PeriodicSolution:
     """Return a small structure's solution, searched from a neighbouring solution.
 
-    With a tolerance, an exact orbit is searched first. As many harmonics are kept, or added without
-    an orbit, as bring the truncation error below the tolerance.
+    With a tolerance, an exact orbit is searched first. The solution keeps as many of the orbit's
+    harmonics as bring the truncation error below the tolerance. Without an orbit, harmonics are
+    added instead.
 
     Parameters
     ----------
@@ -503,8 +514,9 @@ def solve_from_neighbour(
 def _allowed_harmonics_error(tolerance: float, reduction_error: float) -> float:
     """Return the error allowed for truncated harmonics and samples.
 
-    The allowed error is the tolerance less the modal truncation error ``reduction_error``, at most
-    half the tolerance. If nothing is left, it is half the tolerance.
+    The allowed error is ``tolerance`` less the modal truncation error ``reduction_error``, at most
+    half the tolerance. If the modal truncation error exceeds the tolerance, the allowed error is
+    half the tolerance.
     """
     remaining_error = tolerance - reduction_error
     return min(remaining_error, tolerance / 2.0) if remaining_error > 0.0 else tolerance / 2.0
@@ -515,9 +527,9 @@ def _with_tolerance_status(
 ) -> PeriodicSolution:
     """Return a solution whose status says if the tolerance is met.
 
-    Otherwise the status names a remedy. ``modes_key`` is the scene's key for the number of modes,
-    "" for the argument's name. Raises ConvergenceError if the tolerance is missed and
-    ``solver.throw`` is True. A solution that did not converge is returned unchanged.
+    If it is missed, the status names a remedy, or ConvergenceError is raised if ``solver.throw`` is
+    True. ``modes_key`` is the scene's key for the number of modes, "" for the argument's name. A
+    solution that did not converge is returned unchanged.
     """
     report, structure = solution.report, solution.structure
     if not solution.converged:
@@ -712,8 +724,8 @@ def solution_of_orbit(
 ) -> PeriodicSolution:
     """Return an orbit's Fourier series with the fewest harmonics that meet a tolerance.
 
-    The series has no fewer harmonics than the problem. Errors are due to truncated harmonics and
-    modes.
+    The series has no fewer harmonics than the problem. Its errors are due to the truncated
+    harmonics and modes.
 
     Parameters
     ----------
@@ -724,8 +736,8 @@ def solution_of_orbit(
     initial : PeriodicSolution, optional
         Neighbouring solution, whose factored matrices make the search with more modes faster.
     allowed_prediction : float
-        Maximum relative gap change by more modes, predicted linearly, from which Newton's method
-        searches the orbit with more modes (:attr:`MoreModes.allowed_prediction`).
+        More modes change the gap; a linear prediction gives the relative change. Up to this change
+        Newton's method searches the orbit with more modes.
     """
     max_harmonics = MAX_HARMONICS * problem.subharmonic
     coefficients = orbit.coefficients(
@@ -820,10 +832,15 @@ def _with_orbit_by_balance(
     """Search the orbit with more modes by harmonic balance, if Newton's method failed.
 
     Harmonic balance with more modes and 40 harmonics of the load frequency starts from the orbit's
-    series. If the solution has an accepted orbit, ``more_modes`` is returned with this orbit.
+    series. ``solution_with_harmonics`` returns this series with a given number of harmonics. If the
+    solution has an accepted orbit, ``more_modes`` is returned with this orbit.
 
-    ``more_modes`` is returned unchanged in three cases: the orbit is known or not wanted
-    (:attr:`MoreModes.is_orbit_left_out`); crack faces have mass; harmonic balance fails.
+    ``more_modes`` is returned unchanged in four cases:
+
+    - The orbit with more modes is known.
+    - Its predicted change is too large (:attr:`MoreModes.is_orbit_left_out`).
+    - Crack faces have mass.
+    - Harmonic balance fails.
     """
     if (
         more_modes is None
@@ -902,7 +919,7 @@ def _has_enough_harmonics(solution: PeriodicSolution, tolerance: float) -> bool:
 
     True in three cases:
 
-    - The sum of truncation and sampling error is small enough (:func:`_allowed_harmonics_error`).
+    - The sum of truncation and sampling error is at most :func:`_allowed_harmonics_error`.
     - The error is still unknown with 40 harmonics of the load frequency.
     - The solution has 500 harmonics.
 
@@ -965,11 +982,11 @@ def law_along_lines(
     contact: ContactLaw,
     find_frictionless_motion: Callable[[ContactLaw], ObservedMotion],
 ) -> ContactLaw:
-    """Return a friction law with the sliding lines of a solid's pairs (collective).
+    """Return a friction law with the lines along which a solid's pairs slide (collective).
 
-    ``find_frictionless_motion`` takes the normal law and returns the motion under it, from which
-    the lines follow (:func:`slide_along_lines`). A law without friction, with lines, or for a plate
-    is returned unchanged.
+    ``find_frictionless_motion`` takes the law without friction, and returns the motion under it.
+    The lines follow from this motion (:func:`slide_along_lines`). A law without friction, with
+    lines, or for a plate is returned unchanged.
     """
     friction_law, tangential_gap_matrix = friction_of(contact), structure.tangential
     if friction_law is None or friction_law.direction is not None or tangential_gap_matrix is None:

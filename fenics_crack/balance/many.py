@@ -92,7 +92,8 @@ class ManyOrbits(Tabular):
     multiplier : (n,)
         Largest modulus of the Floquet multipliers.
     verdict : (n,) str
-        "stable", "unstable", or "undecided" if the multiplier is 1 to 1e-6.
+        "stable", "unstable", or "undecided" if the multiplier differs from 1 by
+        at most 1e-6.
     truncation : (n,)
         Relative error of the gap due to the harmonics above H.
     states : (n, flow.state_size)
@@ -145,7 +146,11 @@ class ManyOrbits(Tabular):
         return orbit_through_state(flow, problem.omega, self.states[case], 1)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the columns from ``omega`` to ``truncation`` by name, as lists."""
+        """Return the columns by name, as lists.
+
+        Columns: omega, load, damping, clearance, status, reason, amplitude, opening, closed_share,
+        multiplier, verdict, truncation.
+        """
         return {
             column_field.name: getattr(self, column_field.name).tolist()
             for column_field in fields(self)[3:-1]
@@ -242,7 +247,7 @@ def _yield_cases_with_neighbours(
 ) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
     """Yield cases from the median of all parameters outwards, each with earlier neighbours.
 
-    The position of cases with unusable parameters in this order has no meaning.
+    A case whose parameters cannot be used comes at an arbitrary position.
 
     Yields
     ------
@@ -251,8 +256,8 @@ def _yield_cases_with_neighbours(
     neighbour_indices : (k,) int
         Indices of earlier cases among the nearest 16, the nearest first.
     offsets : (k, 5)
-        Scaled parameters of the neighbours, less those of the case: frequency, damping, sign of the
-        load, and added and given clearance over the load.
+        Scaled parameters of the neighbours, less those of the case. Columns: frequency, damping,
+        sign of the load, added clearance / load, the structure's own clearance / load.
     """
     load_magnitudes = np.where(orbit_table.load == 0.0, 1.0, np.abs(orbit_table.load))
     parameter_rows = [
@@ -305,9 +310,10 @@ def _find_orbit_of_case(
 ) -> PeriodicOrbit:
     """Return the orbit for a case, and set its ``status`` and ``reason`` in the table.
 
-    Newton's method begins near the orbits of the neighbours, cases whose scaled parameters differ
-    by ``scaled_parameter_offsets`` (:func:`_yield_cases_with_neighbours`). Raises ConvergenceError
-    if no orbit is found.
+    Newton's method begins near the orbits of the neighbours, cases with the indices
+    ``neighbour_indices`` (k,). ``scaled_parameter_offsets`` (k, 5) are the neighbours' scaled
+    parameters less the case's (:func:`_yield_cases_with_neighbours`). Raises ConvergenceError if no
+    orbit is found.
     """
     flow = ContactFlow(problem.structure, problem.contact)
     if not is_orbit_search_affordable(flow, problem.omega):

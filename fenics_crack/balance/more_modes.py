@@ -69,9 +69,9 @@ def more_modes_structure_of(wave: Wave) -> ReducedStructure | None:
 
 
 def _neglected_to_kept_dissipation_ratio(wave: Wave) -> float:
-    """Return the energy loss missing in truncated modes, over the loss in kept modes.
+    """Return the energy loss missing in truncated modes, divided by the loss in kept modes.
 
-    Both are losses of the motion ``wave`` per period, by Rayleigh damping. Truncated modes respond
+    Both are losses of the motion ``wave`` in a period, by Rayleigh damping. Truncated modes respond
     quasi-statically, without this loss. The ratio is 0 without Rayleigh damping, and for a
     structure with mass in all coordinates.
     """
@@ -102,9 +102,9 @@ def modal_truncation_errors(
 ) -> GapAndDisplacementErrors:
     """Return modal truncation errors from the changes between a structure and its reference.
 
-    The reference is a reduction with more modes. The reference removes the fraction
-    :attr:`ReducedStructure.share` of the truncation error; the fraction is 1 for other structures.
-    Each change, of gap and displacement, is divided by the fraction and limited to 1.
+    The reference is a reduction with more modes. It removes only a fraction of the truncation
+    error, :attr:`ReducedStructure.share`; for other structures the fraction is 1. Each change, of
+    gap and of displacement, is divided by this fraction and limited to 1.
     """
     reference_share = structure.share if isinstance(structure, ReducedStructure) else 1.0
     return min(gap_and_displacement_changes[0] / reference_share, ERROR_IF_UNKNOWN), min(
@@ -141,11 +141,11 @@ class MoreModes:
 
     @property
     def nearest_orbit_states_with_static_new_modes(self) -> np.ndarray:
-        """Nearest orbit's states, with more modes added: (32, flow.state_size).
+        """Nearest orbit's states, extended to the larger number of modes: (32, flow.state_size).
 
-        The states are those at the starts of 32 equal parts of the period. Added modes respond
-        statically to the load and the contact forces. If crack faces have mass, the orbit's motion
-        is projected on the modes of the larger reduction.
+        The states are those at the starts of 32 equal parts of the period. If crack faces have no
+        mass, added modes respond statically to the load and the contact forces. Otherwise the
+        orbit's motion is projected on the modes of the larger reduction.
         """
         orbit_samples, flow = self.nearest_orbit.period_samples, self.flow
         n_orbit_modes = self.nearest_orbit.flow.n_modes
@@ -185,9 +185,9 @@ class MoreModes:
     ) -> np.ndarray:
         """Return states with more modes by projection: (n, flow.state_size).
 
-        For reduced structures whose crack faces have mass. Modal coordinates and velocities (n,
-        n_modes) are those of the orbit with fewer modes. ``sticking_places`` (n, n_pairs) are the
-        friction sliders' positions.
+        For reduced structures whose crack faces have mass. ``modal_coordinates`` and
+        ``modal_velocities`` (n, n_modes) are those of the orbit with fewer modes.
+        ``sticking_places`` (n, n_pairs) are the friction sliders' positions.
         """
         reduced_structure, more_modes_structure = self.wave.structure, self.flow.structure
         assert isinstance(reduced_structure, ReducedStructure) and isinstance(
@@ -217,7 +217,7 @@ class MoreModes:
 
     @cached_property
     def orbit_or_corrected_motion(self) -> PeriodicOrbit | None:
-        """Orbit with more modes, or else the motion after one Newton step, or None.
+        """Orbit with more modes; without such an orbit, the motion after one Newton step.
 
         The step corrects the states at 32 instants of the period together. None: the motion with
         more modes cannot be integrated.
@@ -289,16 +289,19 @@ class MoreModes:
 
     @property
     def is_orbit_left_out(self) -> bool:
-        """True if no orbit is known and the predicted error exceeds ``allowed_prediction``."""
+        """True if the orbit with more modes is unknown and its predicted change is too large.
+
+        The gap's predicted error then exceeds ``allowed_prediction``.
+        """
         errors = self.gap_and_displacement_errors
         return self.orbit is None and errors is not None and errors[0] > self.allowed_prediction
 
     def describe_contradiction(self, verdict: str) -> str:
-        """Return in words that more modes change the orbit's stability, or "".
+        """Return a text if more modes change the orbit's stability, else "".
 
-        ``verdict`` is the solution's stability. Returns "" if the orbit with more modes has the
-        same stability, or if either is unknown. Multipliers of more than 120 modes are not
-        computed: that would take longer than the orbit.
+        ``verdict`` is the solution's stability. Returns "" also if a stability is unknown.
+        Multipliers with more than 120 modes are not computed: that would take longer than the
+        orbit.
         """
         if verdict not in ("stable", "unstable") or self.orbit is None:
             return ""
@@ -317,7 +320,7 @@ class MoreModes:
 def are_crack_faces_still(samples: Samples) -> bool:
     """Return True if the load presses the crack faces together: gaps move only by rounding.
 
-    Gaps plus clearance are then at most 1e-12 of the gaps by the modes with mass alone.
+    Gaps plus clearance are then at most 1e-12 times the gaps due to the modes with mass alone.
     """
     modal_gaps = samples.states[:, : samples.flow.n_modes] @ samples.flow.modal_model.gaps_by_mode
     gap_plus_clearance = samples.gaps + samples.flow.clearance

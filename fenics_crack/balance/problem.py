@@ -240,9 +240,10 @@ class Problem:
 
     @property
     def static_cutoff(self) -> float | None:
-        """Value for a solution's ``static_above``: :attr:`quasi_static_above` [rad/s], or None.
+        """Frequency above which modes are quasi-static [rad/s], or None.
 
-        None without a residual flexibility: no mode is quasi-static.
+        The value for a solution's ``static_above``. None without a residual flexibility: no mode is
+        quasi-static.
         """
         return None if self.residual_compliance is None else self.quasi_static_above
 
@@ -256,7 +257,7 @@ class Problem:
 
     @cached_property
     def row_law(self) -> ContactLaw:
-        """Law for the rows of :attr:`structure_with_row_pairs`."""
+        """Law for the contact rows, the pairs of :attr:`structure_with_row_pairs`."""
         return law_of_rows(self.contact, self.structure.n_pairs)
 
     @property
@@ -268,11 +269,16 @@ class Problem:
     def residual_compliance(self) -> np.ndarray | None:
         """Residual flexibility in series with contact: (n_rows, n_rows) [m/N], or None.
 
-        The flexibility is the quasi-static response of gaps to contact forces. Small structures
-        have it with friction, or without mass at the crack faces. With mass, they have it under a
-        rigid law without ``weight``, with ``static_above``, or if k R > 100, with contact stiffness
-        k and flexibility R. InputError: R is singular under a rigid law of crack faces without
-        mass.
+        The flexibility R is the quasi-static response of gaps to contact forces. Only small
+        structures have R, and only in these cases:
+
+        - The law has friction.
+        - The crack faces have no mass.
+        - The faces have mass, and the law is rigid without ``weight``.
+        - The faces have mass under a penalty law, and ``static_above`` is given.
+        - The faces have mass under a penalty law of stiffness k, and k R > 100.
+
+        InputError: R is singular under a rigid law of crack faces without mass.
         """
         structure, contact_law = self.structure, self.contact
         if self.has_friction:
@@ -323,7 +329,7 @@ class Problem:
         return residual_compliance
 
     def with_common_cutoff(self, cutoff: float) -> Problem:
-        """Return the problem with the same quasi-static modes along a curve.
+        """Return the problem for a curve on which all points have the same quasi-static modes.
 
         Modes above ``cutoff`` [rad/s] are quasi-static at all points. The problem at this cutoff
         also decides for all points whether pairs have a residual flexibility.
@@ -376,9 +382,9 @@ class Problem:
         Parameters
         ----------
         displacement : (2H+1, n_local) [m]
-        gap, force : (2H+1, n_rows) [m], [N]
-            With friction, normal columns and then tangential ones. Under the layered law, rows or
-            pairs.
+        gap, force : (2H+1, n_columns) [m], [N]
+            A column for each pair; with friction, tangential columns follow the normal ones. Under
+            the layered law, a column for each pair, or for each of the two rows of a pair.
         """
         n_pairs = self.structure.n_pairs
         gap, force = merge_rows_of_pairs(self.contact, n_pairs, gap, force)
@@ -578,10 +584,11 @@ class Search:
     def _point_after_newton_steps_or_at_guess(
         self, snes: SystemSnes | None, guess: np.ndarray
     ) -> Linearisation:
-        """Take full Newton steps from a guess and return the last point.
+        """Take full Newton steps from a guess, and return the equations linearised at the last
+        point.
 
         ``guess`` (2H+1, n_rows) [m] has slow gap coefficients. If ``snes`` is None, the C kernel
-        takes the steps; if the steps then fail, the point at the guess is returned.
+        takes the steps. If these steps fail, the point at the guess is returned. The attribute
         ``has_converged`` is set.
         """
         if snes is not None:
@@ -644,7 +651,7 @@ class Search:
     def _yield_start_strategies(
         self, neighbour_slow_gaps: Sequence[np.ndarray]
     ) -> Iterator[StartStrategy]:
-        """Yield the starts that suit the problem, in the module's order.
+        """Yield the starts that suit the problem, in the order of this module's description.
 
         ``neighbour_slow_gaps`` (2H+1, n_rows) [m] are slow gap coefficients of neighbouring
         solutions, tried first.
@@ -915,8 +922,9 @@ def halved_harmonic_counts(harmonics: int, min_harmonics: int) -> list[int]:
 def _allowed_search_iterations(system: ContactSystem) -> float:
     """Return the maximum number of Newton iterations in a search.
 
-    In the kernel it is 7500 with 300 unknowns, and falls with their square above 200; in Python it
-    is at most 1500. With friction it is ``MAX_FRICTION_SEARCH_WORK`` over instants times unknowns.
+    In the kernel the maximum is 7500 with 300 unknowns. It falls with the square of their number
+    above 200, and is constant below. In Python it is at most 1500. With friction it is
+    ``MAX_FRICTION_SEARCH_WORK`` divided by the product of instants and unknowns.
     """
     integrals = system.integrals
     if isinstance(integrals, FrictionIntegrals):

@@ -57,9 +57,9 @@ class Stability(Described):
     refined : bool
         True if the multipliers belong to an exact orbit.
     distance : float
-        Relative distance between the gaps of solution and exact orbit over the period: the actual
-        error. The reference is the orbit's gaps plus clearance, in which the mean counts at most
-        as much as the vibration. nan: no orbit.
+        Root mean square distance between the gaps of solution and exact orbit: the actual error. It
+        is divided by the orbit's gaps plus clearance. In this divisor the mean over time is limited
+        to the vibration. nan: no orbit.
     reason : str
         Why the verdict is "undecided" or "irregular"; else "".
     from_rest : str
@@ -82,8 +82,8 @@ class Stability(Described):
     def to_dict(self) -> dict[str, Any]:
         """Return the entries of a table row by name.
 
-        The entries are the verdict, the multiplier of largest modulus, and the attributes from
-        ``uncertainty`` on.
+        "verdict"; "modulus", "real" and "imaginary" of the multiplier with the largest modulus;
+        then "uncertainty", "refined", "distance", "reason", "from_rest" and "rest_amplitude".
         """
         leading_multiplier = complex(self.multipliers[0])
         columns_by_name = {"verdict": self.verdict, "modulus": abs(leading_multiplier)}
@@ -122,7 +122,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         Normal gaps g = B^T u - g0 with clearances g0, rows in the same order, on every rank; g > 0:
         penetration.
     force_coefficients : (2H+1, n_pairs) [N]
-        Normal contact force, likewise.
+        Normal contact forces, with rows and columns as for the gaps.
     subharmonic : int
         The response has this many times the load's period.
     static_above : float or None
@@ -130,9 +130,9 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         modes that a massless reduction truncates (:class:`fenics_crack.Problem`). None: no mode
         does.
     tangential_gap_coefficients : (2H+1, n_pairs) [m] or None
-        Tangential gap of contact with friction, likewise.
+        Tangential gaps, with rows and columns as for the normal gaps; None without friction.
     tangential_force_coefficients : (2H+1, n_pairs) [N] or None
-        Friction force, likewise.
+        Friction forces, with the same rows and columns; None without friction.
     converged : bool
         True if the residual met the tolerance.
     status : str
@@ -190,7 +190,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
     def displacement(self, time: np.ndarray, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
         """Return displacements at times [s]: (len(time), len(dofs)) [m] (collective).
 
-        None stands for the watched dof.
+        ``dofs`` are dof numbers; None stands for the watched dof.
         """
         if self.residual_compliance is None:
             return evaluate_series(self.coefficients_at(dofs), self.base_omega, time)
@@ -225,7 +225,10 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         )
 
         def evaluate_at(period_fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            """Return row products, gaps and forces at positions in the period, 0 to 1."""
+            """Return row products (n, m), gaps [m] and forces [N] (n, n_columns) of the motion.
+
+            ``period_fractions`` (n,) are positions in the period, 0 to 1.
+            """
             return motion_gap_and_force(
                 *self.basis_gaps_and_forces_at_phases(RAD_PER_TURN * period_fractions)
             )
@@ -233,7 +236,10 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
         def motion_gap_and_force(
             basis: np.ndarray, gap: np.ndarray, force: np.ndarray
         ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            """Return row products with the given gaps and forces; ``basis`` is (n, 2H+1)."""
+            """Return row products (n, m), then the gaps and forces as given.
+
+            ``basis`` (n, 2H+1) has the Fourier basis functions at n instants.
+            """
             row_products = basis @ motion_coefficients
             if static_motion_per_force is not None:
                 row_products -= (
@@ -273,7 +279,7 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
     def coefficients_at(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
         """Return displacement coefficients at dofs: (2H+1, len(dofs)) [m] (collective).
 
-        None stands for the watched dof.
+        ``dofs`` are dof numbers; None stands for the watched dof.
         """
         return self.structure.values_at(self._displacement_rows_mean_if_still, dofs)
 
@@ -315,7 +321,10 @@ class PeriodicSolution(Wave, ObservedMotion, Described):
     # --- shown ------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """Return frequency, contact extremes, errors, stability and status by name."""
+        """Return the entries of a table row by name.
+
+        The entries are frequency, contact extremes, errors, stability and status.
+        """
         columns_by_name: dict[str, Any] = {
             "omega": float(self.omega),
             "harmonics": self.harmonics,
@@ -445,12 +454,12 @@ class Solver:
         with_whole_budget: bool = True,
         more_modes: MoreModes | None = None,
     ) -> tuple[Search, PeriodicSolution]:
-        """Search for a solution; return the search, and its last point as a solution.
+        """Search for a solution of the problem.
 
         Parameters
         ----------
         initial : PeriodicSolution or None
-            Neighbouring solution at which the search starts.
+            Neighbouring solution at which the search starts; None: the linear solution.
         with_whole_budget : bool
             False: the search may use a quarter of its iterations.
         more_modes : MoreModes, optional
@@ -496,7 +505,7 @@ class Solver:
         compliance_model : ComplianceModel
             Dynamic compliance of the problem.
         initial : PeriodicSolution or None
-            Neighbouring solution at which the search starts.
+            Neighbouring solution at which the search starts; None: the linear solution.
         budget_fraction : float
             Fraction of the search's iterations to use, 0 to 1.
 

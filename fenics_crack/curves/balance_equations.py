@@ -87,7 +87,8 @@ class BalanceEquations(CurveSystem):
     def check_value(cls, structure: Structure, key: str, value: float) -> None:
         """Raise InputError unless a parameter value can be used.
 
-        ``key`` names the value in the message. By default it must be above 0.
+        ``key`` names the value in the message. Here the value must be above 0; subclasses may have
+        another rule.
         """
         check_number(key, value, 0.0, excludes_bound=True)
 
@@ -105,11 +106,11 @@ class BalanceEquations(CurveSystem):
 
     @cached_property
     def max_force_slope(self) -> float:
-        """Largest slope of the contact forces over the gaps [N/m].
+        """Largest slope of contact forces over slow gaps [N/m].
 
-        The law at the curve's start or end counts, whichever is stiffer. With a residual
-        flexibility, the result is the smaller slope over slow gaps. A slow gap is the gap plus
-        residual flexibility times contact force.
+        The slow gap is the gap plus residual flexibility times contact force. Without a residual
+        flexibility it is the gap. The slope is the larger of two: under the law at the curve's
+        start, and under the law at the end.
         """
         laws = (self.problem_at(value).contact for value in (self.start, self.end))
         return max(self.system(self.start).max_contact_stiffness(law) for law in laws)
@@ -171,7 +172,7 @@ class BalanceEquations(CurveSystem):
     def compiled_equations(self) -> CompiledEquations | None:
         """Same equations in the C kernel; None without exact contact integrals.
 
-        Also None if the kernel lacks the parameter, or if damping couples modes.
+        Also None if the kernel does not know the curve's parameter, or if damping couples modes.
         """
         system = self.system(self.start)
         return self._compile_equations(system) if system.integrals.is_exact else None
@@ -179,7 +180,7 @@ class BalanceEquations(CurveSystem):
     def _compile_equations(self, start_system: ContactSystem) -> CompiledEquations | None:
         """Make the kernel's equations from the equations at the curve's start.
 
-        None: the kernel lacks this parameter.
+        None: the kernel does not know this parameter.
         """
         return None
 
@@ -202,8 +203,9 @@ class BalanceEquations(CurveSystem):
     def rounding(self, parameter: float) -> float:
         """Return the rounding error |F| / |x| of the residual F, for unknowns x.
 
-        The error follows from the largest compliance times the largest contact stiffness, or less
-        with a residual flexibility. ``parameter`` is the path parameter, 0 to 1.
+        The error follows from the largest contact stiffness times the largest row sum of the
+        compliance. With a residual flexibility in series, both are smaller. ``parameter`` is the
+        path parameter, 0 to 1.
         """
         if self.compiled_equations is not None:
             max_compliance_row_sum = self.compiled_equations.max_dynamic_row_sum(parameter)
@@ -279,9 +281,9 @@ class BalanceAlongFrequency(BalanceEquations):
 
 
 class _BalanceOfVariedStructure(BalanceEquations):
-    """Harmonic-balance equations along a keyword of :meth:`Structure.varied`.
+    """Harmonic-balance equations along a load factor, a damping factor or an added clearance.
 
-    Subclasses name the keyword: load, damping or clearance.
+    Each is a keyword of :meth:`Structure.varied`; subclasses name the keyword.
     """
 
     @classmethod
@@ -430,8 +432,9 @@ class BalanceAlongSpeed(BalanceEquations):
         """Return the frequency above which modes are quasi-static on the whole curve [rad/s].
 
         A mode whose frequency crosses the cutoff would become quasi-static on the way. So the
-        cutoff lies between two successive modes that stay below and above it at start, middle and
-        end. Without such modes, it is the larger cutoff of start and end.
+        cutoff lies between two successive modes. At start, middle and end of the curve, one mode
+        stays below the cutoff and the other above. If there are no such modes, the result is the
+        larger of the cutoffs at start and end.
         """
         min_cutoff = super()._common_cutoff(problem, start, end)
         run_up_structure = as_run_up_structure(problem.structure)
@@ -473,10 +476,10 @@ def as_run_up_structure(structure: Structure) -> RunUpStructure:
 
 
 class BalanceAtResonance(BalanceEquations):
-    """Harmonic-balance equations along a factor for the vibrating load, at a phase resonance.
+    """Harmonic-balance equations at a phase resonance, along a factor for the vibrating load.
 
-    The mean load stays. The load frequency follows the resonance (:class:`ResonanceSystem`); these
-    equations hold at a constant frequency.
+    The mean load is not multiplied. The load frequency follows the resonance
+    (:class:`ResonanceSystem`); these equations hold at a constant frequency.
     """
 
     parameter_name = "resonance"

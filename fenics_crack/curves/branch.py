@@ -88,7 +88,8 @@ def path_points_with_chord(
 ) -> tuple[PathPoint, PathPoint]:
     """Convert two curve points to path points, with the chord between them as tangent.
 
-    ``first_index`` and ``last_index`` are the points' indices.
+    ``first_index`` and ``last_index`` are the points' indices on the curve. The path points are
+    returned in this order.
     """
     end_values = curve.values[[first_index, last_index]].tolist()
     end_point_rows = curve.points[[first_index, last_index]]
@@ -194,8 +195,8 @@ def _branch_tangent(
 
     The equations are F(x, p) = 0, with J = dF/dx and F_p = dF/dp at the ``unknown`` x and path
     ``parameter`` p. At a period doubling (``is_doubling``) the tangent lies in the null space of J.
-    Otherwise it lies in the null space of [J, F_p], orthogonal to the parent's tangent.
-    ``parent_tangent`` None: computed here.
+    Otherwise it lies in the null space of [J, F_p], orthogonal to the parent curve's tangent. If
+    ``parent_tangent`` is None, the parent's tangent is computed here.
     """
     linearisation = system.linearise(unknown, parameter)
     parent_tangent = parent_tangent or tangent_of(system, unknown, linearisation)

@@ -117,6 +117,7 @@ class GrowingCurve:
     start_point : PathPoint
         First point, with the direction.
     step_limits : StepLimits
+        Longest step, most points, and allowed turning back.
     tolerance : float, optional
         Error tolerance for solutions from exact orbits; None: harmonic balance.
     is_branch : bool
@@ -129,8 +130,12 @@ class GrowingCurve:
         Points so far.
     most_points : int
         Maximum number of points.
-    complete, has_returned, status
-        As in :class:`Continuation`.
+    complete : bool
+        True if the curve reached the end, or closed.
+    has_returned : bool
+        True if the curve closed or went past its start, instead of reaching the end.
+    status : str
+        Reason for the end.
     """
 
     def __init__(
@@ -169,8 +174,8 @@ class GrowingCurve:
         iterations : int
             Newton iterations.
         multipliers_and_counts : (k + 3,) complex or None
-            An exact orbit's leading multipliers, and how many are outside the unit circle
-            (:func:`leading_multipliers_and_counts`).
+            An exact orbit's k leading multipliers, then three counts of multipliers outside the
+            unit circle: real above 1, real below -1, complex pairs. None: harmonic balance.
         """
         value = self.system.value(parameter)
         omega = self.system.omega(value, unknown)
@@ -306,7 +311,10 @@ class GrowingCurve:
         )
 
     def _append_segment(self, segment: PathSegment) -> CurvePoint:
-        """Append the points and special points of a path segment; return its last point."""
+        """Append a path segment's points and special points to the curve.
+
+        Returns the segment's last point.
+        """
         kinds_and_special_points = [
             (event.kind, self._convert_path_point(path_point))
             for event, path_point in segment.located_events
@@ -344,10 +352,11 @@ class Continuation(GrowingCurve):
     Parameters
     ----------
     problem : Problem
-        Problem at the first point. A structure with many dofs is reduced first, to crack faces
-        without mass (``reduce_structure(structure, method="massless")``). ``omega`` counts unless
-        it is the parameter. All points have the same quasi-static modes: those above
-        ``static_above``, by default 2 H times the highest base frequency, with the first point's H.
+        Problem at the first point. A structure with many dofs is first reduced to a model whose
+        crack faces have no mass (``reduce_structure(structure, method="massless")``). The
+        problem's ``omega`` is the load frequency, unless the parameter is "omega". All points have
+        the same quasi-static modes: those above ``static_above``. Default: 2 H times the response's
+        highest frequency on the curve, with the first point's H.
     parameter : str
         "omega": load frequency [rad/s]. "load", "stiffness", "damping", "friction": factor of the
         load, the contact stiffness, the structure's damping, or the coefficient of friction.
@@ -358,15 +367,16 @@ class Continuation(GrowingCurve):
     exact : bool
         Follow exact periodic orbits. The problem's harmonics are then ignored.
     initial : PeriodicSolution, PeriodicOrbit or Bifurcation, optional
-        A solution near the first point. For exact orbits, also the orbit at ``start``. A
-        bifurcation starts the branch that begins there; ``start`` and ``end`` then bound the
-        parameter on either side (:func:`follow_branch`).
+        A solution near the first point; for exact orbits, the orbit at ``start`` is allowed, too.
+        From a bifurcation the curve is the branch that begins there. ``start`` and ``end`` then
+        bound the parameter on either side (:func:`follow_branch`).
     branch_of : ResponseCurve, optional
         Curve with the bifurcation ``initial``.
     tolerance : float, optional
-        Requires ``samples`` to be None. Choose the number of harmonics, from the problem's
-        ``harmonics`` to 500, for a truncation error below the tolerance at the first point. For
-        exact orbits: the curve's ``tolerance``; default: the value of ``branch_of``, or 0.01.
+        Harmonic balance: choose the number of harmonics, from the problem's ``harmonics`` to 500.
+        The truncation error at the first point is then below the tolerance; ``samples`` must be
+        None. Exact orbits: the curve's ``tolerance``; default: the value of ``branch_of``, or
+        0.01.
     stability : bool
         Assess ``curve`` on each access (:func:`judge_curve`). Exact orbits always have their
         stability.
@@ -517,8 +527,8 @@ def can_follow_orbits(problem: Problem, parameter: str, start: float, end: float
     """Return True if exact orbits can be followed along a parameter.
 
     The structure must be small, and the law must have an exact flow with at most 120 modes. At
-    ``start`` and ``end``, the load must not be too slow for time integration. InputError: as
-    :func:`check_range`.
+    ``start`` and ``end``, the load must not be too slow for time integration. InputError: the curve
+    cannot run from ``start`` to ``end`` (:func:`check_range`).
     """
     check_range(problem, parameter, start, end)
     flow = exact_flow_or_none(problem.structure, problem.contact)
@@ -558,8 +568,8 @@ def _find_start_orbit(
 ) -> PeriodicOrbit:
     """Return the exact orbit at the start of a curve.
 
-    ``initial``: an orbit is returned unchanged; a solution starts the search. None: search from
-    harmonic-balance solutions. Raises ConvergenceError without an orbit.
+    If ``initial`` is an orbit, it is returned unchanged. If it is a solution, the search begins
+    there; if None, at harmonic-balance solutions. Raises ConvergenceError without an orbit.
     """
     if isinstance(initial, PeriodicOrbit):
         return initial

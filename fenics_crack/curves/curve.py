@@ -83,8 +83,8 @@ orbits graze, or if several multipliers collide in one step.
 def axis_factor_name_and_unit(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
     """Return factor, name and unit for printing values of a curve's parameter.
 
-    ``in_hertz``: frequencies in Hz and speeds in rpm, else in rad/s. Other parameters have the
-    factor 1.
+    A printed value is the factor times the value. If ``in_hertz`` is True, frequencies are in Hz
+    and speeds in rpm, else both in rad/s. For other parameters the factor is 1.
     """
     if parameter in ("omega", "speed"):
         return (
@@ -482,9 +482,10 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @property
     def undecided(self) -> np.ndarray | None:
-        """True at points of undecided stability: (n,) bool, or None if not assessed.
+        """True at points with undecided stability: (n,) bool, or None if not assessed.
 
-        The largest multiplier's modulus is 1 to 1e-6, or nan. :meth:`reason` explains.
+        At these points the largest multiplier's modulus is nan, or differs from 1 by at most 1e-6.
+        :meth:`reason` explains.
         """
         if self.multipliers is None:
             return None
@@ -522,10 +523,10 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @property
     def resolution(self) -> float:
-        """Largest window, in the unit of ``values``, that a curve of exact orbits may miss.
+        """Widest parameter interval that a curve of exact orbits may pass unnoticed.
 
-        In such a window orbits are unstable or have a doubled period. The width is a tenth of the
-        longest step in ``values``.
+        Orbits in such an interval are unstable or have a doubled period. The width is a tenth of
+        the longest step in ``values``, in the same unit.
         """
         return MISSED_WINDOW_TO_STEP_RATIO * float(np.abs(np.diff(self.values)).max(initial=0.0))
 
@@ -547,13 +548,13 @@ class ResponseCurve(ObservedMotion, Tabular):
         Parameters
         ----------
         kind : str
-            As :attr:`Bifurcation.kind`.
+            "fold", "branch_point", "period_doubling" or "neimark_sacker".
         value : float
             Value of the curve's parameter.
         omega : float
             Load frequency [rad/s].
         point : array
-            As a row of :attr:`points`.
+            Unknowns of the special point, in the shape of a row of :attr:`points`.
         multipliers : (m,) complex, optional
             Leading Floquet multipliers of an exact orbit.
         """
@@ -571,7 +572,7 @@ class ResponseCurve(ObservedMotion, Tabular):
 
     @cached_property
     def at_bifurcations(self) -> Self:
-        """Curve with the first point, the bifurcations and the last point alone.
+        """Curve with the first point, the bifurcations and the last point only.
 
         The purpose is to evaluate amplitudes and other numbers at bifurcations. Only exact orbits
         keep their multipliers.
@@ -595,7 +596,9 @@ class ResponseCurve(ObservedMotion, Tabular):
     def nearest(self, bifurcation: Bifurcation) -> int:
         """Return the index of the point nearest to a bifurcation.
 
-        Distances are measured in parameter, over its range, and in solution, over its size.
+        The distance is the root sum square of two numbers. One is the parameter's
+        difference, divided by the curve's parameter range. The other is the norm of the solutions'
+        difference, divided by the norm of the bifurcation's solution.
         """
         bifurcation_point = bifurcation.point.points
         distances = np.linalg.norm((self.points - bifurcation_point).reshape(len(self), -1), axis=1)
@@ -653,13 +656,13 @@ class ResponseCurve(ObservedMotion, Tabular):
     def displacement_errors(self) -> np.ndarray:
         """Estimated error of the displacement at the load at every point: (n,).
 
-        The error is relative to the displacement's root mean square, like ``displacement`` of
-        :class:`fenics_crack.ErrorReport`. It is estimated at 40 points spread evenly along the
-        curve, and next to places where it crosses 0.05, the limit for a warning; elsewhere it is
-        interpolated.
+        The error is divided by the displacement's root mean square, like ``displacement`` of
+        :class:`fenics_crack.ErrorReport`. Two sets of points are estimated: 40 points, spread
+        evenly along the curve, and the points next to a crossing of 0.05, the limit for a warning.
+        At other points the error is interpolated.
 
         If there is an exact flow, one Newton step predicts the effect of the truncated harmonics
-        and modes, and for exact orbits the effect of the modes alone.
+        and modes. For exact orbits it predicts the effect of the modes alone.
         """
         error_by_index: dict[int, float] = {}
         # As many points as a picture shows.

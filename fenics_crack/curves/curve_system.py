@@ -116,7 +116,10 @@ class CurveSystem(ABC):
 
     @property
     def points_per_call(self) -> int:
-        """Maximum number of path points computed in a kernel call; Ctrl-C waits for the call."""
+        """Maximum number of path points that one kernel call computes.
+
+        Ctrl-C has no effect before the call ends.
+        """
         return MAX_UNKNOWNS_TIMES_POINTS_PER_CALL // self.n_unknowns
 
     def make_step_control(self, longest_step: float) -> StepControl | None:

@@ -51,15 +51,27 @@ The remaining time is left out: the progress does not predict it.
 class CurveOptions(StepLimitsKeywords, total=False):
     """Options of :func:`.continue_frequency` and :func:`.continue_parameter`.
 
-    harmonics, samples, subharmonic, initial
-        As in :func:`.solve_harmonic_balance`; ``initial`` is a solution near the start.
+    harmonics
+        Harmonics H; default: 5, or as many as the load has.
+    samples
+        Instants per period for the contact force; default: exact integrals if the law permits.
+    subharmonic
+        Load periods in the response's period.
+    initial
+        Solution near the curve's start; default: the linear solution.
     tolerance
         Replaces ``harmonics`` and ``samples``: follow exact orbits, and keep their solutions to
-        this relative error. Harmonic balance replaces them if there is no exact flow, as for smooth
-        laws, or if orbits would take too long, with more than 120 modes or a very slow load. The
-        truncation error at the first point then sets the harmonics.
-    stability, longest_step, most_points, turning_back
-        As in :class:`.Continuation`; exact orbits always have their stability.
+        this relative error. Two cases use harmonic balance instead: there is no exact flow, as for
+        smooth laws; or orbits would take too long, with more than 120 modes or a very slow load.
+        The truncation error at the first point then sets the harmonics.
+    stability
+        Assess the curve's stability; exact orbits always have their stability.
+    longest_step
+        Longest step, relative to the parameter range and to the solution's size; default: 0.05.
+    most_points
+        Maximum number of points.
+    turning_back
+        How far the curve may turn back past its start, relative to the parameter range.
     """
 
     harmonics: int | None
@@ -83,14 +95,14 @@ def continue_frequency(
     """Follow the response from one load frequency to another, through resonances and folds.
 
     The first solution may lie on a closed loop, or on a curve that turns back past its start.
-    Another curve is then searched from the end of the range, or from between; the status says so.
+    Another curve is then searched from the end of the range, or from between; ``status`` says so.
     The first curve is returned if this search fails or would take long, or if ``initial`` is given.
 
     Parameters
     ----------
     structure : Structure
-        Structure that vibrates. One with many dofs is reduced first, to crack faces without mass
-        (``reduce_structure(structure, method="massless")``).
+        Structure that vibrates. One with many dofs is first reduced to a model whose crack faces
+        have no mass (``reduce_structure(structure, method="massless")``).
     omega_start, omega_end : float
         Load frequencies [rad/s]; the end may be below the start.
     contact : ContactLaw
@@ -102,13 +114,14 @@ def continue_frequency(
         Raise if the end is not reached; otherwise return the points so far, with ``complete``
         False. Ctrl-C always returns the points so far.
     **options
-        As in :class:`.CurveOptions`: harmonics, samples, subharmonic, initial, tolerance,
+        Keywords of :class:`.CurveOptions`: harmonics, samples, subharmonic, initial, tolerance,
         stability, longest_step, most_points, turning_back.
 
     Returns
     -------
     ResponseCurve
-        Curve from the start on; ``complete`` if it reached the end; ``exact`` with a ``tolerance``.
+        Curve from the start on. ``complete`` is True if the curve reached the end. ``exact`` is
+        True with a ``tolerance``, if exact orbits could be followed.
 
     Raises
     ------
@@ -147,21 +160,33 @@ def continue_parameter(
 
     Parameters
     ----------
-    structure, contact, progress, throw, **options
-        As in :func:`continue_frequency`.
+    structure : Structure
+        Structure that vibrates. One with many dofs is first reduced to a model whose crack faces
+        have no mass.
     omega : float
         Load frequency [rad/s].
+    contact : ContactLaw
+        Law for all pairs.
     parameter : "load", "stiffness", "damping", "clearance", "friction" or "speed"
-        As in :class:`Continuation`. "speed" requires a structure of
-        :func:`fenics_crack.run_up_structure`. The load frequency then keeps its ratio to the speed,
-        the engine order: ``omega`` over the structure's own speed.
+        Factor of the load, the contact stiffness, the structure's damping or the coefficient of
+        friction; clearance added to every pair [m]; or rotor speed [rad/s]. "speed" requires a
+        structure of :func:`fenics_crack.run_up_structure`. The load frequency then keeps its ratio
+        to the speed, the engine order: ``omega`` divided by the structure's own speed.
     start, end : float
         Values of the parameter.
+    progress : bool
+        Show a progress bar.
+    throw : bool
+        Raise if the end is not reached; otherwise return the points so far.
+    **options
+        Keywords of :class:`.CurveOptions`: harmonics, samples, subharmonic, initial, tolerance,
+        stability, longest_step, most_points, turning_back.
 
     Returns
     -------
     ResponseCurve
-        Curve from the start on; ``complete`` if it reached the end; ``exact`` with a ``tolerance``.
+        Curve from the start on. ``complete`` is True if the curve reached the end. ``exact`` is
+        True with a ``tolerance``, if exact orbits could be followed.
 
     Raises
     ------
@@ -209,7 +234,11 @@ def continue_parameter(
         )
 
     def follow_other_curve(returned_curve: GrowingCurve | None = None) -> GrowingCurve | None:
-        """Follow another curve from start to end; None with ``initial``, or if none is found."""
+        """Follow another curve from start to end; None if ``initial`` is given, or if none is
+        found.
+
+        ``returned_curve`` is the first curve, if it returned to its start.
+        """
         return (
             _find_other_curve(make_curve, start, end, returned_curve) if initial is None else None
         )
@@ -234,7 +263,7 @@ def _find_other_curve(
 
     A search follows a curve from the end of the range, or from between, to the start. The solution
     at the start then begins the other curve. This helps if the first curve returned to its start,
-    as a closed loop of the truncated equations does, or if there is no first solution.
+    as a closed loop of the truncated equations does. It also helps if there is no first solution.
 
     Parameters
     ----------
@@ -243,9 +272,9 @@ def _find_other_curve(
     start, end : float
         Parameter values.
     first_curve : GrowingCurve or None
-        Curve that returned to its start. All searches together may take as many points as it has,
-        or 120,000 over the number of unknowns if more. None: no first solution was found; a single
-        search is made.
+        Curve that returned to its start. All searches together may take as many points as this
+        curve has, or 120,000 divided by the number of unknowns if that is more. None: no first
+        solution was found; a single search is made.
     """
     n_spent_points, n_first_points = 0, 0 if first_curve is None else len(first_curve.points)
     # If there is no orbit at the start, each search takes long.
@@ -303,9 +332,13 @@ def follow_branch(
         One of its bifurcations, of kind "period_doubling" or "branch_point".
     start, end : float, optional
         Range of the parameter; default: the curve's own.
-    progress, throw, **options
-        As in :func:`continue_frequency`; harmonics, samples, subharmonic and tolerance follow from
-        the curve.
+    progress : bool
+        Show a progress bar.
+    throw : bool
+        Raise if the branch's end is not reached; otherwise return the points so far.
+    **options
+        Keywords stability, longest_step, most_points and turning_back of :class:`.CurveOptions`.
+        Harmonics, samples, subharmonic and tolerance follow from the curve.
 
     Returns
     -------

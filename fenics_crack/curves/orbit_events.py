@@ -84,9 +84,10 @@ Relative to the longest step. With the default longest step this is 0.1 % of the
 
 
 def leading_multipliers_and_counts(multipliers: np.ndarray) -> np.ndarray:
-    """Select the largest Floquet multipliers at each point, and count those outside.
+    """Select the largest Floquet multipliers at each point, and count those outside the unit
+    circle.
 
-    Outside means |mu| > 1 + 1e-6. Only the selected multipliers are counted.
+    Outside means |mu| > 1 + 1e-6 for a multiplier mu. Only the selected multipliers are counted.
 
     Parameters
     ----------
@@ -125,13 +126,13 @@ def changes_of_multiplier_counts(multipliers_and_counts: np.ndarray) -> np.ndarr
     Parameters
     ----------
     multipliers_and_counts : (n_points, k + 3) complex
-        From :func:`leading_multipliers_and_counts`.
+        At each point k Floquet multipliers, then three counts of multipliers outside the circle:
+        real above 1, real below -1, complex pairs.
 
     Returns
     -------
     (n_points - 1, 3)
-        Change from each point to the next in the number of real multipliers above 1, real ones
-        below -1, and complex pairs outside.
+        Change of the three counts from each point to the next.
     """
     count_changes = np.diff(multipliers_and_counts[:, -3:].real, axis=0)
     step_indices = np.flatnonzero(count_changes[:, 2])
@@ -182,14 +183,14 @@ def step_collision_severities(monodromy_matrices: np.ndarray) -> np.ndarray:
 class MultiplierStepControl(StepControl):
     """Reject steps over which the Floquet multipliers mu change too much.
 
-    A step is rejected if
+    Steps up to 0.01 ``longest_step`` may change |mu| as they do. A longer step is rejected if
 
-    - a leading ln |mu| changes by more than half its distance to 0, and more than 0.01,
-    - linear extrapolation of the sorted ln |mu| has an error above the same limit,
-    - a collision has a severity above 0.5 (:func:`step_collision_severities`),
-    - two counts of multipliers outside the unit circle change, or a count changes by more than 1.
+    - a leading ln |mu| changes by more than half its distance to 0, and more than 0.01, or
+    - linear extrapolation of the sorted ln |mu| has an error above the same limit.
 
-    The first two hold for steps above 0.01 ``longest_step``, the third above 0.02 ``longest_step``.
+    A step above 0.02 ``longest_step`` is rejected if two multipliers collide with a severity above
+    0.5 (:func:`step_collision_severities`). Any step is rejected if two counts of multipliers
+    outside the unit circle change, or if a count changes by more than 1.
     """
 
     def __init__(self, longest_step: float) -> None:
@@ -269,7 +270,11 @@ class NeimarkSacker(Event):
         crossing_excess = 0.0 if end_excesses[0] * end_excesses[1] < 0.0 else MULTIPLIER_TOLERANCE
 
         def crossing_function(point: PathPoint) -> float:
-            """Return |mu| - 1 of the pair, less 0 or the tolerance; 0 within rounding."""
+            """Return |mu| - 1 of the pair mu at a point; its zero is the bifurcation.
+
+            If both ends lie on the same side of the circle, the tolerance 1e-6 is subtracted.
+            Numbers within rounding are returned as 0.
+            """
             excess_over_crossing = (
                 complex_pair_modulus_excess(multipliers_of(point), multiplier_pair_index)
                 - crossing_excess

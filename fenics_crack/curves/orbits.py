@@ -230,9 +230,10 @@ class OrbitEquations(CurveSystem):
 
     @cached_property
     def compiled_equations(self) -> ShootingEquations | None:
-        """Same equations in the C kernel; None over contact stiffness, speed and friction.
+        """Same equations in the C kernel, or None.
 
-        Over the damping they are None with friction.
+        None over contact stiffness, speed and friction coefficient. Over the damping, None if the
+        law has friction.
         """
         is_over_damping = self.parameter_name == "damping"
         # With friction, the places where pairs stick depend on the damping, too.
@@ -282,7 +283,7 @@ class OrbitEquations(CurveSystem):
         Raises
         ------
         ConvergenceError
-            The motion takes more than the budget allows, or is not finite.
+            The motion needs more Taylor pieces or events than the budget allows, or is not finite.
         """
         if self.compiled_equations is not None:
             return self.compiled_equations.linearise(unknown, parameter)
@@ -331,10 +332,11 @@ class OrbitEquations(CurveSystem):
         return OrbitPoint(unknown, residual, monodromy, by_parameter, n_events, n_taylor_pieces)
 
     def step_control_values(self, records: np.ndarray) -> np.ndarray:
-        """Return Floquet multipliers and their counts: (n_points, k + 3) complex.
+        """Return Floquet multipliers and three counts at each point: (n_points, k + 3) complex.
 
-        ``records`` (n_points, n_unknowns^2) are monodromy matrices. For the columns see
-        :func:`leading_multipliers_and_counts`.
+        ``records`` (n_points, n_unknowns^2) are monodromy matrices. First come the k =
+        min(n_unknowns, 8) multipliers with the largest modulus. The counts are the real ones above
+        1, the real ones below -1, and the complex pairs outside the unit circle.
         """
         return leading_multipliers_and_counts(
             np.linalg.eigvals(records.reshape(-1, self.n_unknowns, self.n_unknowns))

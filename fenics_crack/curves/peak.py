@@ -41,7 +41,16 @@ RISING_AT_END_TEXT = "still rising at the end of the range"
 class LargestResponse:
     """Largest response of a curve at one dof, interpolated between its points.
 
-    The fields are those of :class:`Peak` with the same names.
+    Attributes
+    ----------
+    index : int
+        Index of the nearest point of the curve.
+    value : float
+        Curve parameter at the peak.
+    amplitude : float
+        Half the peak-to-peak displacement [m].
+    at_end : bool
+        True if the largest response is the first or last point.
     """
 
     index: int
@@ -72,8 +81,8 @@ class Peak(Described, LargestResponse):
         Stability of the vibration: "stable", "unstable", "irregular" or "undecided".
     damping : float
         Damping ratio by the half-power width of the load's own harmonic. nan if this harmonic does
-        not fall to 1/sqrt(2) on both sides, as if a higher one resonates, or if the curve is over
-        neither the frequency nor the speed.
+        not fall to 1/sqrt(2) on both sides; an example: a higher harmonic resonates. Also nan if
+        the parameter is neither the frequency nor the speed.
     omega_error : float
         Estimated relative error of the frequency; nan if unknown, or if the response is still
         rising.
@@ -128,11 +137,11 @@ def interpolate_peak_and_damping(
     Returns
     -------
     value, amplitude : float
-        Parameter and amplitude at the peak; those at ``peak_index`` if this point has no neighbour
-        on a side, or if the curve turns back there.
+        Parameter and amplitude at the peak. If the point at ``peak_index`` has no neighbour on a
+        side, or if the curve turns back there, they are those of this point.
     damping_ratio : float
-        Width at 1/sqrt(2) of the peak's amplitude, over twice the peak's parameter; nan if the
-        amplitude does not fall so far on both sides.
+        Width at 1/sqrt(2) of the peak's amplitude, divided by twice the peak's parameter. nan if
+        the amplitude does not fall so far on both sides.
     """
     from scipy.interpolate import CubicSpline  # loading takes longer than drawing a curve
 

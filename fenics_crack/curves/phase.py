@@ -105,8 +105,8 @@ class PhasePoint(Linearisation):
 
     Harmonic balance F(s, v, w) = 0, and Re P / Im P = 0 for the load's complex work P. s is the
     slow gap (gap plus residual flexibility times contact force), v the factor for the vibrating
-    load, w the load frequency. The unknowns are s divided by the system's ``vibration_size`` times
-    v, and w divided by the problem's frequency.
+    load, w the load frequency. The unknowns are s / (v ``vibration_size``), with the system's
+    ``vibration_size`` [m], and w divided by the problem's frequency.
 
     Attributes
     ----------
@@ -119,9 +119,9 @@ class PhasePoint(Linearisation):
     complex_work : complex [N m]
         P / v.
     slow_gap_derivative_by_frequency : (2H+1, n_pairs)
-        ds/dw over v, along the response curve through the point.
+        (ds/dw) / v, along the response curve through the point.
     complex_work_derivative_by_frequency : complex
-        dP/dw over v.
+        (dP/dw) / v.
     """
 
     def __init__(self, system: ResonanceSystem, unknown: np.ndarray, parameter: float) -> None:
@@ -229,7 +229,7 @@ class PhasePoint(Linearisation):
 
     @property
     def distance_to_peak_in_widths(self) -> float:
-        """Return the distance to the largest response, over the half-power width D.
+        """Return the distance to the largest response, divided by the half-power width D.
 
         The distance is D/4 Re(d ln P / dw), with the load's complex work P and the frequency w.
         """
@@ -249,15 +249,16 @@ class PhasePoint(Linearisation):
 class ResonanceSystem(CurveSystem):
     """Equations of a phase resonance along a factor v for the vibrating load.
 
-    The unknowns are the slow gap's coefficients over (``vibration_size`` v), and the load frequency
-    over the problem's frequency. Slow gap: gap plus residual flexibility times contact force.
+    The unknowns are the slow gap's coefficients divided by v ``vibration_size``, and the load
+    frequency divided by the problem's frequency. Slow gap: gap plus residual flexibility times
+    contact force.
 
     Attributes
     ----------
     start_unknown : (n_unknowns,)
         Guess for the resonance at ``start``, from a nearby point.
     vibration_size : float [m]
-        Norm of the slow gap's vibrating coefficients at this point, over v.
+        Norm of the slow gap's vibrating coefficients at the nearby point, divided by v.
     """
 
     parameter_name, is_logarithmic = "resonance", True

@@ -86,10 +86,10 @@ class Resonance(Described):
     harmonic : int
         Multiple of the load frequency that excites the resonance.
     width : float
-        Half-power width of the resonance, in the unit of ``value``.
+        Half-power width, in the unit of ``value``.
     apart : float
-        Estimated distance to the largest response, over the width; positive if the largest response
-        is at a higher frequency.
+        Estimated distance to the largest response, divided by the width. Positive if the largest
+        response is at a higher frequency.
     solution : PeriodicSolution
         Motion at the resonance.
     error : float
@@ -107,7 +107,7 @@ class Resonance(Described):
 
     @property
     def several(self) -> bool:
-        """True if the largest response is over 0.1 half-power widths away from the phase resonance.
+        """True if the largest response is more than 0.1 half-power widths from the phase resonance.
 
         Several modes then answer together, and a response curve shows the largest response.
         """
@@ -204,10 +204,10 @@ def first_phase_resonance(problem: Problem, from_omega: float) -> PhasePoint:
 
 
 def _find_nearby_resonance(resonance_point: PhasePoint, **changes: Any) -> PhasePoint:
-    """Return the resonance of a changed problem, sought from a known resonance.
+    """Return the resonance of a changed problem, searched from a known resonance.
 
-    ``changes`` are fields of the problem. If Newton's method fails, the response curve of the
-    changed problem is followed from the known frequency.
+    ``changes`` are :class:`Problem` fields with new contents. If Newton's method fails, the
+    response curve of the changed problem is followed from the known frequency.
     """
     problem_fields = {"omega": resonance_point.omega, "static_above": None} | changes
     problem = replace(resonance_point.problem, **problem_fields)
@@ -278,14 +278,14 @@ def _find_order_crossing_and_resonance_rate(
     resonance_point : PhasePoint
         Resonance at the structure's own speed.
     engine_order : float or None
-        Load frequency over rotor speed; None: the speed does not change.
+        Load frequency divided by rotor speed; None: the speed does not change.
 
     Returns
     -------
     resonance_point : PhasePoint
         Resonance at the speed of the crossing; the given point without an order.
     resonance_rate : float
-        Derivative, by the rotor's speed, of the resonance frequency divided by the order; 0 without
+        d(w_r / m) / dW, with resonance frequency w_r, engine order m and rotor speed W; 0 without
         an order.
 
     Raises
@@ -329,9 +329,9 @@ def _small_problem_and_start_omega(
 ) -> tuple[Problem, float]:
     """Return the problem with a small structure, and the start frequency [rad/s].
 
-    A structure with many dofs is reduced to crack faces without mass. ``near_omega`` None: start at
-    the problem's frequency. Raises InputError unless ``near_omega`` and ``tolerance`` are positive
-    or None.
+    A structure with many dofs is replaced by a reduced model in which contact dofs carry no mass.
+    The start frequency is ``near_omega``, or the problem's frequency if this is None. Raises
+    InputError unless ``near_omega`` and ``tolerance`` are positive or None.
     """
     for key, value in ("near", near_omega), ("tolerance", tolerance):
         if value is not None:
@@ -377,8 +377,8 @@ def resonance_at(
     Parameters
     ----------
     problem : Problem
-        Structure, law, harmonics, and a load frequency. A structure with many dofs is reduced
-        first, to crack faces without mass.
+        Structure, law, harmonics, and a load frequency. A structure with many dofs is first reduced
+        to a model whose crack faces have no mass.
     near : float, optional
         Load frequency [rad/s] at which the search begins; default: the problem's.
     parameter : "omega" or "speed"
@@ -461,14 +461,21 @@ def follow_resonance(
 
     Parameters
     ----------
-    problem, near
-        As in :func:`resonance_at`.
+    problem : Problem
+        Structure, law, harmonics, and a load frequency. A structure with many dofs is first reduced
+        to a model whose crack faces have no mass.
     start, end : float
         First and last factor for the load without its mean, above 0.
+    near : float, optional
+        Load frequency [rad/s] at which the search begins; default: the problem's.
     tolerance : float, optional
         Relative error of the amplitude at the last factor, for which the harmonics are chosen.
-    progress, throw, **steps
-        As in :func:`continue_frequency`: longest_step, most_points, turning_back.
+    progress : bool
+        Show a progress bar.
+    throw : bool
+        Raise if the end is not reached; otherwise return the points so far.
+    **steps
+        Keywords for :class:`StepLimits`: longest_step, most_points, turning_back.
 
     Returns
     -------

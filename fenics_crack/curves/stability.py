@@ -223,10 +223,11 @@ def _velocity_change_by_contact(
 def _states_after_step_without_contact(
     modes: AllModes, transition_by_step: np.ndarray, states: np.ndarray
 ) -> np.ndarray:
-    """Return modal states after one exact step without contact forces.
+    """Return modal states after one exact step without contact forces: (m, 2 n_modes, k).
 
-    ``transition_by_step`` is the first result of :meth:`AllModes.transition_and_force_response`.
     ``states`` (m, 2 n_modes, k) have modal displacements, then velocities, in the second index.
+    ``transition_by_step`` is exp(A h) of z' = A z over the step h: (2 n_modes, 2 n_modes). If
+    damping does not couple modes, it is (4, n_modes), the diagonals of its four blocks.
     """
     if modes.damping.ndim == 2:
         return np.asarray(transition_by_step @ states)
@@ -280,7 +281,8 @@ def shoot(
     contact : ContactLaw, optional
         Law; default: the solution's own.
     settle : int
-        Follow the flow for so many response periods first, towards an attractor.
+        Number of response periods for which the motion is integrated before Newton's method,
+        towards an attractor.
     tolerance : float
         Maximum ``|z(T) - z(0)| / |z(0)|``.
 
@@ -292,7 +294,8 @@ def shoot(
     Raises
     ------
     InputError
-        As :func:`integrate_events`.
+        The structure is too large, the law is smooth or rigid with mass at the crack faces, or an
+        argument cannot be used.
     ConvergenceError
         No orbit nearby was found.
 
@@ -490,8 +493,9 @@ def attractor_from_rest(solution: PeriodicSolution) -> Attractor | None:
 def stability_of(assessment: Assessment) -> Stability:
     """Return the stability of an assessed solution by its nearest exact orbit.
 
-    The verdict is "undecided", with a reason, if no orbit is accepted or the largest multiplier is
-    1 to 1e-6. Without an orbit, it is "irregular" if a small disturbance of the exact motion grows.
+    The verdict is "undecided", with a reason, if no orbit is accepted, or if the largest
+    modulus differs from 1 by at most 1e-6. Without an orbit, the verdict is "irregular" if a small
+    disturbance of the exact motion grows.
     """
     orbit, irregular_attractor = assessment.nearest_orbit, assessment.irregular_attractor
     if orbit is None:

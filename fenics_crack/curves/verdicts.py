@@ -69,7 +69,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
         Same points, with the multipliers of their orbits. Points with an irregular exact motion are
         "irregular", with the growth of a small disturbance. Points are "undecided" (nan) if the
         predicted error is above 0.1, or if no orbit is accepted for the solution. They are also
-        undecided if the largest multiplier is 1 to 1e-6.
+        undecided if the largest multiplier's modulus differs from 1 by at most 1e-6.
 
     Raises
     ------
@@ -101,16 +101,17 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
 def _growth_factors_of_irregular_motions(
     curve: ResponseCurve, is_undecided: np.ndarray
 ) -> np.ndarray:
-    """Measure the growth of small disturbances at points of undecided stability.
+    """Measure the growth of small disturbances at points with undecided stability.
 
-    At most 8 points, evenly spread, are integrated in time. ``is_undecided`` (n,) is True at points
-    of undecided stability.
+    At most 8 points, evenly spread, are integrated in time. ``is_undecided`` (n,) is True at
+    these points.
 
     Returns
     -------
     (n,)
-        Factor by which a disturbance grows per period, at integrated points with irregular motion.
-        Between two of them, if all points between are undecided: geometric interpolation. Else nan.
+        At integrated points with irregular motion: factor by which a disturbance grows per period.
+        Points between two of them are interpolated geometrically, if all of these are undecided. At
+        other points nan.
     """
     growth_factors, undecided_indices = np.full(len(curve), np.nan), np.flatnonzero(is_undecided)
     spread_positions = np.linspace(

@@ -50,7 +50,8 @@ class Attractor:
     periods : int
         Number of load periods that were integrated.
     orbits : FlowOrbitEquations
-        Flow, load frequency and period T, as equations z(T) = z(0) of the state z at phase zero.
+        Equations z(T) = z(0) of the state z at phase zero, after the period T. They hold the flow
+        and the load frequency.
     last : (flow.state_size,)
         Last state, in the scaled unknowns of ``orbits``.
     growth : float

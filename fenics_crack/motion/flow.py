@@ -84,10 +84,14 @@ class BudgetError(ConvergenceError):
 def exact_flow_or_none(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
     """Return the exact flow of a structure and a contact law, or None.
 
-    None for a smooth law, and for a large structure. None also if the residual flexibility is
-    singular, as on faces with mass, and contact is rigid (or sticks without tangential springs). A
-    structure is small enough with at most 600 dofs on one rank, or reduced to modes and massless
-    faces.
+    None in three cases:
+
+    - The law is smooth. - The structure is large. A small one has at most 600 dofs on one rank, or
+    is reduced to modes and
+      massless faces.
+    - Contact is rigid, or sticks without tangential springs, and the residual flexibility is
+    singular,
+      as on faces with mass.
     """
     return (
         ContactFlow(structure, contact)
@@ -116,7 +120,7 @@ def check_has_exact_flow(structure: Structure, contact: ContactLaw) -> None:
 
 
 def _exact_flow_input_error_or_none(structure: Structure, contact: ContactLaw) -> InputError | None:
-    """Return the reason against an exact flow as an error, or None.
+    """Return an InputError that says why there is no exact flow; None if there is one.
 
     A law that does not fit the structure raises an InputError.
     """
@@ -263,19 +267,23 @@ class Flow:
         modal_displacement : (n, n_modes)
             Amplitudes of the modes with mass.
         force : (n, n_rows) or (n, n_pairs) [N]
-            Contact forces, normal and with friction then tangential. Under the layered law they may
-            be the total forces of pairs, since both rows of a pair act alike.
+            Contact forces: normal ones, with friction then tangential ones. Under the layered law
+            each pair has two rows with the same effect, so total forces of pairs are accepted, too.
         load_basis : (n, 2K+1)
             Basis functions of the load: 1, cosine and sine of each order.
         dofs : array or slice
             Numbers of dofs to return. Default: all.
         rows : (m, n_dofs), optional
-            Factors; return products of these rows with the displacement instead: (n, m).
+            Factors of the displacement. If given, the result is the product of rows and
+            displacement: (n, m).
         """
         modal_model = self.modal_model
 
         def select_rows(motion_columns: np.ndarray) -> np.ndarray:
-            """Return the requested rows of motions (n_dofs, k)."""
+            """Return the requested part of k motions (n_dofs, k).
+
+            The result is the product with ``rows`` (m, k) if given, else the entries of ``dofs``.
+            """
             return motion_columns[dofs] if rows is None else rows @ motion_columns
 
         displacement: np.ndarray = modal_displacement @ select_rows(modal_model.shapes).T
@@ -336,17 +344,17 @@ class ContactFlow(Flow):
 
     @cached_property
     def critical_friction_coefficient(self) -> float:
-        """Return the smallest friction coefficient without unique contact forces.
+        """Return the smallest friction coefficient mu without unique contact forces.
 
-        At this coefficient mu, the matrix A(mu) from contact forces to gaps is singular. Its rows
-        are closed pairs' normal gaps and stuck pairs' tangential gaps. With these rows D_rows of
-        ``compliance``,
+        A combination of open, sticking and slipping pairs has a matrix A(mu) from contact forces to
+        gaps. Its rows are closed pairs' normal gaps and stuck pairs' tangential gaps. D_rows are
+        these rows of ``compliance``:
 
             A = D_rows (E_0 + mu E_1).
 
-        E_0 places the forces in all rows, and E_1 adds slipping pairs' friction. So mu = -1 / (a
-        real negative eigenvalue of (D_rows E_0)^-1 D_rows E_1). The smallest mu is taken from 400
-        random combinations of open, sticking and slipping pairs; inf without such an eigenvalue.
+        E_0 places the forces in all rows, and E_1 adds slipping pairs' friction. A is singular at
+        mu = -1 / e, with a real negative eigenvalue e of (D_rows E_0)^-1 D_rows E_1. The result is
+        the smallest mu from 400 random combinations; inf without such an eigenvalue.
         """
         n_pairs, critical_coefficients = self.structure.n_pairs, [np.inf]
         for pair_states in np.random.default_rng(1).integers(0, 4, (400, n_pairs)):
@@ -418,9 +426,9 @@ class ContactFlow(Flow):
     def energy_weights(self, base_omega: float) -> np.ndarray:
         """Return the weights w of a state z for the energy norm |w z|: (state_size,).
 
-        Velocities have weight 1, and modal displacements the mode's frequency [rad/s], at least
-        ``base_omega``. With friction, slider positions have the root of the stiffness of a single
-        sticking pair.
+        A modal displacement has the weight max(w_j, ``base_omega``), with the mode's frequency w_j
+        [rad/s]. A modal velocity has weight 1. With friction, a slider position has the root of the
+        stiffness of a single sticking pair.
         """
         energy_weights = np.ones(self.state_size)
         np.sqrt(
@@ -434,9 +442,10 @@ class ContactFlow(Flow):
     def amplitude_weights(self, base_omega: float) -> np.ndarray:
         """Return the weights w of a state z for the amplitude norm |w z|: (state_size,).
 
-        Energy weights are divided by the mode's frequency [rad/s], at least ``base_omega``, so
-        modal displacements have weight 1. For slider positions, with friction, the divisor is the
-        first mode's frequency.
+        The weights are those of the energy norm, divided by the mode's frequency w_j [rad/s], or by
+        ``base_omega`` if this is larger. So a modal displacement has the weight 1, and a modal
+        velocity 1 / max(w_j, ``base_omega``). With friction, the weight of a slider position in the
+        energy norm is divided by max(w_1, ``base_omega``).
         """
         weights = self.energy_weights(base_omega)
         mode_rates = weights[: self.n_modes]
@@ -591,7 +600,8 @@ class Track:
     causes, is_first, ratios : (n,) or None
         Events at the intervals' ends; None without friction. ``causes``: index of the force or gap
         function that becomes zero (-1: none). ``is_first``: 1 for the first event at an instant.
-        ``ratios``: the pair's tangential gap rate over this function's rate (``kernel/flow.h``).
+        ``ratios``: rate of the pair's tangential gap, divided by this function's rate
+        (``kernel/flow.h``).
     """
 
     flow: ContactFlow
@@ -604,10 +614,9 @@ class Track:
     ratios: np.ndarray | None = None
 
     def mean_time_share(self, is_selected: np.ndarray) -> float:
-        """Return the fraction of time in which pairs are selected.
+        """Return the fraction of time in which pairs are selected, as a mean over the pairs.
 
-        ``is_selected`` (n, n_pairs) is True for the selected pairs in each interval. The result is
-        the mean over the pairs.
+        ``is_selected`` (n, n_pairs) is True for the selected pairs in each of the n intervals.
         """
         return float(self.lengths @ is_selected.mean(axis=1) / self.lengths.sum())
 
@@ -728,7 +737,7 @@ class Samples:
 
     @property
     def is_closed(self) -> np.ndarray:
-        """Return True for closed rows at each instant: (n, flow.n_normal_rows) bool."""
+        """Return True at each instant for rows in contact: (n, flow.n_normal_rows) bool."""
         return self.pair_states > 0
 
     @cached_property
@@ -748,7 +757,10 @@ class Samples:
 
     @cached_property
     def _gaps_and_forces(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return gaps [m] and contact forces [N] of the pairs."""
+        """Return gaps [m] and contact forces [N] of the pairs: (n, n_pairs) each.
+
+        With friction, tangential columns follow: (n, 2 n_pairs).
+        """
         flow = self.flow
         return merge_rows_of_pairs(
             flow.contact, flow.structure.n_pairs, self.row_gaps, self.row_forces

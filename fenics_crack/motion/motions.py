@@ -173,7 +173,7 @@ class Record:
     def periods(self) -> float:
         """Return the number of load periods in the record.
 
-        For a periodic motion, this is the number in the motion's period.
+        A periodic motion is recorded over its own period, with ``subharmonic`` load periods.
         """
         return (
             (len(self.time) - 1) / self.instants_per_load_period
@@ -248,7 +248,10 @@ class Record:
         def stack_columns(
             row_products: np.ndarray, gaps: np.ndarray, forces: np.ndarray
         ) -> np.ndarray:
-            """Return the functions of time whose maxima are wanted, as columns."""
+            """Return the functions of time whose maxima are wanted, as columns.
+
+            ``row_products`` (k, m), ``gaps`` and ``forces`` (k, n_rows) are values at k instants.
+            """
             stacked_columns = [row_products, -row_products]
             if n_pairs:
                 gaps, forces = gaps[:, :n_pairs], forces[:, :n_pairs]
@@ -378,7 +381,8 @@ def is_slipping(
 ) -> np.ndarray:
     """Return True for slipping pairs: (n, n_pairs) bool.
 
-    A closed pair slips if the friction force reaches mu times the normal force, to 1e-6.
+    A closed pair slips if the friction force reaches mu times the normal force. The force may
+    be smaller by a relative 1e-6.
 
     Parameters
     ----------
@@ -434,7 +438,8 @@ class ExtraRows(NamedTuple):
     rows : (m, n_local)
         Factors: each row times the displacement u is an observed displacement.
     read_numbers : callable
-        Returns numbers by name from a :class:`Record` of the rows' products.
+        Function from a :class:`Record` of the m observed displacements to a dict of numbers by
+        name, such as stress intensities.
     """
 
     rows: np.ndarray
@@ -493,9 +498,10 @@ class ObservedMotion:
         return self.indicators(dof).amplitude
 
     def indicators_of_dofs(self, dofs: Sequence[int | None]) -> list[Indicators]:
-        """Return :meth:`indicators` of several dofs (collective).
+        """Return the crack indicators at several dofs, in the same order (collective).
 
         The motion is evaluated once for all dofs together; dofs observed before need no evaluation.
+        None stands for the watched dof.
         """
         return [
             observed_displacement.indicators for observed_displacement in self.observe_dofs(dofs)[0]

@@ -111,7 +111,7 @@ class Prediction(NamedTuple):
     ----------
     relative_gap_error : float
         Predicted error in the gaps, |P^T d| / |P^T Z|; P^T takes modal displacements to gaps. In
-        |P^T Z| the mean over time counts at most as much as the oscillation.
+        the divisor |P^T Z| the mean over time is limited to the oscillation.
     states : (n, flow.state_size)
         Z + d at the starts of n equal parts of the period.
     solution_track : Track
@@ -178,9 +178,9 @@ class PeriodicOrbit(ObservedMotion, Described):
 
     @property
     def n_events(self) -> int:
-        """Return how often pairs open, close, stick or slip in a period.
+        """Return the number of events in a period: a pair opens, closes, sticks or slips.
 
-        Under the layered law it counts, too, when a layer is compressed to its depth or relaxes.
+        Under the layered law two more events count: a layer is compressed to its depth, or relaxes.
         """
         return self.motion.n_events
 
@@ -387,7 +387,10 @@ class PeriodicOrbit(ObservedMotion, Described):
         return self._integrate_coefficients(gauss_samples.row_products(rows), harmonics)
 
     def _integrate_coefficients(self, node_values: np.ndarray, harmonics: int) -> np.ndarray:
-        """Return Fourier coefficients (2H+1, m) from values (n, m) at all Gauss nodes."""
+        """Return Fourier coefficients (2H+1, m) from values (n, m) at all Gauss nodes.
+
+        ``harmonics`` is H.
+        """
         base_omega = self.omega / self.subharmonic
         node_samples, piece_lengths = self._gauss_samples_and_lengths(harmonics * base_omega)
         time_weights = (
@@ -414,9 +417,10 @@ class PeriodicOrbit(ObservedMotion, Described):
     def _gauss_samples_and_lengths(self, max_wave_omega: float) -> tuple[Samples, np.ndarray]:
         """Return the motion at Gauss nodes in all pieces of the period.
 
-        Within a piece no pair opens, closes, sticks or slips, and waves up to ``max_wave_omega``
-        [rad/s] plus the motion's own rates turn by at most 10 rad. The samples for the highest
-        frequency so far are kept.
+        Within a piece no pair opens, closes, sticks or slips. A piece is at most 10 rad divided by
+        the sum of two rates [rad/s]: ``max_wave_omega``, the highest frequency to integrate, and
+        the largest rate of the motion itself. The samples for the highest frequency so far are
+        kept.
 
         Returns
         -------
@@ -464,7 +468,10 @@ class PeriodicOrbit(ObservedMotion, Described):
         _, gauss_weights, differentiation_matrix = gauss_legendre_rule()
 
         def work_of_columns(node_forces: np.ndarray, node_displacements: np.ndarray) -> np.ndarray:
-            """Return the work int F x' dt of each column of forces and displacements."""
+            """Return the work int F x' dt over the period, for each of k columns: (k,) [J].
+
+            ``node_forces`` F and ``node_displacements`` x are (n, k), at all n Gauss nodes.
+            """
             piece_shape = len(piece_lengths), len(gauss_weights), -1
             displacement_rates = differentiation_matrix @ node_displacements.reshape(piece_shape)
             return np.asarray(
@@ -658,9 +665,9 @@ def is_orbit_search_affordable(
     subharmonic: int = 1,
     n_periods: int = MAX_SEARCH_PERIODS + MAX_GMRES_PRODUCTS,
 ) -> bool:
-    """Return True if a search for an orbit is affordable.
+    """Return True if a search for an orbit does not take too long.
 
-    Two cases are affordable:
+    True in two cases:
 
     - The flow has up to 120 modes, and the load is not too slow (:func:`is_load_too_slow`).
     - The flow has more modes, crack faces have no mass, and ``n_periods`` periods without events
@@ -753,8 +760,8 @@ def _make_i_minus_m_solver(
 ) -> IMinusMSolver:
     """Return the function from b to (I - M)^-1 b for a track.
 
-    M is the monodromy matrix along the track. Up to 120 modes I - M is factored; LinAlgError: I - M
-    is singular. With more modes GMRES solves, in the norm with the given ``energy_weights``
+    M is the monodromy matrix along the track. With up to 120 modes I - M is factored; LinAlgError:
+    I - M is singular. With more modes GMRES solves, in the norm |w b| with w = ``energy_weights``
     (flow.state_size,).
     """
     if flow.n_modes <= MAX_MODES_FOR_MONODROMY:
@@ -792,8 +799,8 @@ def find_orbit(
     """Search for an orbit from a state by Newton's method.
 
     The search fails after 20 integrated periods, or if all motions together need more Taylor pieces
-    (intervals with one Taylor series) than the budget: 20,000, or more for a slow load. After a
-    period, an orbit's state must return to 1e-6, relative.
+    (intervals with one Taylor series) than the budget: 20,000, or more for a slow load. An
+    orbit's state must return after a period, with a relative error up to 1e-6.
 
     Parameters
     ----------
@@ -879,11 +886,17 @@ class _NewtonOrbitSearch:
     def leads_to_orbit(self, solve_i_minus_m: IMinusMSolver | None, step_tolerance: float) -> bool:
         """Take Newton steps and return True if an orbit is reached.
 
-        ``solve_i_minus_m`` belongs to a nearby motion, or is None. The simplified step is the next
-        Newton step with the same monodromy matrix. A step times a damping factor d is accepted if
-        |simplified step| <= (1 - d / 4) |step|. The next factor follows from the nonlinearity
-        |simplified step - (1 - d) step|. ``step_tolerance`` is the maximum relative simplified step
-        at the orbit.
+        Each step is multiplied by a damping factor d. The simplified step is the next Newton step
+        with the same monodromy matrix M. A step is accepted if |simplified step| <= (1 - d / 4)
+        |step|. The next factor follows from the nonlinearity |simplified step - (1 - d) step|.
+
+        Parameters
+        ----------
+        solve_i_minus_m : IMinusMSolver or None
+            Returns (I - M)^-1 b for the first steps, with M of a nearby motion. None: M is
+            computed.
+        step_tolerance : float
+            Maximum |simplified step| / |state| at the orbit.
         """
         forms_monodromy = self._flow.n_modes <= MAX_MODES_FOR_MONODROMY
         min_damping_factor = MIN_NEWTON_DAMPING if forms_monodromy else 0.1
@@ -971,7 +984,7 @@ def orbit_through_state(
 
 
 def is_same_orbit_in_phase(orbit: PeriodicOrbit, other_orbit: PeriodicOrbit) -> bool:
-    """Return True if two orbits' states agree to 1e-6, relative, in the energy norm.
+    """Return True if two orbits' states agree in the energy norm, to a relative 1e-6.
 
     An orbit with the same motion, but shifted in time, counts as another orbit.
     """

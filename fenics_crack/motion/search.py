@@ -69,11 +69,11 @@ class SearchOptions:
     guess_harmonic_counts : tuple of int
         Numbers of harmonics in the harmonic-balance solutions for guesses.
     period_budget : int
-        Work allowed after Newton's method failed from all guesses. The unit is a period with 200
-        Taylor pieces and 12 modes; other periods count in proportion to pieces and squared modes.
-        Half is for the homotopy path, a quarter to follow the motion, and a quarter for orbits near
-        close returns. The budget lasts about a second. With friction three quarters are allowed,
-        for one to three seconds.
+        Work allowed after Newton's method failed from all guesses, in periods. A period with 200
+        Taylor pieces and 12 modes counts as 1; another period counts in proportion to its pieces
+        and to the square of its modes. Half of the budget is for the homotopy path. A quarter is
+        for following the motion, and a quarter for orbits near close returns. The budget lasts
+        about a second. With friction three quarters are allowed, for one to three seconds.
     """
 
     guess_harmonic_counts: tuple[int, ...] = (5, 10, 20, 40)
@@ -83,9 +83,9 @@ class SearchOptions:
     def piece_budget(cls, flow: ContactFlow) -> int:
         """Return the search's budget on a flow, as a number of Taylor pieces.
 
-        A piece is an interval with a single Taylor series. Up to a state size 24 (12 modes without
-        friction) the budget is 800,000 pieces, with friction 600,000. For larger states it falls
-        with the squared size.
+        A piece is an interval with a single Taylor series. For a state with up to 24 entries (12
+        modes without friction) the budget is 800,000 pieces, with friction 600,000. For n > 24
+        entries it is multiplied by (24 / n)^2.
         """
         n_periods = (0.75 if flow.friction_law else 1.0) * cls.period_budget
         return int(
@@ -109,8 +109,8 @@ class StartStrategy(NamedTuple):
     name : str
         Text for the progress line.
     generate_candidates : callable
-        Function to yield orbits for a :class:`_SearchTask`. In harmonic balance: function without
-        arguments to yield guesses.
+        In an orbit search: function from a :class:`_SearchTask` to the orbits that it finds. In
+        harmonic balance: function without arguments to yield guesses for Newton's method.
     """
 
     name: str
@@ -183,8 +183,15 @@ class _SearchTask:
 
     Attributes
     ----------
-    flow, omega, state_guesses, subharmonic, prefer_stable
-        Arguments of :func:`search_orbit`.
+    flow : ContactFlow
+    omega : float
+        Load frequency [rad/s].
+    state_guesses : iterable of (n, flow.state_size)
+        Guesses, each with states at n equal parts of the period.
+    subharmonic : int
+        Number of load periods in the orbit's period.
+    prefer_stable : bool
+        True: continue after an unstable orbit.
     tried_states : list of (n, flow.state_size)
         Guesses that led to no orbit.
     failure_reasons : list of str
@@ -244,9 +251,8 @@ def _find_orbits_from_guesses(search_task: _SearchTask) -> list[PeriodicOrbit]:
 def _find_orbit_after_multiple_shooting_step(search_task: _SearchTask) -> Iterable[PeriodicOrbit]:
     """Find an orbit by Newton's method after a multiple-shooting step.
 
-    The step corrects the states at 32 instants of a guess together.
-
-    The result has the first orbit from any tried guess, or is empty.
+    The step corrects the states at 32 instants of a guess together. Guesses that led to no orbit
+    before are tried in order. The result has the first orbit, or is empty.
     """
     prediction_iterator = (
         predict_orbit(search_task.flow, search_task.omega, guessed_states, search_task.subharmonic)
@@ -327,14 +333,15 @@ class Homotopy:
 
         p (z(T) - a) - (z - a) = 0
 
-    Unknowns are the state z at phase zero; z(T) is the state after a period. At p = 0 the solution
-    is a, at p = 1 an orbit. States are scaled like the unknowns x of
-    ``orbit_equations``; a is its ``start_unknown``.
+    The unknowns are the state z at phase zero, scaled as in ``orbit_equations``; z(T) is the state
+    after a period. a is the attribute ``start_unknown`` of ``orbit_equations``. At p = 0 the
+    solution is a, at p = 1 an orbit. The constructor's ``taylor_piece_budget`` is the number of
+    Taylor pieces that the path may take.
 
     Attributes
     ----------
     remaining_pieces : int
-        Taylor pieces left from ``taylor_piece_budget``; a period counts for at least 200.
+        Taylor pieces left for the path; a period counts for at least 200.
     """
 
     def __init__(self, orbit_equations: FlowOrbitEquations, taylor_piece_budget: int) -> None:
@@ -395,8 +402,9 @@ def _find_orbit_along_path(search_task: _SearchTask) -> Iterator[PeriodicOrbit]:
 def _find_orbit_along_motion(search_task: _SearchTask) -> Iterator[PeriodicOrbit]:
     """Follow the motion from the last guess, and yield an orbit near the motion.
 
-    Newton's method starts from the last state, then from the states that a period changes least.
-    Nothing is yielded if all starts within a quarter of the budget fail.
+    Newton's method starts from the motion's last state, then from the states that a period changes
+    least. All these starts together may take a quarter of the search's budget. Nothing is yielded
+    if they fail.
     """
     orbit_equations = search_task.orbit_equations
     remaining_pieces = SearchOptions.piece_budget(search_task.flow) // 4

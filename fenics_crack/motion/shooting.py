@@ -176,7 +176,7 @@ class ShootingEquations(Equations):
         n_events = int(kernel.count_events(self._kernel_point_pointer))
 
         def ensure_evaluated() -> None:
-            """Integrate the period again if the kernel's last point is another one."""
+            """Integrate the period again if the kernel has evaluated another point since."""
             if (
                 self._last_linearisation_reference is not weak_point_reference
             ):  # there is one for a point

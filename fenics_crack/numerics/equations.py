@@ -86,11 +86,11 @@ class Linearisation(ABC):
 
     @property
     def record(self) -> np.ndarray:
-        """Return the numbers for a step control to judge this point.
+        """Return the array stored at this point for a step control: (n_record_entries,).
 
-        The array has the system's ``n_record_entries`` entries; the system's method
-        ``step_control_values`` evaluates records. Only systems for paths with a step control
-        implement the property.
+        A step control rejects steps of a path that are too long. The system's method
+        ``step_control_values`` computes its input from such arrays. Only systems for paths with a
+        step control implement the property.
         """
         raise NotImplementedError
 
@@ -209,10 +209,10 @@ class Equations(ABC):
         """
 
     def run_unchecked(self, loop: Any, *arguments: Any) -> int:
-        """Call a C function on the equations and return its outcome code, unchecked.
+        """Call a C function on the equations, and return its outcome code.
 
-        ``loop`` is a function in the kernel, called with ``function_table`` and ``arguments``. Pass
-        the code to :meth:`has_found_solution`.
+        ``loop`` is a function in the kernel, called with ``function_table`` and ``arguments``. The
+        code is not checked here: pass it to :meth:`has_found_solution`.
         """
         self._last_linearisation_reference = None
         return int(loop(self.function_table, *arguments))

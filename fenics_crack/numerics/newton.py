@@ -201,9 +201,9 @@ class Snes(ABC):
     def _test_convergence(
         self, snes: Any, n_iterations: int, norms: tuple[float, float, float]
     ) -> int:
-        """Return PETSc's code to stop or to go on, for SNES.
+        """Return PETSc's code to stop or to go on; SNES calls this method.
 
-        Stop if |F| <= tolerance |x|, if |F| is not finite, or after the maximum number of
+        SNES stops if |F| <= tolerance |x|, if |F| is not finite, or after the maximum number of
         iterations. ``norms`` are |x|, the norm of the Newton step, and |F|.
         """
         self._residual_norms.append(norms[2])
@@ -216,7 +216,11 @@ class Snes(ABC):
         return int(PETSc.SNES.ConvergedReason.ITERATING)
 
     def _set_residual(self, snes: Any, unknown_vector: Any, residual_vector: Any) -> None:
-        """Write the residual for SNES; keep a ConvergenceError, as PETSc may hide errors."""
+        """Write the residual F(x) for SNES; PETSc calls this method.
+
+        ``unknown_vector`` has x, and ``residual_vector`` receives F. A ConvergenceError is stored
+        before it is raised, as PETSc may hide errors.
+        """
         try:
             self.write_residual(unknown_vector, residual_vector)
         except ConvergenceError as error:
@@ -430,8 +434,8 @@ def motion_size_squared(oscillation_norm_squared: float, mean_norm_squared: floa
 def motion_size(motion_samples: np.ndarray) -> float:
     """Return the size of k sampled motions (n_instants, k): the root of a sum of squares.
 
-    In the sum over all instants and motions, the means over time contribute at most as much as the
-    oscillations (:func:`motion_size_squared`).
+    The sum is over all instants and motions. The means' part of the sum is limited to the
+    oscillations' part (:func:`motion_size_squared`).
     """
     time_mean = motion_samples.sum(axis=0) / len(motion_samples)
     oscillation_samples = motion_samples - time_mean
@@ -444,11 +448,11 @@ def motion_size(motion_samples: np.ndarray) -> float:
 
 
 def change_relative_to_motion(change_samples: np.ndarray, motion_samples: np.ndarray) -> float:
-    """Return the norm of a change over the size of a motion.
+    """Return the norm of a change, divided by the size of a motion.
 
-    Both are samples (n_instants, k). In the motion's size (:func:`motion_size`) the mean over time
-    counts at most as much as the oscillation: a steady load does not make relative errors small.
-    The result is 0 if the motion is zero.
+    Both are samples (n_instants, k). In the divisor (:func:`motion_size`) the mean over time is
+    limited to the oscillation: a steady load does not make relative errors small. The result is 0
+    if the motion is zero.
     """
     return (
         float(np.linalg.norm(change_samples)) / motion_size(motion_samples)
@@ -462,8 +466,8 @@ def norm_weights_at(system: System, unknown: np.ndarray) -> tuple[float, float]:
 
     In |x| the means over time contribute at most as much as the oscillation. A clearance or a
     steady load may make means large, but steps must be relative to the oscillation to resolve a
-    resonance. Changes of large means are divided by the means, not by the oscillation: a crack's
-    mean opening grows with a rotor's speed by far more than the oscillation.
+    resonance. A change in a large mean is divided by the mean itself. For example, a crack's mean
+    opening grows with a rotor's speed by far more than the oscillation.
 
     Returns
     -------
@@ -536,16 +540,15 @@ def solve_in_plane(
     plane : Tangent or None
         Normal of the plane, the tangent of a path. None: p stays as given.
     tolerance : float
-        Maximum |F| / |x| of the solution, with |x| at the tangent's point.
+        Maximum |F| / |x| of the solution. With a plane, |x| is taken at the point of its tangent.
     max_iterations : int
         Maximum number of Newton steps.
     max_parameter_change : float
         Maximum distance of p from the guess.
     min_damping : float or None
-        Minimum factor of a shortened step. Steps are shortened if the residual would grow; None:
-        never.
+        Steps are shortened if the residual would grow, by a factor down to this. None: full steps.
     max_stalled_steps : int
-        Maximum steps, up to 30, that together fail to halve |F| / |x|; 0: no limit.
+        Give up if so many successive steps, at most 30, do not halve |F| / |x|; 0: no limit.
 
     Returns
     -------
@@ -588,10 +591,21 @@ def correction_struct(
     min_damping: float = MIN_DAMPING,
     max_stalled_steps: int = 0,
 ) -> Struct:
-    """Return options of :func:`solve_in_plane` as the kernel's struct ``correction``.
+    """Return options of Newton's method as the kernel's struct ``correction``.
 
-    For ``kernel.follow_path``, ``max_parameter_change`` is a multiple of the step length. A
-    negative ``min_damping`` means full steps.
+    Parameters
+    ----------
+    tolerance : float
+        Maximum |F| / |x| of the solution.
+    max_parameter_change : float
+        Maximum distance of p from the guess. For ``kernel.follow_path``, a multiple of the step
+        length.
+    max_iterations : int
+        Maximum number of Newton steps.
+    min_damping : float
+        Minimum factor of a shortened step; negative: full steps.
+    max_stalled_steps : int
+        Give up if so many successive steps do not halve |F| / |x|; 0: no limit.
     """
     return Struct(
         "correction", tolerance=tolerance, max_parameter_change=max_parameter_change,
@@ -672,9 +686,11 @@ def solve_by_full_or_damped_steps(
     tolerance: float,
     try_full_steps: bool = True,
 ) -> PathPoint | None:
-    """Solve F(x, p) = 0 at given p by full, else damped Newton steps; None if both fail.
+    """Solve F(x, p) = 0 at given p by full Newton steps; None if all attempts fail.
 
-    If ``try_full_steps`` is False, only damped steps are tried, with factors down to 0.01.
+    If full steps fail, or if ``try_full_steps`` is False, damped steps are tried. Their damping
+    factors are at least 0.01. ``unknown`` is the guess of x, and ``tolerance`` the maximum |F| /
+    |x|.
     """
     point = (
         solve_at_parameter(system, unknown, parameter, tolerance=tolerance)

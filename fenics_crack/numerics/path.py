@@ -207,8 +207,8 @@ class PathSegment(Sequence[PathPoint]):
     def struct(self, n_known: int, **scalars: float) -> Struct:
         """Return the kernel's struct ``path`` with pointers to the arrays.
 
-        The first ``n_known`` points are given; the kernel adds points. ``scalars`` are the fields
-        ``step``, the length of the first step, and ``orientation``, the sign of t_p det J.
+        The first ``n_known`` points are known; the kernel fills the others. ``scalars`` are the
+        fields ``step``, the length of the first step, and ``orientation``, the sign of t_p det J.
         """
         array_by_name = {
             name: array
@@ -289,7 +289,7 @@ class Event(ABC):
 
     @abstractmethod
     def locate(self, system: System, ends: SegmentEnds, rtol: float) -> PathPoint | None:
-        """Locate the event between two neighbouring points, with |F| / |x| <= ``rtol``.
+        """Locate the event between two neighbouring points ``ends``, with |F| / |x| <= ``rtol``.
 
         None if the step has no event, or if the search fails.
         """
@@ -775,9 +775,9 @@ class Path:
         )
 
     def _restart(self, point: PathPoint, step_length: float) -> None:
-        """Let the next kernel call start at a point.
+        """Let the next kernel call start at a point, with a first step of the given length.
 
-        The first step has the given length. The sign of t_p det J is forgotten.
+        The known sign of t_p det J is discarded: t_p is the tangent's parameter part, J = dF/dx.
         """
         self._start_points, self._next_step_length, self._orientation = [point], step_length, 0.0
 
@@ -849,8 +849,9 @@ class Path:
         Returns
         -------
         PathSegment or None
-            The last earlier point and the new points; None if the step control rejects the first
-            step, to be repeated with half the length. Length 1: the steps became too short.
+            The last earlier point and the new points. None: the step control rejects the first
+            step, to be repeated with half the length. A segment with the earlier point alone: the
+            steps became too short.
         """
         path_options, start_points = self._options, self._start_points
         start_parameter, residual_rounding = (

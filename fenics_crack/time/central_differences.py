@@ -78,8 +78,12 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
 
     Parameters
     ----------
-    structure, omega, contact
-        As of :func:`integrate_central_difference`.
+    structure : Structure
+        Structure to integrate.
+    omega : float [rad/s]
+        Angular frequency of the load.
+    contact : ContactLaw
+        Law of all pairs.
 
     Returns
     -------
@@ -149,12 +153,25 @@ def integrate_central_difference(
 
     Parameters
     ----------
-    structure, omega, contact, periods, **options
-        As in :class:`fenics_crack.time.march.MarchRequest`; best with :meth:`Structure.lumped`
-        mass. Under UnilateralConstraint an initial displacement with penetration is replaced by the
-        nearest one without, in the norm of M.
+    structure : Structure
+        Best with :meth:`Structure.lumped` mass.
+    omega : float [rad/s]
+        Angular frequency of the load.
+    contact : ContactLaw
+        Law of all pairs. Under UnilateralConstraint an initial displacement with penetration is
+        replaced by the nearest one without, in the norm of M.
+    periods : int
+        Load periods to integrate.
     steps_per_period : int
         At least :func:`stable_steps_per_period`.
+    **options
+        - initial: state at time 0, as a solution or arrays (displacement, velocity); default: rest.
+        - settle: stop early below this relative change from period to period; 0: never.
+        - record_periods: number of last periods to keep; default: all.
+        - dofs: dofs whose displacements are recorded; default: all.
+        - progress: show a progress bar.
+
+        :class:`fenics_crack.time.march.MarchRequest` describes them further.
 
     Returns
     -------
@@ -261,11 +278,11 @@ def _last_velocity(
     last_increment: np.ndarray,
     acceleration_function: Callable[[np.ndarray], np.ndarray],
 ) -> np.ndarray:
-    """Return the velocity at the end of a time integration from its last increment.
+    """Return the velocity (n,) at the end of a time integration from its last increment.
 
-    The last increment u_n - u_{n-1} (n,) over the step size is the velocity half a step before the
-    end. The result adds the acceleration over half a step. ``acceleration_function`` takes a
-    velocity (n,) and returns the acceleration at the end.
+    The velocity half a step before the end is ``last_increment``, u_n - u_{n-1}, divided by
+    ``step_size``. The result adds the acceleration over half a step. ``acceleration_function``
+    takes a velocity (n,) and returns the acceleration (n,) at the end.
     """
     mean_velocity = velocity = last_increment / step_size
     for _ in range(3):  # the acceleration depends on the velocity a little
@@ -635,8 +652,8 @@ class _CentralDifferences(Scheme):
     def _nearest_admissible_displacement(self, displacement: np.ndarray) -> np.ndarray:
         """Return the nearest displacement without penetration: (n_local,) [m].
 
-        The distance to the given ``displacement`` is minimum, in the norm by the mass matrix. Under
-        a penalty law, or without penetration, ``displacement`` is returned.
+        The change d from the given ``displacement`` has the smallest d^T M d, with the mass matrix
+        M. Under a penalty law, or without penetration, ``displacement`` is returned.
         """
         gap = self._gap_of(displacement)
         if not self.is_rigid or not np.any(gap > 0.0):

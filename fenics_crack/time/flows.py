@@ -79,12 +79,22 @@ def integrate_events(
     ----------
     structure : Structure
         At most 600 dofs; reduce a larger one first.
+    omega : float [rad/s]
+        Angular frequency of the load.
     contact : UnilateralPenalty, UnilateralConstraint or CoulombFriction of one of them
         Law of all pairs. UnilateralConstraint: crack faces must have no mass.
+    periods : int
+        Load periods to integrate.
     steps_per_period : int
         Instants recorded in a period; they do not change the motion.
-    omega, periods, **options
-        As in :class:`fenics_crack.time.march.MarchRequest`.
+    **options
+        - initial: state at time 0, as a solution or arrays (displacement, velocity); default: rest.
+        - settle: stop early below this relative change from period to period; 0: never.
+        - record_periods: number of last periods to keep; default: all.
+        - dofs: dofs whose displacements are recorded; default: all.
+        - progress: show a progress bar.
+
+        :class:`fenics_crack.time.march.MarchRequest` describes them further.
 
     Returns
     -------
@@ -131,19 +141,30 @@ def integrate_exponential(
     structure : Structure
         At most 600 dofs; reduce a larger one first. Under UnilateralConstraint crack faces must
         have no mass (``reduce_structure(method="massless")``).
+    omega : float [rad/s]
+        Angular frequency of the load.
     contact : UnilateralPenalty, UnilateralConstraint or CoulombFriction of one of them
         Law of all pairs.
+    periods : int
+        Load periods to integrate.
     steps_per_period : int
         Steps in one load period; the error falls with their square.
-    omega, periods, **options
-        As in :class:`fenics_crack.time.march.MarchRequest`.
+    **options
+        - initial: state at time 0, as a solution or arrays (displacement, velocity); default: rest.
+        - settle: stop early below this relative change from period to period; 0: never.
+        - record_periods: number of last periods to keep; default: all.
+        - dofs: dofs whose displacements are recorded; default: all.
+        - progress: show a progress bar.
+
+        :class:`fenics_crack.time.march.MarchRequest` describes them further.
 
     Returns
     -------
     TimeHistory
-        Its ``created_energy`` closes the energy balance, computed by the trapezoidal rule. A step
-        in which no pair opens or closes creates none. A step in which a pair opens creates half the
-        pair's last force times its opening; large if the residual flexibility is small.
+        The last periods. ``created_energy`` is the remainder of the energy balance, computed by the
+        trapezoidal rule. A step in which no pair opens or closes creates none. A step in which a
+        pair opens creates half the pair's last force times its opening; large if the residual
+        flexibility is small.
 
     Raises
     ------
@@ -168,8 +189,8 @@ def integrate_exponential(
 def _loaded_coordinate_scales(request: MarchRequest) -> np.ndarray:
     """Return a factor for each loaded coordinate: (n_loaded,).
 
-    Coordinates times factors are compared from period to period. With massless crack faces the
-    coordinates are modal: the factor is then the norm over the load's Fourier coefficients. For
+    A coordinate times its factor is compared from period to period. With massless crack faces the
+    coordinates are modal. The factor is then the norm of the coordinate's load coefficients. For
     displacements the factor is 1.
     """
     if not request.structure.light_lips:
@@ -368,7 +389,7 @@ class ExponentialSteps:
     Attributes
     ----------
     flow : ExponentialFlow
-        Flow with the steps that were made.
+        Flow that made the steps; it has the step length.
     states : (N + 1, 2 n_modes)
         Modal displacements and velocities, both ends included.
     forces : (N + 1, n_rows) [N]
@@ -403,8 +424,8 @@ class ExponentialSteps:
     def friction_loss(self) -> float:
         """Energy dissipated by friction over all steps [J]; 0 without friction.
 
-        In each step, mean friction force times the sticking place's change. A sticking place is the
-        tangential gap less the tangential spring's deformation.
+        A step dissipates the mean friction force times the change of the sticking place, summed
+        over pairs. A sticking place is the tangential gap less the tangential spring's deformation.
         """
         flow, n_pairs = self.flow, self.flow.structure.n_pairs
         if not flow.friction_law:

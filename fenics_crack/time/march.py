@@ -190,17 +190,17 @@ class MarchRequest:
 
     @cached_property
     def load_samples(self) -> np.ndarray:
-        """Load on the loaded dofs at the N instants of a period: (N, n_loaded) [N]."""
+        """Load on the loaded dofs at the N = ``steps_per_period`` instants: (N, n_loaded) [N]."""
         return np.asarray(self.load_basis @ self.structure.force[:, self.loaded_dofs])
 
     @property
     def n_gap_rows(self) -> int:
-        """Number of contact rows: with friction or layers two for each pair."""
+        """Number of contact rows: one for each pair; with friction or the layered law two."""
         return self.structure.n_pairs * count_rows_per_pair(self.contact)
 
     @cached_property
     def row_law(self) -> ContactLaw:
-        """Law for the contact rows."""
+        """Law for the contact rows: a penalty law for the layered law, else ``contact``."""
         return law_of_rows(self.contact, self.structure.n_pairs)
 
     @property
@@ -222,13 +222,13 @@ class TimeHistory(ObservedMotion, Tabular):
     settled : float
         Relative change from the last period but one to the last: the larger of the changes in the
         gaps and in the displacement at the load. A small number means: the motion repeats with the
-        load. The reference is the root sum of squares over the period; the mean counts at most as
-        much as the oscillation. Infinite after a single period.
+        load. Each change is divided by the root sum of squares over the period. In this divisor the
+        mean over time is limited to the oscillation. Infinite after a single period.
     created_energy : float
         Net energy created by the scheme, relative to the energy from the load and the initial
-        state. Central differences create energy at contact changes between steps; the error
-        vanishes like dt^2. For exponential steps it closes the energy balance. Negative: lost
-        energy. Under UnilateralConstraint impacts lose energy at any step size.
+        state. Negative: lost energy. Central differences create energy if contact changes between
+        steps; the error vanishes like dt^2. For exponential steps it is the remainder of the energy
+        balance. Under UnilateralConstraint impacts lose energy at any step size.
     periods : int
         Load periods integrated. They are fewer than requested if the motion settled, or if Ctrl-C
         stopped it.
@@ -337,10 +337,10 @@ class TimeHistory(ObservedMotion, Tabular):
         return largest_difference_norm / weight_sum if weight_sum > 0.0 else math.inf
 
     def change(self, periods: int = 1) -> float:
-        """Return the motion's relative change from ``periods`` before to the last (collective).
+        """Return the relative change between the last load period and an earlier one (collective).
 
-        Changes in the gaps and, if recorded, in the watched displacement are relative to the
-        oscillation; the larger change is returned.
+        The earlier one is ``periods`` load periods before. Changes in the gaps and, if recorded, in
+        the watched displacement are relative to the oscillation; the larger change is returned.
 
         Raises
         ------
@@ -363,9 +363,9 @@ class TimeHistory(ObservedMotion, Tabular):
 
     @property
     def _watched_periods(self) -> list[np.ndarray]:
-        """Gaps without clearance (g + g_0), and the watched displacement if recorded.
+        """Gaps plus clearance (g + g_0), and the watched displacement if recorded (collective).
 
-        Each array is (n_periods, steps_per_period, n_columns) [m] (collective).
+        Each array is (n_periods, steps_per_period, n_columns) [m].
         """
         watched_arrays = [self.gap + self.structure.clearance]
         with suppress(InputError):
@@ -574,8 +574,8 @@ def march(request: MarchRequest, scheme: Scheme) -> TimeHistory:
 def _largest_relative_change(newest: Sequence[np.ndarray], previous: Sequence[np.ndarray]) -> float:
     """Return the largest relative change of several arrays between two periods.
 
-    ``newest`` and ``previous`` hold samples (N, m) of the same quantities. Each difference is
-    divided by the size from :func:`_moving_part_sizes`.
+    ``newest`` and ``previous`` hold samples (N, m) of the same quantities in two periods. The norm
+    of each difference is divided by the array's size (:func:`_moving_part_sizes`).
     """
     compared_parts_and_sizes = zip(newest, previous, _moving_part_sizes(newest), strict=True)
     return max(
@@ -587,10 +587,10 @@ def _largest_relative_change(newest: Sequence[np.ndarray], previous: Sequence[np
 def _moving_part_sizes(period_arrays: Sequence[np.ndarray]) -> list[float]:
     """Return a reference size for the changes of each array (N, m) over a period.
 
-    The size is the root sum of squares; the mean over time counts at most as much as the
-    oscillation: a steady load must not hide changes. If the size is below ``NEGLIGIBLE`` times the
-    largest size, inf is returned, and changes in this array do not count. An example: gaps between
-    rigid crack faces in permanent contact.
+    The size is the root sum of squares. In this sum the mean over time is limited to the
+    oscillation: a steady load must not hide changes. An array whose size is below ``NEGLIGIBLE``
+    times the largest size gets inf, so its changes do not count. An example: gaps between rigid
+    crack faces in permanent contact.
     """
     motion_sizes = [motion_size(period_array) for period_array in period_arrays]
     return [size if size > NEGLIGIBLE * max(motion_sizes) else math.inf for size in motion_sizes]
