@@ -105,7 +105,8 @@ def _element_length_off_cracks(scene: Scene) -> float:
 def scale_scene_to_mesh_unit(scene: Scene, metres_per_unit: float = 0.0) -> tuple[Scene, float]:
     """Convert a scene's lengths to the unit for gmsh.
 
-    By default the unit is the power of ten [m] in which the longest side is 0.0316 to 0.316.
+    ``metres_per_unit`` is the unit [m]. 0 selects a power of ten: the longest side then measures
+    0.0316 to 0.316 units.
 
     Returns
     -------
@@ -314,9 +315,10 @@ def _add_surfaces(
     n_columns, n_rows : int
         Number of blocks in each direction.
     horizontal_by_ij, vertical_by_ij : Curves
-        Lower and left sides of the blocks, and the plate's upper and right sides.
+        gmsh's tags of the blocks' lower sides and left sides, by (column, row). The plate's upper
+        and right sides are included, with the index after the last block.
     upper_by_ij : Curves
-        Upper crack faces, as lower sides of the blocks above.
+        gmsh's tags of the upper crack faces: lower sides of the blocks above a crack.
     """
     surfaces = []
     for i in range(n_columns):
@@ -449,7 +451,8 @@ class DiskRim:
     ) -> list[tuple[int, int]]:
         """Draw a solid sector, rim and blade in a single volume; return gmsh's (dimension, tag).
 
-        The arguments are the blade's sides. The rim is as thick as the blade is wide.
+        ``width``, ``height`` and ``thickness`` are the blade's sides. The rim is as thick as the
+        blade is wide.
         """
         occ = gmsh.model.occ
         polar_corners = [
@@ -483,8 +486,9 @@ class DiskRim:
     def gradings(self) -> list[Grading]:
         """Return the grading of element lengths around the corners between blade and rim.
 
-        The stress is infinite at the corners. The length is ``mesh.size`` / 32 there, and grows by
-        ``mesh.size`` over the blade's width, per distance.
+        The stress is infinite at the corners. The element length at a corner is ``mesh.size`` / 32.
+        The length grows linearly with the distance, by ``mesh.size`` over a distance of the blade's
+        width.
         """
         blade_width, element_size = self.scene.geometry.sides[0], self.scene.mesh.given("size")
         return [
@@ -612,9 +616,10 @@ class DiskRim:
 def _mesh_current_model_with_gradings(
     scene: Scene, unit_scene: Scene, gradings: list[Grading]
 ) -> None:
-    """Mesh gmsh's current model with elements of ``mesh.size``, shorter near graded points.
+    """Mesh gmsh's current model with elements of ``mesh.size``, shorter near given points.
 
-    The element length at a point is the minimum of ``mesh.size`` and all gradings.
+    Each grading states an element length as a function of the distance from a point. The element
+    length is the minimum of ``mesh.size`` and all gradings.
 
     Raises
     ------

@@ -174,10 +174,30 @@ def pair_crack_faces(
 def _front_pressure_share_matrix(
     dofs: Dofs, space: Any, both_faces_measure: Any, node_numbers: np.ndarray, n_inside: int
 ) -> sparse.csr_matrix:
-    """Return the matrix S that distributes pressure at front nodes to neighbours: (n, n_inside).
+    """Return the matrix S that replaces the pressure functions of nodes on crack fronts.
 
-    The pressure functions of nodes off the front become psi_j = sum_i S_ij psi_i. ``node_numbers``
-    (n,) are global nodes on a face, the first ``n_inside`` off the fronts, all others on fronts.
+    A pressure function distributes a node's contact force over the crack faces, as a pressure.
+    Nodes on fronts have no contact pair. So their functions psi_i are distributed to the
+    neighbours: node j off the front gets sum_i S_ij psi_i over all nodes i.
+
+    Parameters
+    ----------
+    dofs : Dofs
+        Dofs of the mesh.
+    space : dolfinx function space
+        Space of the functions psi_i.
+    both_faces_measure : ufl.Measure
+        Measure for integrals over both crack faces.
+    node_numbers : (n,) int
+        Global numbers of the nodes on a face: ``n_inside`` nodes off the fronts, then those on
+        fronts.
+    n_inside : int
+        Number of nodes off the fronts.
+
+    Returns
+    -------
+    (n, n_inside)
+        S.
     """
     overlap_form = ufl.inner(ufl.TrialFunction(space), ufl.TestFunction(space)) * both_faces_measure
     petsc_overlap_matrix = compat.assembled_petsc_matrix(overlap_form)
@@ -203,8 +223,9 @@ def _front_pressure_share_matrix(
 def _make_tangential_gap_matrix(gap: Any, lower_gap: Any, comm: MPI.Comm) -> sparse.csr_matrix:
     """Return the matrix B_t of a solid's tangential gaps: (3 n_nodes, 2 m) (collective).
 
-    The tangential gaps are B_t^T u: m gaps along the pairs' first tangents, then m along the second
-    tangents, both at right angles to the pair's mean normal.
+    The tangential gaps are B_t^T u with the displacement u. First come m gaps along the pairs'
+    first tangents, then m along the second tangents. Both tangents are at right angles to the
+    pair's mean normal.
 
     Parameters
     ----------
@@ -242,10 +263,11 @@ def _find_patch_nodes_and_shares(
     n_inside: int,
     max_patches: int,
 ) -> tuple[np.ndarray, sparse.csr_matrix]:
-    """Choose nodes as patch centres, a contact pair each, and compute pressure functions.
+    """Choose nodes as centres of patches, and compute the patches' pressure functions.
 
-    On a plate a pressure function is linear between chosen nodes. On a solid it is 1 at all nodes
-    nearest to the chosen node, otherwise 0.
+    Each patch becomes a contact pair. The patch's pressure function distributes the contact force
+    over the crack face, as a pressure. On a plate a pressure function is linear between chosen
+    nodes. On a solid it is 1 at all nodes nearest to the chosen node, otherwise 0.
 
     Parameters
     ----------
@@ -332,15 +354,26 @@ def _assemble_nodal_gap_columns(
 ) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
     """Assemble the gap vector b of every node on crack faces, for a plate.
 
-    A pair's gap is b_lower . u + b_upper . u, with the nodes' mean outward normals in b. The
-    pressure functions are the displacement's basis functions.
+    A contact pair has a node on the lower and a node on the upper face. With their vectors b_lower
+    and b_upper and the displacement u, the pair's gap is b_lower . u + b_upper . u. b holds the
+    mean outward normal at the node. The node's pressure function psi is the displacement's basis
+    function.
+
+    Parameters
+    ----------
+    dofs : Dofs
+        Dofs of the mesh.
+    thickness : ufl expression [m]
+        Thickness t of the plate.
+    both_faces_measure : ufl.Measure
+        Measure ds for integrals over both crack faces.
 
     Returns
     -------
     space : dolfinx function space
         Space of the pressure functions.
     node_areas : (n_owned,) [m^2]
-        Area of each owned node, |t int psi n ds| with the pressure function psi and the normal n.
+        Area of each owned node, |t int psi n ds| with the outward normal n.
     columns : (n_owned_dofs, n_nodes)
         Vector b of every node, with the rows of this rank's dofs.
     """
@@ -368,10 +401,33 @@ def _assemble_nodal_gap_columns(
 def _assemble_pressure_gap_columns(
     dofs: Dofs, thickness: Any, both_faces_measure: Any
 ) -> tuple[Any, np.ndarray, sparse.csc_matrix]:
-    """Assemble the gap vectors of pressures that are linear between facet corners.
+    """Assemble the gap vector b of every facet corner on crack faces.
 
-    The gap b . u is the mean over the pressure function psi, b . u = t int psi n . u ds / w, w = t
-    int psi ds. The results are as in :func:`_assemble_nodal_gap_columns`.
+    A corner's pressure function psi is linear between the corners of each facet. With the
+    displacement u and the outward normal n, the product b . u is the mean of n . u weighted by psi:
+
+        b . u = t int psi n . u ds / w,      w = t int psi ds
+
+    A contact pair has a corner on the lower and a corner on the upper face. The pair's gap is the
+    sum of both products.
+
+    Parameters
+    ----------
+    dofs : Dofs
+        Dofs of the mesh.
+    thickness : ufl expression [m]
+        Thickness t of a plate, 1 for a solid.
+    both_faces_measure : ufl.Measure
+        Measure ds for integrals over both crack faces.
+
+    Returns
+    -------
+    space : dolfinx function space
+        Space of the pressure functions.
+    node_areas : (n_owned,) [m^2]
+        Area w of each owned corner.
+    columns : (n_owned_dofs, n_nodes)
+        Vector b of every corner, with the rows of this rank's dofs.
     """
     pressure_space = compat.function_space(dofs.space.mesh, 1, vectors=False)
     facet_normal, pressure = ufl.FacetNormal(pressure_space.mesh), ufl.TrialFunction(pressure_space)
@@ -483,8 +539,8 @@ def _watched_pair_by_name(
     """Return the index of each crack's watched pair, by name.
 
     Results report this pair, with a name such as "the mouth of crack 1". A crack without pairs has
-    no entry. The arrays (n_pairs,) are the crack of each pair, and the distance along the path or
-    from the front [m].
+    no entry. ``crack_of_pair`` (n_pairs,) is the index of each pair's crack. ``distances_on_crack``
+    (n_pairs,) [m] is the distance along a plate's crack path, or from the front in a solid.
     """
     pair_by_name: dict[str, int] = {}
     crack: Any
@@ -507,8 +563,25 @@ def _watched_pair_by_name(
 def assemble_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     """Mesh a scene and assemble the structure, or read matrix files (collective).
 
-    The scene must state the crack length, not ``crack.first_omega``. Parameters and errors are
-    those of :func:`fenics_crack.build_structure`.
+    Unlike :func:`fenics_crack.build_structure`, the crack length must be known.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene to build, without ``crack.first_omega``.
+    comm : MPI.Comm
+        Ranks that share the mesh.
+
+    Returns
+    -------
+    Structure
+        Structure that is not reduced; each rank has part of the rows.
+
+    Raises
+    ------
+    InputError
+        The mesh file or a matrix is unusable, the load is off the mesh or clamped, or the crack
+        faces do not match.
     """
     collect_garbage(comm)  # free the matrices of earlier structures
     if scene.structure is not None:
@@ -608,8 +681,9 @@ def _assemble_structure_at_rest(scene: Scene, comm: MPI.Comm) -> tuple[Structure
 def _make_stiffness_and_mass_forms(scene: Scene, space: Any) -> tuple[Any, Any]:
     """Return the UFL forms for stiffness and mass, without boundary conditions.
 
-    The forms are t int sigma(u) : eps(v) dx and t int rho u . v dx, with thickness t and density
-    rho.
+    The forms are t int sigma(u) : eps(v) dx and t int rho u . v dx. u and v are trial and test
+    function, sigma and eps stress and strain. t is the thickness of a plate, 1 for a solid, and rho
+    the density.
     """
     (density,), thickness = (
         form_constants(space, scene.material.density),
@@ -678,8 +752,8 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     """Find the crack length [m] for a given first natural frequency (collective).
 
     The frequency ``crack.first_omega`` is for the open crack without rotation, and falls with the
-    length. Brent's method on re-meshed plates finds the length to 1e-5 of the width. Another call
-    for the same plate returns the stored length.
+    length. Brent's method finds the length to 1e-5 of the width; the plate is meshed for each
+    trial. Another call for the same plate returns the stored length.
 
     Parameters
     ----------
@@ -696,8 +770,8 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     Raises
     ------
     InputError
-        No length from 1 % to 95 % of the width gives the frequency. For a crack inside, twice the
-        center's distance from the nearer edge replaces the width.
+        No length from 1 % to 95 % of the plate's width gives the frequency. For a crack inside, the
+        limits are 1 % and 95 % of twice the center's distance from the nearer edge.
 
     Examples
     --------

@@ -204,6 +204,8 @@ def assembled_vector(form: Any) -> np.ndarray:
 def evaluate_basis(space: Any, order: int, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Evaluate the basis functions of a function space at a point (d,) [m].
 
+    ``order`` is the polynomial order of the space.
+
     Both results are empty if this rank owns no cell with the point.
 
     Returns

@@ -103,8 +103,8 @@ class CrackPath:
     def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
         """Return a point below and a point above a given point on the crack [m].
 
-        Both are 1e-3 of the crack's length away. None if the given point is farther than 1e-6 of
-        the length from the crack, or as close to a tip.
+        Both results are 1e-3 of the crack's length from the given point. With 1e-6 of the length as
+        tolerance, the result is None if the given point is off the crack or at a tip.
         """
         (distance_to_crack,), (arc_length,) = self.locate(np.array([point]))
         path_length = float(self.corner_arc_lengths[-1])
@@ -183,8 +183,8 @@ class CrackSurface:
     def points_beside(self, point: Sequence[float]) -> tuple[list[float], list[float]] | None:
         """Return a point below and a point above a given point on the crack [m].
 
-        Both are 1e-3 of the crack's size away. None if the given point is farther than 1e-6 of the
-        size from the crack, or as close to a front.
+        Both results are 1e-3 of the crack's size from the given point. With 1e-6 of the size as
+        tolerance, the result is None if the given point is off the crack or on a front.
         """
         from fenics_crack.fem.solid_mesher import pairwise_triangle_distances  # it imports gmsh
 
@@ -255,8 +255,8 @@ def _points_on_both_sides(
     Returns
     -------
     (lower_point, upper_point) or None
-        Two lists of float [m]. None if the point is farther from the crack than 1e-6 of the size,
-        or as close to the front.
+        Two lists of float [m]. None if ``distance_to_crack`` is above 1e-6 of the size, or
+        ``front_distance`` below.
     """
     tolerance = RELATIVE_POSITION_TOLERANCE * crack_size
     if distance_to_crack > tolerance or front_distance <= tolerance:
@@ -272,8 +272,10 @@ def _points_on_both_sides(
 def make_matrix_extending_pressures_to_front(overlaps: sparse.csr_matrix) -> sparse.csr_matrix:
     """Return the matrix that distributes the pressure functions of front nodes to neighbours.
 
-    Each neighbour's share is proportional to the overlap, the integral of two basis functions'
-    product.
+    A pressure function distributes a node's contact force over the crack face, as a pressure. Nodes
+    on a front have no contact force, so neighbours inside the crack take over the pressure
+    functions of front nodes. A neighbour's share is proportional to the overlap: the integral over
+    both nodes' basis functions, multiplied by each other.
 
     Parameters
     ----------
@@ -283,7 +285,8 @@ def make_matrix_extending_pressures_to_front(overlaps: sparse.csr_matrix) -> spa
     Returns
     -------
     (n_inside + n_front, n_inside)
-        Identity, then a row of shares for each front node with the sum 1.
+        Identity for the nodes inside. Then, for each front node, a row with the shares of the nodes
+        inside; the sum is 1.
     """
     inverse_row_sums = sparse.diags(1.0 / np.asarray(overlaps.sum(axis=1)).ravel())
     return sparse.vstack([sparse.eye(overlaps.shape[1]), inverse_row_sums @ overlaps]).tocsr()
@@ -304,12 +307,15 @@ def upward_sign(normal: np.ndarray) -> float:
 def locate_on_cracks(cracks: Sequence[Any], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Find the crack nearest to each point (n, d) [m], and the position on the crack.
 
+    ``cracks`` are paths in a plate, or surfaces in a solid.
+
     Returns
     -------
     nearest_crack_of_point : (n,) int
         Index of the nearest crack.
     positions : (n,) [m]
-        Distance from the path's first point along the path, or from the surface's front.
+        In a plate: distance along the path from its first point. In a solid: distance from the
+        front.
     """
     distances_to_cracks, positions_on_cracks = np.array(
         [crack.locate(points) for crack in cracks]
@@ -371,7 +377,7 @@ def count_equal_rows(rows: np.ndarray) -> np.ndarray:
 
 
 def are_rows_in(node_rows: np.ndarray, other_node_rows: np.ndarray) -> np.ndarray:
-    """Return True for each row of nodes that is also a reference row: (n,) bool.
+    """Return True for each row of ``node_rows`` that ``other_node_rows`` have, too: (n,) bool.
 
     The order of nodes in a row does not matter.
     """
@@ -439,7 +445,11 @@ def find_crack_paths(
 
 
 def _check_face_nodes(edges: np.ndarray, tip_nodes: np.ndarray, positions: np.ndarray) -> None:
-    """Raise InputError if more than two edges (n, 2) of a crack face meet off tips."""
+    """Raise InputError if a crack branches: more than two edges of a face meet at a node.
+
+    ``edges`` (n, 2) are the nodes of each edge, ``positions`` (n_nodes, 2) [m] of all nodes.
+    ``tip_nodes``, at which both faces meet, are allowed.
+    """
     edge_nodes, edge_counts = np.unique(edges, return_counts=True)
     for edge_node, n_node_edges in zip(edge_nodes, edge_counts, strict=True):
         if n_node_edges > 2 and edge_node not in tip_nodes:
@@ -749,18 +759,25 @@ def _front_edges_or_tips(crack_facets: np.ndarray, boundary_facets: np.ndarray) 
 
 
 def _label_corner_stars(cells: Cells, is_passable: np.ndarray, is_split: np.ndarray) -> np.ndarray:
-    """Label the corners of all cells at nodes to be doubled: (n_cells n_corners,) int.
+    """Label the corners of all cells, such that equal labels stay a single node.
 
-    Corners with the same label stay a single node. Two corners at a node to be doubled have the
-    same label if a chain of cells with this node connects both cells. Neighbours in the chain share
-    a passable facet with the node. At all other nodes every corner has a different label.
+    At a node to be doubled, two cells' corners have the same label if a chain of cells connects
+    both cells. All cells in the chain have the node. Neighbours in the chain share a facet with the
+    node, off the cracks. At all other nodes every corner has a different label.
 
     Parameters
     ----------
+    cells : Cells
+        Cells of the mesh.
     is_passable : (n_facets - 1,) bool
-        True for a facet between two cells and off the cracks, as index in the sorted facets.
+        True for a facet between two cells and off the cracks, in the order of the sorted facets.
     is_split : (n_nodes,) bool
         True for nodes to be doubled.
+
+    Returns
+    -------
+    (n_cells n_corners,) int
+        Label of each corner, cell after cell.
     """
     from scipy.sparse.csgraph import connected_components
 

@@ -101,8 +101,9 @@ def assemble_rotation(
 ) -> Rotation:
     """Assemble centrifugal load and rotational stiffness for a structure (collective).
 
-    The result has the stiffness matrices K_1, K_2 and K_3 and the load f_c at 1 rad/s, and the
-    scene's speed.
+    The result has the scene's speed, and matrices and centrifugal load at 1 rad/s. K_1 is stress
+    stiffening less spin softening. K_2 and K_3 are the stiffness because rotation displaces the
+    structure.
 
     Parameters
     ----------
@@ -113,8 +114,9 @@ def assemble_rotation(
     structure_at_rest : Structure
         Structure without rotation.
     solve_static : callable, optional
-        For a sector of a bladed disk: function from a load (n_local, 1), equal on each sector, to
-        the static displacement. Default: the structure is solved, with contact.
+        For a sector of a bladed disk: function that takes a load (n_local, 1), equal on each
+        sector, and returns the static displacement. Default: the structure is solved, with rigid
+        contact.
     """
     space, dimension = dofs.space, scene.dimension
     axis_point, axis_direction = scene.axis_point_and_direction
@@ -146,7 +148,10 @@ def assemble_rotation(
         return ufl.sym(grad_u_c.T * ufl.grad(displacement))
 
     def virtual_work(strain: Any, test_strain: Any) -> Any:
-        """Return the form t int sigma(strain) : test_strain dx."""
+        """Return the form t int sigma(strain) : test_strain dx.
+
+        t is a plate's thickness, 1 for a solid; sigma is the stress by Hooke's law.
+        """
         return t * ufl.inner(stress_expression(scene, space, strain), test_strain) * ufl.dx
 
     # One form for each matrix: a sum would be integrated with the highest degree.

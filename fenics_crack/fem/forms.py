@@ -104,8 +104,9 @@ def _assemble_parts_and_places(
 ) -> tuple[Any, ...]:
     """Assemble matrices, loads, gaps, nodes and contact pairs from forms (collective).
 
-    Parameters are as in :func:`structure_from_forms`. ``bilinear_forms`` has the forms "stiffness",
-    "mass" and, if given, "damping".
+    ``bilinear_forms`` has the forms "stiffness", "mass" and, if given, "damping", on the ``space``.
+    ``bcs`` are the boundary conditions. ``loads`` are linear forms (mean, sin, cos), or None.
+    ``crack`` is (facet_tags, lower, upper), or None. ``thickness`` [m] is a plate's, for the areas.
 
     Returns
     -------
@@ -212,7 +213,8 @@ def _check_form(space: Any, key: str, form: Any, n_arguments: int) -> None:
 def _make_part_mesh_with_cracks(mesh: Any, crack: Any, comm: MPI.Comm) -> PartMesh:
     """Return a user's mesh as :class:`PartMesh`, with cracks found from the tags (collective).
 
-    ``crack`` is (facet_tags, lower, upper) as in :func:`structure_from_forms`; None: no cracks.
+    ``crack`` is (facet_tags, lower, upper): tags of the mesh's facets, the tag of all lower faces,
+    and the tag of all upper faces. None: no cracks.
     """
     if crack is None:
         return PartMesh(mesh, None, {}, {}, ())

@@ -66,10 +66,11 @@ MAX_POINTS_IN_MEMORY = 100_000
 def front_functionals(
     scene: Scene, structure: Structure
 ) -> tuple[list[Station], np.ndarray, np.ndarray]:
-    """Return the stations of all fronts, and the linear functionals for K (collective).
+    """Return the stations of all fronts, and the factors for K_I, K_II and K_III (collective).
 
-    Stations at corners of a front are left out. The stress intensities are of_displacement times
-    displacement plus of_forces times contact forces.
+    Stress intensities are computed at stations, points on the front. Stations at corners of a front
+    are left out. The stress intensities are ``of_displacement`` times the displacement plus
+    ``of_forces`` times the contact forces.
 
     Parameters
     ----------
@@ -89,8 +90,8 @@ def front_functionals(
     Raises
     ------
     InputError
-        Cells are not tetrahedra of order 2, or an element at a front is longer than 1.25 times the
-        integration domain's radius.
+        Cells are not tetrahedra of order 2. Or an element along a front is too long: over 1.25
+        times the radius of the domain for the integrals K_I, K_II and K_III.
     """
     check_has_matrices(structure, "stress intensities")
     nodes, comm = structure.nodes, structure.comm
@@ -149,7 +150,10 @@ def _values_at_free_dofs(
 
 
 def _make_stations(structure: Structure, front: Front) -> list[Station]:
-    """Return a front's stations with names, positions, growth directions and adjacent pairs."""
+    """Return a front's stations: points for stress intensities.
+
+    Each has a name, position and growth direction, and the contact pairs at the front nearby.
+    """
     pairs = structure.pairs
     is_node_in_hats = front.hats_and_slopes(front.node_parameters)[0] > 0.0
     adjacent_pairs = [np.zeros(0, dtype=int)] * len(front.station_parameters)
@@ -185,9 +189,10 @@ def _make_stations(structure: Structure, front: Front) -> list[Station]:
 
 
 def _check_front_is_resolved(front: Front) -> None:
-    """Raise InputError if an element along a front is too long for K.
+    """Raise InputError if an element along a front is too long for stress intensities.
 
-    The limit is 1.25 times the integration domain's radius.
+    Stress intensities are integrals over a domain around the front. The limit is 1.25 times the
+    domain's radius.
     """
     edge_lengths = np.linalg.norm(np.diff(front.node_positions, axis=0), axis=1)
     domain_radii_at_edges = front.domain_radius(
@@ -204,12 +209,14 @@ def _check_front_is_resolved(front: Front) -> None:
 
 
 def _rows_by_station(front: Front, functional_rows: np.ndarray) -> np.ndarray:
-    """Arrange the functionals for K_I, K_II and K_III by station: (n_stations, 3, m).
+    """Arrange the factors for K_I, K_II and K_III by station: (n_stations, 3, m).
 
-    ``functional_rows`` (3 n_stations, m) give means of K over the hat functions: all stations for
-    K_I, then for K_II and K_III. The m columns are dofs or pairs. At an end of an open front there
-    is only half a hat, so the mean belongs to a point inside. With three stations or more, both end
-    stations are extrapolated linearly from the last two hats.
+    ``functional_rows`` (3 n_stations, m) has all stations for K_I, then for K_II, then for K_III.
+    The m columns are dofs or contact pairs. A row gives the mean of a stress intensity, weighted by
+    the station's hat function. A hat is 1 at the station and falls to 0 at the neighbours.
+
+    At an end of an open front there is only half a hat, so the mean belongs to a point inside. With
+    three stations or more, the rows of an end station are extrapolated linearly from the last two.
     """
     rows_by_mode = functional_rows.reshape(3, len(front.station_parameters), -1)
     rows_by_station = rows_by_mode.swapaxes(0, 1).copy()
@@ -258,13 +265,14 @@ TETRAHEDRON_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
 class _IntegrationDomain:
     """Cells around a front, over which the interaction integral is computed.
 
-    The module's docstring has the equations. Rows of results are numbered mode after mode (K_I,
-    K_II, K_III), in each mode station after station.
+    The interaction integral I is linear in the displacement and gives the stress intensities.
+    Equations are in the module's docstring. Each of the 3 n_stations rows belongs to a mode and a
+    station. First come all stations for K_I, then for K_II, then for K_III.
 
     Attributes
     ----------
     intensity_per_integral : (3 n_stations,)
-        Factor from the interaction integral I to K.
+        Stress intensity divided by the interaction integral I.
     nodes : (n_nodes,) int
         Global numbers of the cells' nodes.
     points : (n_nodes, 3) [m]
@@ -368,16 +376,18 @@ class _IntegrationDomain:
     def find_factors_and_nodal_fields(self, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
         """Compute the factors of nodal displacements and nodal forces in K (collective).
 
-        Each rank integrates over a part of the cells; the results are equal on all ranks.
+        K is K_I, K_II or K_III at a station. Each rank integrates over a part of the cells; the
+        results are equal on all ranks.
 
         Returns
         -------
         displacement_factors : (n_nodes, 3 n_stations, 3) [Pa m^1/2 / m]
             Factors of the nodes' displacements in K.
         nodal_fields : (n_nodes, 3 n_stations, 3)
-            Field w = q h a_,1; minus w times the nodal forces enters the interaction integral I. q
-            is the weight, h the hat function, a_,1 the derivative along e_1 of the field with unit
-            K.
+            Field w = q h a_,1 at the nodes. q is a weight, 1 near the front and 0 at the domain's
+            border, and h is the station's hat function. a is the displacement field with unit K,
+            and a_,1 its derivative along e_1, ahead of the crack. Nodal forces f add -w . f to the
+            interaction integral.
         """
         n_rows = 3 * len(self.front.station_parameters)
         displacement_factors, nodal_fields = np.zeros((2, len(self.points), n_rows, 3))
@@ -504,9 +514,11 @@ class _IntegrationDomain:
     def _weighted_nodal_fields(self, cell_indices: np.ndarray) -> np.ndarray:
         """Return the fields w = q h a_,1 at the cells' nodes: (n, 10, 3 n_stations, 3).
 
-        q is the weight, h the hat function, and a_,1 the derivative along e_1 of the field with
-        unit K. w is 0 at all nodes of edges along the front. A straight edge cuts the curved front
-        short, so the edge's middle is on neither crack side.
+        q is a weight, 1 near the front and 0 at the domain's border, and h is the station's hat
+        function. a is the displacement field with unit stress intensity, and a_,1 its derivative
+        along e_1, ahead of the crack. ``cell_indices`` (n,) selects cells. w is 0 at all nodes of
+        edges along the front. A straight edge cuts the curved front short, so the edge's middle is
+        on neither crack side.
         """
         node_positions = self.points[self.cells[cell_indices]]
         frame_vectors, xi, y, r, hat, _, _, _, domain_radius = self._front_coordinates(
@@ -526,7 +538,7 @@ class _IntegrationDomain:
     def _plane_field_and_derivatives(
         self, mode: int, xi: np.ndarray, y: np.ndarray, r: np.ndarray
     ) -> Any:
-        """Return the displacement of the plane field with K = 1 in a single mode.
+        """Return the displacement field a around a front with K_I, K_II or K_III = 1.
 
         Parameters
         ----------
@@ -589,17 +601,18 @@ class _IntegrationDomain:
         weights: np.ndarray,
         normals: np.ndarray | None,
     ) -> np.ndarray:
-        """Integrate T lambda_b over cells or facets: the factors of grad u in the integral I.
+        """Integrate T lambda_b over cells, or over facets of cells.
 
-        Volume and surface terms of I are int T : grad u; lambda_b is the barycentric coordinate of
-        corner b.
+        T is the factor of the displacement gradient grad u in the interaction integral I. Volume
+        and surface terms of I are int T : grad u. lambda_b is the barycentric coordinate of a
+        cell's corner b, 1 at the corner and 0 on the facet opposite.
 
         Parameters
         ----------
         cell_indices : (n,) int
             Cells.
         rule_points : (m, 4)
-            Barycentric coordinates lambda_b of the integration points.
+            Barycentric coordinates lambda_b of m integration points.
         weights : (n, m) [m^3] or [m^2]
             Weights of the points in each cell, or on a facet of each cell.
         normals : (n, 3) or None
@@ -677,24 +690,28 @@ class _IntegrationDomain:
         gradient: np.ndarray, auxiliary_stress: np.ndarray,
         weights_and_geometry: tuple[np.ndarray, ...],
     ) -> list[tuple[np.ndarray, np.ndarray]]:  # fmt: skip
-        """Return the factor T of grad u in the volume integral of a single mode.
+        """Return the factor T of grad u in the volume integral of K_I, K_II or K_III.
 
-        T is a sum of two products: hat functions times a tensor, and hat slopes times a tensor.
+        For each station, T is the station's hat function times a tensor, plus the hat's slope times
+        another tensor. a is the displacement field with unit K_I, K_II or K_III. e_1 points ahead
+        of the crack, e_2 is normal to it, and e_3 is along the front. xi and y are the coordinates
+        along e_1 and e_2.
 
         Parameters
         ----------
         a, a_by_xi, a_by_y : (3, ...)
-            From :meth:`_plane_field_and_derivatives`.
+            Components of a, and their derivatives by xi and y.
         gradient, auxiliary_stress : (..., 3, 3)
-            Gradient and stress of the field a in the frame e_1, e_2, e_3.
+            Gradient and stress of a in the frame e_1, e_2, e_3.
         weights_and_geometry : tuple of arrays
-            Weight q, gradient of q, metric g = 1 + kappa xi, k = kappa / g, derivative of the
-            curvature kappa along the front, hats, and hat slopes.
+            Weight q, 1 near the front and 0 at the domain's border; gradient of q; metric g = 1 +
+            kappa xi with the front's curvature kappa; kappa / g; derivative of kappa along the
+            front; hats; hat slopes.
 
         Returns
         -------
         list of ((..., n_stations), (..., 3, 3))
-            Hats with a tensor, then hat slopes with a tensor.
+            Hats with the first tensor, then hat slopes with the second tensor.
         """
         q, q_gradient, metric, local_curvature, curvature_slope, hat, hat_slope = (
             weights_and_geometry
@@ -739,8 +756,9 @@ class _IntegrationDomain:
 def _contact_force_factors(structure: Structure, front: Front) -> np.ndarray:
     """Return factors of the contact forces in K_I: (n_stations, n_pairs) [Pa m^1/2 / N].
 
-    The factors come from the pressure term of the interaction integral. Each pair's force acts as a
-    pressure on the crack faces, distributed by the pair's pressure function.
+    Each pair's contact force acts as a pressure on the crack faces, distributed by the pair's
+    pressure function. The factors are the pressure's term in the interaction integral, which gives
+    K_I.
     """
     pairs = structure.pairs
     assert pairs.nodes is not None and pairs.pressure_matrix is not None and pairs.areas is not None

@@ -73,8 +73,8 @@ class Front:
     ends_at_surface : tuple of bool
         True for each end at the surface of the solid. Other ends are corners of the front.
     allowed_domain_radius : float [m]
-        Upper bound for the integration domain's radius, 0.8 times the distance from the clamp or
-        another crack.
+        Stress intensities are integrals over a domain around the front. Upper bound for the
+        domain's radius: 0.8 times the distance from the clamp or another crack.
     """
 
     name: str
@@ -90,6 +90,8 @@ class Front:
     @cached_property
     def hat_peak_parameters(self) -> np.ndarray:
         """Return the curve parameters t at the peaks of the hat functions, equally spaced: (n,).
+
+        A hat is 1 at its peak and falls linearly in t to 0 at the neighbouring peaks.
 
         On a closed front the last value is the first peak again, a turn later, so n is the number
         of stations plus 1. An open front with two intervals or more has a peak in the middle, where
@@ -152,7 +154,10 @@ class Front:
         )
 
     def hat_integrals(self) -> np.ndarray:
-        """Integrate each hat function along the front, int h ds: (n_stations,) [m]."""
+        """Integrate each station's hat function h along the front, int h ds: (n_stations,) [m].
+
+        h is 1 at the station and falls to 0 at the neighbouring stations.
+        """
         x, w = np.polynomial.legendre.leggauss(8)
         half_spacing = 0.5 * (self.hat_peak_parameters[1] - self.hat_peak_parameters[0])
         t = (self.hat_peak_parameters[:-1, None] + half_spacing * (1.0 + x)).ravel()
@@ -196,7 +201,7 @@ class Front:
 
     @cached_property
     def straight_domain_radius(self) -> float:
-        """Return the integration domain's radius at a straight front [m].
+        """Return the radius [m] of the domain around a straight front for stress intensities.
 
         The radius is 2 of the longest front elements, at most ``allowed_domain_radius``.
         """
@@ -204,9 +209,10 @@ class Front:
         return float(min(RADIUS_IN_ELEMENTS * max_edge_length, self.allowed_domain_radius))
 
     def is_limited_by_curvature(self, curvature: np.ndarray) -> np.ndarray:
-        """Return True if a curvature [1/m] limits the integration domain's radius: same shape.
+        """Return True if a front's curvature [1/m] limits the integration domain: same shape.
 
-        The limit is 0.6 of the radius of curvature.
+        Stress intensities are integrals over a domain around the front. The domain's radius is at
+        most 0.6 times the radius of curvature.
         """
         return np.asarray(
             np.abs(curvature) * self.straight_domain_radius > MAX_RADIUS_TO_CURVATURE_RADIUS

@@ -55,9 +55,10 @@ Slit = tuple[int, range]
 class _GradedFace:
     """Element lengths along a crack face, geometrically shorter towards a tip.
 
-    From the mouth to the tip there are ``mesh.lip_elements`` elements. A crack inside has two such
-    faces from the middle to a tip, with half as many elements each. ``length_over_next_from_tip``
-    is an element's length over the length of the next element away from the tip.
+    The face of a crack with a mouth has ``mesh.lip_elements`` elements from the mouth to the tip. A
+    crack inside has two graded faces, each from the middle to a tip. Each has half of
+    ``mesh.lip_elements``, rounded up. ``length_over_next_from_tip`` is an element's length over the
+    length of the next element away from the tip.
     """
 
     def __init__(self, scene: Scene, coarse_end_position: float, tip_position: float) -> None:
@@ -116,12 +117,14 @@ def find_plate_columns_rows_and_slits(
     columns, rows : list of ElementInterval
         Blocks across the plate and along it.
     slits : list of Slit
-        Line and columns of each crack.
+        For each crack: index of the block row above the crack, and range of the block columns along
+        it.
 
     Raises
     ------
     InputError
-        The element at a tip is shorter than ``MIN_RELATIVE_CELL_SIZE`` of the plate.
+        The element at a tip is shorter than ``MIN_RELATIVE_CELL_SIZE`` times the plate's longer
+        side.
     """
     width, height = scene.geometry.sides
     cracks = list(scene.crack_by_name.values())
@@ -157,7 +160,8 @@ def find_plate_columns_rows_and_slits(
 def plate_pair_upper_bound(scene: Scene) -> int:
     """Return an upper bound for the number of contact pairs in a plate.
 
-    If the crack's length is still unknown, the bound comes from ``mesh.lip_elements``.
+    If the crack's length is still unknown, the bound follows from ``mesh.lip_elements``, the number
+    of elements along the crack.
     """
     crack, element_order = scene.crack, scene.mesh.order
     if crack is not None and crack.length is None:  # then it is the only crack
@@ -325,8 +329,8 @@ def _graded_interval(
 ) -> ElementInterval:
     """Return an interval with geometrically graded elements.
 
-    Element lengths are about ``start_length`` at ``start`` and ``stop_length`` at ``stop`` [m]. The
-    number is at least the number required by each crack face.
+    Element lengths are about ``start_length`` at ``start`` and ``stop_length`` at ``stop`` [m].
+    Each of the crack faces ``faces`` requires a minimum number of elements.
     """
     min_length, max_length = sorted((start_length, stop_length))
     n_elements, growth_ratio = _graded_count_and_ratio(stop - start, min_length, max_length)
@@ -347,7 +351,7 @@ def _graded_count_and_ratio(
     """Return number and length ratio of geometrically growing elements on an interval.
 
     The ratio is an element's length over the previous length. The elements grow from about
-    ``min_length`` to about ``max_length``, at most half the interval.
+    ``min_length`` to about ``max_length``. No element is longer than half the interval.
     """
     if min_length >= max_length:
         return math.ceil(interval_length / max_length), 1.0

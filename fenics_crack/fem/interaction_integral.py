@@ -162,10 +162,11 @@ def _outer_boundary_points(dofs: Dofs) -> np.ndarray:
 
 
 def _check_tips_are_resolved(scene: Scene, tips: list[Tip], face_points: np.ndarray) -> None:
-    """Raise InputError if an element at a tip is longer than the domain's radius.
+    """Raise InputError if an element at a tip is too long for stress intensities.
 
-    The weight q would fall from 1 to 0 within an element, and K would be wrong. ``face_points`` (n,
-    2) [m] are the nodes on crack faces.
+    Stress intensities are integrals over a domain around the tip. The limit is the domain's radius.
+    The integral's weight would fall from 1 to 0 within a longer element. ``face_points`` (n, 2) [m]
+    are the nodes on crack faces.
     """
     for tip in tips:
         face_point_distances = np.linalg.norm(face_points - tip.point, axis=1)
@@ -186,10 +187,10 @@ def _check_tips_are_resolved(scene: Scene, tips: list[Tip], face_points: np.ndar
 
 
 def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.ndarray, np.ndarray]:
-    """Return the crack tips, and the linear functionals for K_I and K_II (collective).
+    """Return the crack tips, and the factors for K_I and K_II (collective).
 
-    The stress intensities are of_displacement times displacement plus of_forces times contact
-    forces.
+    The stress intensities are ``of_displacement`` times the displacement plus ``of_forces`` times
+    the contact forces.
 
     Parameters
     ----------
@@ -209,8 +210,8 @@ def tip_functionals(scene: Scene, structure: Structure) -> tuple[list[Tip], np.n
     Raises
     ------
     InputError
-        An element on a crack face is longer than the domain's radius, because the tip is close to
-        an edge, a bend or another crack.
+        An element on a crack face is longer than the radius of the domain for the integrals K_I and
+        K_II. The tip is then close to an edge, a bend or another crack.
     """
     check_has_matrices(structure, "stress intensities")
     assert structure.nodes is not None
@@ -313,9 +314,10 @@ def _weighted_singular_field(
 ) -> np.ndarray:
     """Return the field w = q s at nodes ``points`` (n, 2) [m]: (n, 2).
 
-    q is the weight, and s the derivative ahead of the crack of the displacement with K = 1 in
-    ``mode`` 0 (K_I) or 1 (K_II). At the tip w is 0. ``outward_normals`` (n, 2), 0 off the
-    crack faces, tell the upper from the lower face.
+    q is a weight, 1 near the tip and 0 at the integration domain's border. s is the derivative, in
+    the direction ahead of the crack, of a displacement field. The field has K_I = 1 (``mode`` 0) or
+    K_II = 1 (``mode`` 1). At the tip w is 0. ``outward_normals`` (n, 2), 0 off the crack faces,
+    tell the upper from the lower face.
     """
     offsets_from_tip = points - tip.point
     r = np.linalg.norm(offsets_from_tip, axis=1)
@@ -348,8 +350,9 @@ def _weighted_singular_field(
 def _make_row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndarray], np.ndarray]:
     """Return a function to assemble the factors of the displacement in K_I or K_II.
 
-    The function takes a tip, a mode and the nodal field w = q s, and returns (n_local,). All tips
-    and modes share a compiled form with changed constants.
+    The function takes a tip, a mode (0 for K_I, 1 for K_II) and the nodal field w of
+    :func:`_weighted_singular_field`. The function returns (n_local,). All tips and modes share a
+    compiled form with changed constants.
     """
     space = dofs.space
     nodal_function = dolfinx.fem.Function(space)
@@ -404,7 +407,10 @@ def _make_row_assembler(scene: Scene, dofs: Dofs) -> Callable[[Tip, int, np.ndar
     compiled_form = compat.compile_form(functional_form)
 
     def assemble_row(tip: Tip, mode: int, nodal_field: np.ndarray) -> np.ndarray:
-        """Assemble the factors (n_local,) for a tip, a mode and the nodal field w (n, 2)."""
+        """Assemble the displacement's factors in K_I (``mode`` 0) or K_II (1): (n_local,).
+
+        ``nodal_field`` (n, 2) is w from :func:`_weighted_singular_field`.
+        """
         nodal_function.x.array[: nodal_field.size] = nodal_field.ravel()
         nodal_function.x.scatter_forward()
         for constant, value in zip(
@@ -423,9 +429,10 @@ def _contact_force_factors(
 ) -> np.ndarray:
     """Return factors of the contact forces in K_I or K_II at a tip: (n_pairs,).
 
-    ``nodal_field`` is w from :func:`_weighted_singular_field`. Contact forces are replaced by a
-    pressure along the crack faces, which does not enter K_II. With ``contact.pairs = "mouth"`` the
-    factors are 0: the force acts at the node.
+    ``mode`` 0 is K_I, 1 is K_II. ``nodal_field`` is w from :func:`_weighted_singular_field`. The
+    pairs' contact forces are replaced by a pressure along the crack faces. The pressure does not
+    enter K_II, so its factors are 0. With ``contact.pairs = "mouth"`` all factors are 0, since the
+    force acts at a single node.
     """
     force_factors = np.zeros(structure.n_pairs)
     if mode == 1 or scene.contact is None or scene.contact.pairs == "mouth":

@@ -66,8 +66,8 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
     Raises
     ------
     InputError
-        A load is off the mesh or acts only on clamped dofs, or a point load is on a crack, with a
-        choice between two faces.
+        A load is off the mesh or acts only on clamped dofs. Or a point load is on a crack, so the
+        crack face is not determined.
     """
     nodal_force_harmonics = np.zeros((2 * scene.highest_order + 1, len(dofs.structure_dof_numbers)))
     watched_vector = None
@@ -156,7 +156,7 @@ def nodal_force_fractions(scene: Scene, dofs: Dofs, key: str, point: Vector) -> 
     Raises
     ------
     InputError
-        The point is off the mesh, or on a crack, with a choice between two faces.
+        The point is off the mesh. Or the point is on a crack, so the crack face is not determined.
     """
     if face_point_pairs := [
         lower_and_upper_point
@@ -311,8 +311,9 @@ def _make_watch_vector_at_edge(
 ) -> np.ndarray:
     """Return the vector to watch the displacement at an edge's middle: (n_local,).
 
-    The product with u is the displacement of the node nearest to the middle, along the axis with
-    the largest load.
+    The product with the displacement u is the motion of the node nearest to the middle. The
+    motion's direction is the axis along which the load is largest. ``nodal_force_harmonics`` (2K+1,
+    n_dofs) [N] are the load's mean, cosine and sine parts.
     """
     free_nodal_forces = np.where(
         dofs.structure_dof_numbers < 0, 0.0, nodal_force_harmonics
@@ -382,9 +383,9 @@ def _make_watch_vector_at_node(
 ) -> np.ndarray:
     """Return the vector to watch a node's displacement in a direction: (n_local,).
 
-    The product with u is this displacement. The node is the nearest to ``position`` among ``nodes``
-    of all ranks if ``distance_rank`` is 0, the farthest if -1. Equal distances are sorted by
-    coordinates.
+    The product with the displacement u is the node's displacement along ``direction``. The node is
+    chosen among ``nodes`` of all ranks, sorted by the distance from ``position``. ``distance_rank``
+    0 is the nearest node, -1 the farthest. Equal distances are sorted by coordinates.
     """
     all_points = gather_rows(dofs.comm, dofs.points[nodes])
     node_distances = np.linalg.norm(all_points - position, axis=1)

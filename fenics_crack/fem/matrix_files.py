@@ -216,7 +216,7 @@ def _order_rows_by_nodes(
     node_dofs : (n_nodes, 3) int
         New row of each model node along x, y and z; -1 without such a row.
     node_starts : (n + 1,) int
-        First new row of each node with rows, and the number of rows.
+        First new row of each of the n nodes with rows, then the number of rows.
     """
     _, first_rows, node_index_of_row = np.unique(
         row_labels[:, 0], return_index=True, return_inverse=True
@@ -249,8 +249,8 @@ def _order_rows_by_nodes(
 def _own_row_range(node_starts: np.ndarray, comm: MPI.Comm) -> tuple[int, int]:
     """Return start and stop of this rank's rows, ordered by nodes.
 
-    Nodes are not divided; all ranks have about equally many rows. ``node_starts`` (n + 1,) comes
-    from :func:`_order_rows_by_nodes`.
+    All rows of a node are on one rank, and all ranks have about equally many rows. ``node_starts``
+    (n + 1,) comes from :func:`_order_rows_by_nodes`.
     """
     target_rows = node_starts[-1] * np.array([comm.rank, comm.rank + 1]) // comm.size
     start, stop = node_starts[np.searchsorted(node_starts, target_rows)]
@@ -260,8 +260,8 @@ def _own_row_range(node_starts: np.ndarray, comm: MPI.Comm) -> tuple[int, int]:
 def _own_nodes(model: Model, node_dofs: np.ndarray, start: int, stop: int, comm: MPI.Comm) -> Nodes:
     """Return the nodes of this rank's rows ``start`` to ``stop``, with cells for drawing.
 
-    Rank 0 also has all cells, and the cells' nodes without dofs. Cells are kept if all are of a
-    single kind except wedges, and every row is a translation of a model node.
+    Rank 0 also has all cells, and cell nodes without dofs. Cells are kept under two conditions. All
+    cells have the same kind, but not wedges. And every matrix row is a model node's translation.
     """
     nodes_have_all_dofs = int(np.count_nonzero(node_dofs >= 0)) == comm.allreduce(stop - start)
     vtk_type = (

@@ -72,8 +72,8 @@ def read_model(path: Path) -> Model:
     Raises
     ------
     OSError, ValueError
-        The file cannot be read, has no nodes, or contradicts a former line. The message names the
-        line.
+        The file cannot be read or has no nodes, or a line contradicts an earlier one. The message
+        names the line.
     """
     nodes: dict[int, tuple[float, ...]] = {}
     cells: dict[int, list[list[int]]] = {}

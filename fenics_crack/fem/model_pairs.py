@@ -165,8 +165,8 @@ def find_gap_matrix_and_pairs(
     Raises
     ------
     InputError
-        No two free nodes coincide without a connection, three nodes coincide, or both nodes of a
-        pair lie on the same side.
+        The model has no pair: two coincident nodes with dofs, not connected by the stiffness. Or
+        three nodes coincide, or both nodes of a pair lie on the same side of the crack.
     """
     twins = _TwinNodes(model, dofs, stiffness)
     facets = _crack_face_facets(model, twins)
@@ -239,9 +239,9 @@ The nodes are k corners, then the middle nodes of k edges, or -1 for cells of or
 def _crack_face_facets(model: Model, twins: _TwinNodes) -> list[Facets]:
     """Return the facets on crack faces: triangles, then quadrilaterals; empty without any.
 
-    A facet is on a crack face if a single cell has it, exactly two such facets coincide, and a
-    corner is in a pair. A facet is left out if it touches a half-held pair, two coincident
-    nodes, only one with dofs.
+    A facet is on a crack face if a single cell has the facet, exactly one facet of another cell
+    coincides, and a corner is in a pair of ``twins``. A facet is left out if a node coincides with
+    another node and only one of both has dofs.
     """
     facet_sets = []
     for n_facet_corners in (3, 4):
@@ -347,9 +347,11 @@ def _facet_basis(n_corners: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _assemble_patch_gap_matrix(
     twins: _TwinNodes, facets: list[Facets]
 ) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray, np.ndarray]:
-    """Assemble normal gaps from the facets of crack faces, averaged over patches.
+    """Assemble normal gaps averaged over patches of crack faces.
 
-    Each pair of corner nodes has a patch: the facets with a nonzero linear pressure function.
+    Each pair of facet corners has a patch: the facets with this corner. The gap is weighted by a
+    pressure function, 1 at the corner and linear to 0 at all other corners. The functions for
+    corners on fronts are distributed to neighbours.
 
     Returns
     -------
@@ -433,7 +435,7 @@ def _assemble_normal_gap_matrix(
     gap : (n_dofs, n_pairs)
         Matrix B from the displacement u to the gaps B^T u.
     front_nodes : (m,) int
-        Nodes connected to both nodes of a pair: the crack fronts.
+        Nodes on the crack fronts: connected by the stiffness to both nodes of a pair.
     """
     model_points = twins.points
     gap_matrix = sparse.lil_matrix((twins.n_dofs, len(twins.first_nodes)))

@@ -87,14 +87,21 @@ _FACET_WORD_BY_DIMENSION = {2: "an edge", 3: "a facet"}
 def read_mesh_into_gmsh(path: Path, dimension: int) -> tuple[NamedParts, Cracks]:
     """Read a mesh file into gmsh's current model.
 
-    ``dimension`` is 2 for a plate, 3 for a solid. The results are those of
-    :func:`load_mesh_into_gmsh`.
+    ``dimension`` is 2 for a plate, 3 for a solid.
+
+    Returns
+    -------
+    NamedParts
+        gmsh's group tags of named curves or surfaces, and positions of named points. A name with
+        several points has no position.
+    Cracks
+        Cracks sorted from bottom to top.
 
     Raises
     ------
     InputError
-        The file is damaged, has several kinds of cells, or lacks a group. Or a crack's faces
-        cannot be found.
+        The file is damaged, has several kinds of cells, or lacks a group. Or a crack's faces cannot
+        be found.
     """
     try:
         return load_mesh_into_gmsh(_read_raw_mesh(path), dimension)
@@ -120,7 +127,8 @@ def load_mesh_into_gmsh(raw_mesh: RawMesh, dimension: int) -> tuple[NamedParts, 
     Raises
     ------
     InputError
-        As :func:`read_mesh_into_gmsh`, with the key "mesh".
+        The mesh has several kinds of cells, or lacks a group. Or a crack's faces cannot be found.
+        The key in the error is "mesh".
     """
     kind, cells, positions, facets_by_name, point_groups = _select_cells(raw_mesh, dimension)
     mesh_positions = positions[:, :dimension]
@@ -230,8 +238,8 @@ def check_file_exists(key: str, path: Path | str) -> None:
 def unpack_groups(contents: dict[str, np.ndarray]) -> list[Group]:
     """Convert arrays of :func:`~fenics_crack.fem.solid_mesher.collect_groups` to groups.
 
-    A group is (dimension, tag, name, gmsh's kind of elements, node numbers). A named group with
-    several kinds or entities becomes several groups.
+    A result is (dimension, tag, name, gmsh's kind of elements, node numbers). gmsh's group with
+    several kinds of elements or several entities gives several results.
     """
     group_nodes = np.split(contents["nodes"], np.cumsum(contents["heads"][:, 3])[:-1])
     heads_names_and_nodes = zip(
@@ -324,8 +332,7 @@ def _select_named_groups(
 ) -> tuple[dict[str, np.ndarray], list[Group]]:
     """Select a mesh file's named facets and points, with nodes numbered from 0.
 
-    The results are ``facets_by_name`` and ``point_groups`` of :func:`_select_cells`. InputError if
-    a named group has other elements than the cells' facets or corners.
+    InputError if a named group has other elements than the cells' facets or corners.
 
     Parameters
     ----------
@@ -335,6 +342,13 @@ def _select_named_groups(
         Allowed kind of elements (gmsh's number) in named groups, by dimension of the group.
     used_numbers : (n_nodes,) int
         Numbers in the file of all nodes with cells, in ascending order.
+
+    Returns
+    -------
+    facets_by_name : dict of str to (m, k) int
+        Nodes of the facets with each name, "clamp" included.
+    point_groups : list of Group
+        Groups of named points.
     """
     row_lists_by_group: dict[tuple[int, str], list[np.ndarray]] = {}
     for dimension, _, name, kind, nodes in groups:

@@ -63,7 +63,8 @@ class NodalMesh:
     def nodal_vectors(self, dof_rows: np.ndarray) -> np.ndarray:
         """Convert values of dofs (m, n_local) to nodal vectors (m, n_nodes, d) (collective).
 
-        Clamped components are zero. The vectors are in space, not in the nodes' frames.
+        Clamped components are zero. Components are along x, y (and z). In a bladed disk, the dofs
+        are components along each sector's own axes.
         """
         dof_values = np.concatenate(self.structure.comm.allgather(dof_rows), axis=1)
         vectors = np.where(self._node_dofs >= 0, dof_values[:, np.maximum(self._node_dofs, 0)], 0.0)
@@ -91,6 +92,9 @@ class NodalMesh:
     @cached_property
     def pair_centre_and_pressure_matrices(self) -> tuple[np.ndarray, np.ndarray]:
         """Return patch centres and pressure functions of a solid's contact pairs, at nodes.
+
+        A pressure function distributes a pair's contact force over the crack faces, as a pressure.
+        On the pair's patch the function is not zero.
 
         Returns
         -------
@@ -175,9 +179,9 @@ class NodalMesh:
 
     @property
     def edges(self) -> np.ndarray:
-        """Return the nodes of element edges in a plate: (n_edges, 2), or (n_edges, 3) in order 2.
+        """Return the nodes of element edges in a plate: (n_edges, 2) or (n_edges, 3).
 
-        The middle node of an edge is between the ends.
+        Elements of order 2 have three nodes on an edge: the middle node between the ends.
         """
         return self._all_cell_sides[0]
 

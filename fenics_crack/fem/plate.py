@@ -175,8 +175,9 @@ def _fill_gmsh_model_from_scene(scene: Scene) -> tuple[NamedParts, Cracks]:
 class Dofs:
     """Free dofs of a mesh, with the numbers in the structure.
 
-    For a disk sector (:meth:`set_sector_sides`), dofs on the right side are components in the next
-    sector's frame: equal motion of all sectors has equal dofs on both sides.
+    In a disk sector (:meth:`set_sector_sides`), the right side is the next sector's left side. So
+    dofs on the right side are components along the next sector's axes. If all sectors move equally,
+    both sides have equal dofs.
     """
 
     side_node_pairs: np.ndarray | None = None
@@ -262,7 +263,7 @@ class Dofs:
     def restrict_to_free(self, forces: np.ndarray) -> np.ndarray:
         """Select the free dofs from forces (..., n_dofs): (..., n_local).
 
-        For a disk sector, forces on the right side are rotated into the nodes' frames.
+        In a disk sector, forces on the right side become components along the next sector's axes.
         """
         free_forces = forces[..., self.free_dofs]
         return (
@@ -274,9 +275,10 @@ class Dofs:
     def restrict_matrix(self, full_matrix: Any) -> Any:
         """Return a PETSc matrix with only the free rows and columns; ``full_matrix`` is destroyed.
 
-        Stored zeros are removed, as the mass between directions: products with M then take a half
-        or a third of the time. The result has the communicator ``comm`` of this object, since PETSc
-        could not free matrices after the mesh's communicator is gone (collective).
+        Stored zeros are removed, such as mass entries between x and y. Products with the mass
+        matrix then take a half or a third of the time. The result has the communicator ``comm`` of
+        this object, since PETSc could not free matrices after the mesh's communicator is gone
+        (collective).
         """
         global_free_dofs = (self.dimension * self.first_node + self.free_dofs).astype(PETSc.IntType)
         index_set = PETSc.IS().createGeneral(global_free_dofs, comm=full_matrix.comm)
@@ -296,7 +298,8 @@ class Dofs:
     def function(self, displacement: np.ndarray) -> Any:
         """Convert a displacement (n_local,) to a DOLFINx Function, 0 at clamped dofs.
 
-        For a disk sector the values are rotated into space (collective).
+        In a disk sector, the function's values are components along x, y (and z) at all nodes
+        (collective).
         """
         function = dolfinx.fem.Function(self.space)
         rotated_displacement = (

@@ -25,12 +25,13 @@ def damping_rule_of(table: Damping) -> DampingRule:
 def clearance_of(scene: Scene, pairs: Pairs) -> np.ndarray:
     """Return the clearance of every pair from the scene's crack tables: (n_pairs,) [m].
 
-    A single table counts for all cracks; without a table the clearance is 0.
+    If the scene has one crack table, its clearance holds for all cracks. Without a table the
+    clearance is 0.
 
     Raises
     ------
     InputError
-        The number of crack tables is neither 1 nor the mesh file's number of cracks.
+        The scene has several crack tables, but not one for each of the mesh's cracks.
     """
     crack_clearances = np.array(
         [crack.clearance for crack in scene.crack_by_name.values()] or [0.0]

@@ -128,9 +128,10 @@ def read_part_triangles_and_owners(
 def part_text_by_name(scene: Scene, structure: Structure) -> dict[str, str]:
     """Describe named faces, crack positions and crack fronts, as text by name (collective).
 
-    A face's text has area and centre. A crack's text has the distance from the surface. A front's
-    text has length, largest depth and shortest ligament ahead; the last two are measured off the
-    front's ends, from plane facets.
+    A face's text has area and centre. A crack's text has the distance between the crack's point and
+    the solid's surface. A front's text has the length, the crack's largest depth, and the shortest
+    distance ahead to the surface. Depth and distance ahead are measured in the middle 80 % of the
+    front, to the mesh's plane facets.
     """
     from fenics_crack.fem.fronts import find_fronts  # takes a while, with SciPy's splines
 
@@ -282,9 +283,26 @@ def _run_mesher(
 ) -> dict[str, np.ndarray]:
     """Run ``solid_mesher.py`` on a CAD file in a separate process.
 
-    ``mesher_request`` and result are as in :func:`fenics_crack.fem.solid_mesher.read`. InputError
-    if the file is unusable, or the mesher takes more than 600 s or 8 GiB; ``scene`` gives the value
-    of a refused key in the message.
+    Parameters
+    ----------
+    path : str
+        CAD file.
+    mesher_request : dict
+        Argument ``request`` of :func:`fenics_crack.fem.solid_mesher.read`.
+    scene : Scene, optional
+        Scene with the file. If the mesher refuses a key's value, the error shows the value in the
+        scene. Default: the error shows the path.
+
+    Returns
+    -------
+    dict
+        Arrays that :func:`fenics_crack.fem.solid_mesher.read` returns.
+
+    Raises
+    ------
+    InputError
+        The file is unusable, a key's value is refused, or the mesher takes more than 600 s or 8
+        GiB.
     """
     with report_read_errors(
         "geometry.file", path, "a CAD file with a part that gmsh can read and mesh"
@@ -321,8 +339,8 @@ def _value_for_message(scene: Scene, key: str) -> object:
 def _make_mesher_cracks(scene: Scene, metres_per_unit: float) -> list[dict[str, Any]]:
     """Convert a scene's cracks to dicts for :func:`fenics_crack.fem.solid_mesher.insert_cracks`.
 
-    The scene's lengths must be in the mesh's unit already. This unit, ``metres_per_unit`` [m], is
-    the entry "unit" of each dict.
+    The scene's lengths must be in the mesh's unit already. ``metres_per_unit`` is the mesh's unit
+    [m], and becomes the entry "unit" of each dict.
     """
     mesher_cracks = []
     for crack_key, crack in scene.crack_by_name.items():
@@ -378,7 +396,17 @@ def _make_box_crack_geometry(crack: Crack, box_sides: Sequence[float]) -> dict[s
 def _mesh_box(scene: Scene) -> tuple[dict[str, np.ndarray], float]:
     """Mesh a box or a disk's sector in this process.
 
-    The results are as in :func:`_mesh_cad_part`. InputError if a crack is unusable, or gmsh fails.
+    Returns
+    -------
+    dict
+        Arrays of :func:`fenics_crack.fem.solid_mesher.collect_mesh`.
+    float
+        Unit of length in the arrays [m].
+
+    Raises
+    ------
+    InputError
+        A crack is unusable, there would be too many cells, or gmsh fails.
     """
     unit_scene, metres_per_unit = scale_scene_to_mesh_unit(scene)
     width, height, thickness = box_size = unit_scene.geometry.sides

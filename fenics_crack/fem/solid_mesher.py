@@ -267,7 +267,8 @@ def _find_names_and_face_tags(
     names_and_points : pairs of (str, (3,)) [mm]
         Name of a face, and a point on the face. A name may occur with several points.
     part_triangles, triangle_faces
-        From :func:`mesh_faces_coarsely`.
+        Corners of a coarse mesh of the part's faces (n, 3, 3) [mm], and gmsh's tag of the face of
+        each triangle (n,).
 
     Returns
     -------
@@ -295,8 +296,9 @@ def _match_surfaces(
 ) -> dict[int, int]:
     """Match each outer surface of the cracked part to a face of the uncracked part.
 
-    ``crack_surface_tags`` are gmsh's tags of the cracks, to be left out; the faces come from
-    :func:`mesh_faces_coarsely`. Returns the face's tag by the surface's tag; 0 for a surface
+    ``crack_surface_tags`` are gmsh's tags of the cracks, left out here. The uncracked part is given
+    by a coarse mesh: ``part_triangles`` (n, 3, 3) are the corners, ``triangle_faces`` (n,) gmsh's
+    tag of each triangle's face. Returns the face's tag by the surface's tag; 0 for a surface
     without triangles.
     """
     face_of_surface = {}
@@ -514,8 +516,10 @@ def _check_front_and_ligament_exist(
 ) -> None:
     """Raise Refusal if a crack lies in a face, or the front is too close to the surface.
 
-    The distance between front and surface must be 0.1 element lengths, except near ends of the
-    front. A crack without a front inside the part is refused, too. ``surface_tag`` is gmsh's tag.
+    The crack's centre, and the front except near its ends, must be at least 0.1 element lengths
+    from the part's surface. A crack without a front inside the part is refused, too.
+    ``surface_tag`` is gmsh's tag of the crack's surface. ``part_triangles`` (n, 3, 3) are triangles
+    on the faces of the part.
     """
     point_key, shortest_length = f"{crack['key']}.point", front["shortest"]
     centre = np.array([gmsh.model.occ.getCenterOfMass(2, surface_tag)])
@@ -552,8 +556,9 @@ def estimate_bulk_and_front_cells(size: float, fronts: list[FrontData]) -> tuple
     float
         Number of cells with length ``size`` in the whole volume.
     float
-        Number of cells in tubes around fronts, as far as elements are shorter than ``size``: 5
-        times the front's length times int 2 pi d / h^3 dd, element length h at the distance d.
+        Number of cells in tubes around the fronts, with elements shorter than ``size``. For each
+        front the number is 5 L int 2 pi d / h^3 dd. L is the front's length, d the distance from
+        the front, and h the element length at d.
     """
     relative_volume = (
         sum(gmsh.model.occ.getMass(3, volume_tag) for _, volume_tag in gmsh.model.getEntities(3))

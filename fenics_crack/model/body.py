@@ -80,8 +80,8 @@ class Setting:
     added_clearance : float or (n_pairs,) [m]
         Clearance added to each pair.
     watched_dof : int or None
-        Dof for results without a named dof, by its number in the whole structure. None: the dof
-        that the body's ``watched`` or load selects (:attr:`Coordinates.watched_dof`).
+        Dof that results report if no dof is named, by its number in the whole structure. None: the
+        body's ``watched``, else the load, selects the dof (:attr:`Coordinates.watched_dof`).
     """
 
     load_weights: float | np.ndarray = 1.0

@@ -65,13 +65,22 @@ class ContactLaw(Protocol):
 
     @property
     def stiffness(self) -> float | np.ndarray:
-        """Largest slope of the force, of a firmly closed pair: a number or (n_pairs,) [N/m]."""
+        """Largest slope of the contact force over the gap: a number or (n_pairs,) [N/m].
+
+        This is the slope for a firmly closed pair.
+        """
 
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """Return the contact forces lambda(g) [N] for gaps (..., n_pairs) [m]: the same shape."""
+        """Return the contact forces lambda(g) [N] for gaps g [m]: the same shape.
+
+        Gaps are (..., n_pairs). A gap g > 0 is penetration; lambda > 0 is pressure.
+        """
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
-        """Return the slopes d lambda / d g [N/m] for gaps (..., n_pairs) [m]: the same shape."""
+        """Return the slopes d lambda / d g [N/m] of the contact forces lambda: the shape of g.
+
+        Gaps g are (..., n_pairs) [m]; a gap > 0 is penetration.
+        """
 
     def scaled(self, factor: float) -> Self:
         """Return this law with its stiffness multiplied by a factor."""
@@ -114,13 +123,16 @@ class UnilateralPenalty(_PenaltyBase):
     """
 
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """Return the contact forces k max(0, g) [N] for gaps g (..., n_pairs) [m]."""
+        """Return the contact forces k max(0, g) [N] for gaps g (..., n_pairs) [m]: the same shape.
+
+        k is the stiffness of the law. A gap g > 0 is penetration.
+        """
         return self.stiffness * np.maximum(gap, 0.0)
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
-        """Return the slopes d lambda / d g [N/m] for gaps g (..., n_pairs) [m].
+        """Return the slopes d lambda / d g [N/m] of the contact forces lambda: the shape of g.
 
-        A slope is k for g > 0, else 0.
+        Gaps g are (..., n_pairs) [m]. The slope is the stiffness k at penetration, g > 0, else 0.
         """
         return self.stiffness * (gap > 0.0)
 
@@ -131,7 +143,8 @@ class LayeredPenalty(_PenaltyBase):
 
         lambda = a k max(0, g) + (1 - a) k max(0, g - p)
 
-    The contact force lambda of a gap g has the slope a k in the layer, and k beyond its depth p.
+    lambda is the contact force and g the gap of a pair; g > 0 is penetration. The slope of lambda
+    is a k in the layer, 0 < g < p, and k at g > p.
 
     Attributes
     ----------
@@ -161,17 +174,28 @@ class LayeredPenalty(_PenaltyBase):
 
     @property
     def row_stiffnesses(self) -> tuple[float | np.ndarray, ...]:
-        """Stiffnesses a k of the layer and (1 - a) k below it: numbers or (n_pairs,) [N/m]."""
+        """Stiffnesses a k and (1 - a) k of the two springs of a pair, side by side [N/m].
+
+        Each is a number or (n_pairs,). The first spring acts from gap 0 on, the second one from the
+        layer's depth on. k is the law's stiffness and a the layer's share.
+        """
         return self.layer_share * self.stiffness, (1.0 - self.layer_share) * self.stiffness
 
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """Return the contact forces [N] for gaps g (..., n_pairs) [m]: the same shape."""
+        """Return the contact forces [N] for gaps g (..., n_pairs) [m]: the same shape.
+
+        A gap g > 0 is penetration. The class has the equation.
+        """
         layer_stiffness, deep_stiffness = self.row_stiffnesses
         layer_force = layer_stiffness * np.maximum(gap, 0.0)
         return layer_force + deep_stiffness * np.maximum(gap - self.layer_depth, 0.0)
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
-        """Return the slopes d lambda / d g [N/m] for gaps g (..., n_pairs) [m]: 0, a k or k."""
+        """Return the slopes d lambda / d g [N/m] of the contact forces lambda: the shape of g.
+
+        Gaps g are (..., n_pairs) [m]. The slope is 0 in an open pair, a k in the layer, and k below
+        the layer. k is the law's stiffness and a the layer's share.
+        """
         layer_stiffness, deep_stiffness = self.row_stiffnesses
         return layer_stiffness * (gap > 0.0) + deep_stiffness * (gap > self.layer_depth)
 
@@ -209,14 +233,15 @@ class SmoothedPenalty(_PenaltyBase):
     def force(self, gap: np.ndarray) -> np.ndarray:
         """Return the contact forces [N] for gaps g (..., n_pairs) [m]: the same shape.
 
-        With the stiffness k and the sharpness s, they are k g (1/2 + arctan(s g) / pi).
+        With the stiffness k and the sharpness s, the forces are k g (1/2 + arctan(s g) / pi). A gap
+        g > 0 is penetration.
         """
         return self.stiffness * gap * (0.5 + np.arctan(self.sharpness * gap) / np.pi)
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
-        """Return the slopes d lambda / d g [N/m] for gaps g (..., n_pairs) [m].
+        """Return the slopes d lambda / d g [N/m] of the contact forces lambda: the shape of g.
 
-        With the stiffness k and the sharpness s,
+        With the stiffness k, the sharpness s and the gaps g (..., n_pairs) [m],
 
             d lambda / d g = k (1/2 + arctan(s g) / pi + s g / (pi (1 + (s g)^2)))
         """
@@ -228,10 +253,11 @@ class SmoothedPenalty(_PenaltyBase):
 class UnilateralConstraint:
     """Rigid contact, no penetration: g <= 0, lambda >= 0, lambda g = 0 (Signorini).
 
-    g is the gap and lambda the contact force of a pair. This is the limit of the penalty law for an
-    infinite stiffness, so the gap alone gives no force. If crack faces have no mass, the force
-    follows from the slow gap s = g + R_inf lambda, with their residual flexibility R_inf. If they
-    have mass, truncated Fourier series of gap and force fulfil, with a weight eps,
+    g is the gap and lambda the contact force of a pair; g < 0 is an opening. The law is the penalty
+    law with infinite stiffness, so the gap alone gives no force. If crack faces have no mass, the
+    force follows from the slow gap s = g + R_inf lambda. R_inf is the static flexibility of the
+    crack faces beyond the structure's modes. If crack faces have mass, truncated Fourier series of
+    gap and force fulfil, with a weight eps,
 
         lambda = eps max(0, g + lambda / eps)
 
@@ -239,8 +265,8 @@ class UnilateralConstraint:
     ----------
     weight : float or None [N/m]
         eps > 0, for crack faces with mass. The truncated solution depends on it a little, and less
-        with more harmonics. None: the inverse of the static compliance at the pairs, if a weight is
-        needed.
+        with more harmonics. None: the weight, if needed, is the inverse of the static compliance at
+        the pairs.
     """
 
     weight: float | None = None
@@ -302,7 +328,7 @@ class CoulombFriction:
     Raises
     ------
     InputError
-        The law is another one, or a number is not positive.
+        ``law`` is of another class, or the coefficient or the tangential stiffness is not positive.
     """
 
     law: Any
@@ -335,9 +361,9 @@ class CoulombFriction:
         return np.asarray(self.law.force(gap))
 
     def tangent(self, gap: np.ndarray) -> np.ndarray:
-        """Return the slopes [N/m] of the normal forces for normal gaps (..., n_pairs) [m].
+        """Return the normal forces' slopes [N/m] for normal gaps (..., n_pairs) [m]: same shape.
 
-        InputError: normal contact is rigid.
+        InputError: normal contact is rigid, so the slopes are infinite.
         """
         return np.asarray(self.law.tangent(gap))
 
@@ -377,11 +403,11 @@ def with_penalty(contact: ContactLaw, stiffness: float) -> ContactLaw:
 
 
 def add_contact_rows(contact: object, structure: Structure) -> Structure:
-    """Return a structure with a pair for each row on which a contact law acts.
+    """Return a structure with one contact pair for each scalar contact force of a law.
 
-    With friction tangential gaps follow the normal ones. Under the layered law the normal gaps come
-    twice, the second time with the layer's depth as a further clearance. Otherwise the structure
-    itself is returned.
+    With friction, the tangential gaps are added as further pairs, after the normal gaps. Under the
+    layered law, every normal gap is added a second time. The second copy has the layer's depth as
+    additional clearance. Under any other law, the structure itself is returned.
     """
     if is_layered(contact):
         return structure.with_doubled_pairs(contact.layer_depth)
@@ -390,9 +416,10 @@ def add_contact_rows(contact: object, structure: Structure) -> Structure:
 
 
 def law_of_rows(contact: ContactLaw, n_pairs: int) -> ContactLaw:
-    """Return the law that acts on the rows of :func:`add_contact_rows`.
+    """Return the law for the gaps of the structure from :func:`add_contact_rows`.
 
-    This is a penalty for each row of the layered law; otherwise the law itself.
+    Under the layered law, that structure has every pair twice. The result is then the penalty law
+    with one stiffness for each copy, (2 n_pairs,). Any other law is returned itself.
     """
     if not is_layered(contact):
         return contact
@@ -400,13 +427,13 @@ def law_of_rows(contact: ContactLaw, n_pairs: int) -> ContactLaw:
 
 
 def spring_compliances(contact: ContactLaw, n_pairs: int) -> np.ndarray:
-    """Return the compliances 1/k of the contact springs, row by row.
+    """Return the compliances 1/k of the contact springs.
 
     Returns
     -------
     (n_pairs,) or (2 n_pairs,) [m/N]
-        1/k; with friction followed by 1/k_t of the tangential springs. Under the layered law: the
-        layer's compliances, then the compliances below the layer.
+        1/k of each pair's normal spring. With friction, 1/k_t of the tangential springs follow.
+        Under the layered law: first the springs of the layer, then the springs below the layer.
     """
     friction = friction_of(contact)
     row_stiffnesses: tuple[float | np.ndarray, ...] = (contact.stiffness,)
@@ -421,22 +448,26 @@ def spring_compliances(contact: ContactLaw, n_pairs: int) -> np.ndarray:
 
 
 def count_rows_per_pair(contact: object) -> int:
-    """Return the number of rows of each pair on which a law acts (:func:`add_contact_rows`)."""
+    """Return the number of scalar contact forces of each pair.
+
+    The number is 2 under the layered law and with friction, otherwise 1.
+    """
     return 2 if is_layered(contact) or friction_of(contact) is not None else 1
 
 
 def merge_rows_of_pairs(
     contact: object, n_pairs: int, gaps: np.ndarray, forces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Merge the two rows of each pair under the layered law.
+    """Merge the two springs of each pair under the layered law.
 
-    The results are the pair's gap, and the sum of both contact forces. Under other laws, gaps and
+    The results are the pair's gap, and the sum of both spring forces. Under any other law, gaps and
     forces are returned unchanged.
 
     Parameters
     ----------
     gaps, forces : (n, n_rows) [m], [N]
-        Values at n instants, or n Fourier coefficients, of the rows of :func:`add_contact_rows`.
+        Values at n instants, or n Fourier coefficients. The columns are the pairs of the structure
+        from :func:`add_contact_rows`.
 
     Returns
     -------
@@ -451,19 +482,20 @@ def merge_rows_of_pairs(
 def split_rows_of_pairs(
     contact: object, gaps: np.ndarray, forces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return Fourier coefficients of the two rows of each pair under the layered law.
+    """Return Fourier coefficients for the two springs of each pair under the layered law.
 
-    The total force of a pair stands in its first row: both rows act on the structure alike. Under
-    other laws gaps and forces are returned unchanged.
+    The pair's total force is assigned to the first spring: both springs act on the structure alike.
+    Under any other law, gaps and forces are returned unchanged.
 
     Parameters
     ----------
     gaps, forces : (2H+1, n_pairs) [m], [N]
-        Coefficients of gaps and total forces.
+        Fourier coefficients up to harmonic H of the pairs' gaps and total forces.
 
     Returns
     -------
-    gaps, forces : (2H+1, n_rows) [m], [N]
+    gaps, forces : (2H+1, 2 n_pairs) [m], [N]
+        Coefficients of all first springs, then of all second springs.
     """
     if not is_layered(contact):
         return gaps, forces
@@ -513,8 +545,8 @@ def is_piecewise_linear(contact: object) -> TypeGuard[UnilateralPenalty | Layere
 def is_unilateral(contact: object) -> bool:
     """Return True for the penalty law, the layered law and rigid contact, also with friction.
 
-    Every row (:func:`add_contact_rows`) is then either open or closed; exact integrals and exact
-    flows require this.
+    Every normal gap is then either open or closed, and so are both springs of a layered pair. Exact
+    integrals and exact flows require this.
     """
     return is_piecewise_linear(contact) or is_rigid(contact)
 
@@ -545,10 +577,11 @@ def check_law(structure: Structure, contact: Any, *, allows_rigid: bool = False)
 
 
 def _check_law_outputs(law: ContactLaw, n_pairs: int) -> None:
-    """Raise InputError unless a user's law returns valid values for gaps (n, n_pairs).
+    """Raise InputError unless a user's contact law returns valid values.
 
-    Forces and tangents must be finite, with one for each gap, and tangents >= 0. ``scaled(0.5)``
-    must return a law of the same class with half the stiffness.
+    For gaps (n, n_pairs), ``force`` and ``tangent`` must return finite arrays of the same shape.
+    The tangents must be >= 0. ``scaled(0.5)`` must return a law of the same class with half the
+    stiffness.
     """
     gap = np.outer([-MACHINE_EPSILON, 0.0, MACHINE_EPSILON], np.ones(n_pairs))
     law_name = type(law).__name__
@@ -677,11 +710,13 @@ class FrictionContactSolver:
         Parameters
         ----------
         gap : (n, 2 n_pairs) [m]
-            Slow gaps s at the instants of a period: gaps without the response R_inf to the forces.
+            Slow gaps s = g + R_inf lambda at n instants of a period. g are the gaps, lambda the
+            contact forces, and R_inf the residual flexibility. Normal gaps come first.
         slider_positions : (n_pairs,) [m]
             Slider positions before the first instant.
         max_periods : int
-            Number of periods after which the forces are returned even if nothing repeats.
+            Number of periods after which the forces are returned, even if the positions do not
+            repeat.
 
         Returns
         -------
@@ -698,7 +733,7 @@ class FrictionContactSolver:
         Raises
         ------
         ConvergenceError
-            An instant has no forces, or more than one solution.
+            The contact forces at an instant do not exist, or are not unique.
         """
         n_instants, n_gaps = gap.shape
         gap = require_shape(gap, n_instants, n_gaps)
@@ -754,7 +789,8 @@ def is_regular(matrix: np.ndarray) -> bool:
 class ActiveSetSolver:
     """Solver of contact without friction, by sets of closed pairs.
 
-    The inverse of the compliance D on each set is kept for later instants.
+    The solver guesses which pairs are closed, solves for the forces, and corrects the guess. The
+    inverse of the compliance D on each set is kept for later instants.
 
     Attributes
     ----------
@@ -812,22 +848,23 @@ class ActiveSetSolver:
         Parameters
         ----------
         gap : (n, n_pairs) [m]
-            Slow gaps s: gaps without the response to the forces, g = s - R_inf lambda.
+            Slow gaps s = g + R_inf lambda at n instants. g are the gaps, lambda the contact forces,
+            and R_inf the residual flexibility.
         is_closed : (n, n_pairs) bool, optional
             First guess of the closed pairs. Default: pairs with s > 0.
 
         Returns
         -------
         (n, n_pairs) [N]
-            Forces.
+            Contact forces lambda.
         (n, n_pairs) bool
             True for closed pairs.
 
         Raises
         ------
         ConvergenceError
-            As :func:`solve_complementarity_by_least_squares`, which solves instants at which the
-            sets cycle.
+            The forces at an instant do not exist, or were not found. Before the error, an instant
+            at which the set of closed pairs repeats without end is solved by least squares.
         """
         gap = require_shape(gap, len(gap), len(self.compliance_matrix))
         closed_guess = gap > 0.0 if is_closed is None else np.array(is_closed)
@@ -882,10 +919,27 @@ def solve_complementarity(
 def solve_complementarity_by_least_squares(
     compliance_matrix: np.ndarray, gap: np.ndarray
 ) -> np.ndarray:
-    """Solve the problem of :func:`solve_complementarity` by non-negative least squares.
+    """Find lambda with 0 <= lambda, D lambda - g >= 0, lambda^T (D lambda - g) = 0.
 
-    The symmetric part of the matrix D is solved directly. An iteration adds the unsymmetric part,
-    with at most 200 steps.
+    The problem with the symmetric part of D is solved by non-negative least squares. An iteration
+    of at most 200 steps adds the unsymmetric part.
+
+    Parameters
+    ----------
+    compliance_matrix : (n, n)
+        D, positive definite, and symmetric but for a small part.
+    gap : (n,)
+        g.
+
+    Returns
+    -------
+    (n,)
+        lambda.
+
+    Raises
+    ------
+    ConvergenceError
+        There is no solution, or none was found.
     """
     import scipy.optimize  # takes a while, and is rarely needed
 
@@ -925,8 +979,8 @@ def forces_and_slopes_of_smooth_law(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find contact forces under a smooth law, and their derivatives by the gaps.
 
-    The forces lambda satisfy lambda = h(s - D lambda), with the law's force h of the gap. Newton's
-    method starts from the solution with the penalty law of the same stiffness.
+    The forces lambda satisfy lambda = h(s - D lambda). h is the law's force as a function of the
+    gap. Newton's method starts from the solution with the penalty law of the same stiffness.
 
     Parameters
     ----------
@@ -935,7 +989,7 @@ def forces_and_slopes_of_smooth_law(
     compliance : (n_pairs, n_pairs) [m/N]
         D, the gap change by unit forces.
     gap : (n, n_pairs) [m]
-        s, the gaps without the forces.
+        s, the gaps as they would be without contact forces, at n instants.
 
     Returns
     -------
@@ -947,7 +1001,7 @@ def forces_and_slopes_of_smooth_law(
     Raises
     ------
     ConvergenceError
-        As :func:`solve_contact_forces_by_newton`.
+        Newton's method does not converge in 200 iterations, or meets a singular matrix.
     """
     spring_compliance = np.broadcast_to(1.0 / np.asarray(law.stiffness, dtype=float), gap.shape[1:])
     force_guess = ActiveSetSolver(compliance + np.diag(spring_compliance)).solve(gap)[0]
@@ -967,8 +1021,8 @@ def solve_contact_forces_by_newton(
 ) -> np.ndarray:
     """Solve lambda = h(s - D lambda) for contact forces by Newton's method.
 
-    All instants are solved together; each contact force lambda follows by the law h from the gap s
-    - D lambda. The forces minimise a convex function. A Newton step beyond the minimum, where the
+    All n instants are solved together. The law h gives each contact force lambda from the gap s - D
+    lambda. The forces minimise a convex function. A Newton step beyond the minimum, where the
     function rises, is shortened.
 
     Parameters
@@ -979,7 +1033,7 @@ def solve_contact_forces_by_newton(
     compliance : (n_pairs, n_pairs) [m/N]
         D, symmetric, the gap change by unit forces.
     gap : (n, n_pairs) [m]
-        s, the gaps without the forces.
+        s, the gaps as they would be without contact forces.
     guess : (n, n_pairs) [N]
         First guess of lambda.
 
@@ -1067,14 +1121,14 @@ def _minimising_step_fraction_by_instant(
     Parameters
     ----------
     gap_and_law_force_function : callable
-        Gives gap and law's force, (n, n_pairs) each, for contact forces and slow gaps. A slow gap
-        is the gap plus residual flexibility times contact force.
+        Takes contact forces and slow gaps. Returns the gaps [m], and the law's forces [N] at these
+        gaps, (n, n_pairs) each.
     start_force, force_step : (n, n_pairs) [N]
         Contact forces at the start of each step, and their change by a full step.
     gap : (n, n_pairs) [m]
-        Slow gaps, without the forces.
+        Slow gaps: gaps as they would be without contact forces.
     slope_tolerance : (n,)
-        Magnitude of the slope [J] at which bisection ends.
+        Magnitude [J] of the function's slope along the step at which bisection ends.
 
     Returns
     -------

@@ -54,10 +54,10 @@ ORDERING_OPTION, PRINT_OPTION = "mat_mumps_icntl_7", "mat_cholmod_print"
 def estimate_factor_bytes(n_dofs: float, *, solid: bool) -> float:
     """Estimate the memory of a factored stiffness, with MUMPS's work space [byte].
 
-    Nested dissection leaves O(n log n) numbers in the plane; the constant was measured with 4,000
-    to a million dofs of quadratic cells. In space they are O(n^(4/3)), with a constant that falls
-    with the thickness. For quadratic tetrahedra with 7,000 to 180,000 dofs it is 95 to 136 in
-    twisted blades, 133 to 203 in plates, and 210 to 233 in cubes.
+    The estimate is 60 n log2(n + 1) for a plane mesh and 130 n^(4/3) for a solid with n dofs. The
+    powers are those of nested dissection. The constants were measured with quadratic elements. For
+    solids the constant was 95 to 136 in twisted blades, 133 to 203 in plates, and 210 to 233 in
+    cubes.
 
     Parameters
     ----------
@@ -135,9 +135,9 @@ def weighted_sum(matrix: Any, weight: float, added_matrix: Any) -> Any:
 
 
 class Factor:
-    """Factorisation of a PETSc matrix A, or of the saddle point [[A, B], [B^T, 0]].
+    """Factorisation of a PETSc matrix A, also with a border B: [[A, B], [B^T, 0]].
 
-    A is real and square.
+    A is real and square. With the border, the system is A x + B y = b, B^T x = 0.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ class Factor:
         half the time of MUMPS. MUMPS still factors after a zero pivot, or if PETSc lacks these
         libraries.
     border : (n_local, m), optional
-        B, with independent columns: solutions x have B^T x = 0.
+        B, with linearly independent columns. Default: no border.
 
     Attributes
     ----------
@@ -240,16 +240,17 @@ class Factor:
         solution.array_w[:] = padded_solution.array_r[: self._n_local]
 
     def solve(self, rhs: np.ndarray | sparse.spmatrix) -> np.ndarray:
-        """Solve for real right-hand sides, one in each row (collective).
+        """Solve A x = b for real right-hand sides b (collective).
 
         Parameters
         ----------
         rhs : (m, n_local)
+            Right-hand sides, one in each row, with the columns of this rank.
 
         Returns
         -------
         (m, n_local)
-            The solutions, one in each row.
+            Solutions x, one in each row.
         """
         solutions = np.empty(rhs.shape)
         for start in range(0, len(solutions), MAX_BLOCK_COLUMNS):
@@ -260,7 +261,10 @@ class Factor:
         return solutions
 
     def _solve_block(self, rhs: np.ndarray) -> np.ndarray:
-        """Solve for at most MAX_BLOCK_COLUMNS right-hand sides, as :meth:`solve` (collective)."""
+        """Solve A x = b for a few right-hand sides b, the rows of ``rhs`` (collective).
+
+        ``rhs`` and the result are (m, n_local), with m at most MAX_BLOCK_COLUMNS.
+        """
         (n_columns, n_local_dofs), comm = rhs.shape, self._matrix.comm
         n_own_rows, n_rows = self._matrix.sizes[0]
         rhs_array = np.zeros((n_own_rows, n_columns), order="F")
@@ -306,7 +310,8 @@ class Factor:
 def factored_sum(matrix: Any, weight: float, added_matrix: Any, **options: Any) -> Iterator[Factor]:
     """Yield the :class:`Factor` of ``matrix + weight * added_matrix`` (collective).
 
-    ``options`` are keywords of the factor. Sum and factor are freed at the end of the context.
+    ``options`` are keyword arguments of :class:`Factor`. Sum and factor are freed at the end of the
+    context.
     """
     matrix_sum = weighted_sum(matrix, weight, added_matrix)
     with Factor(matrix_sum, **options) as factored_matrix:

@@ -37,7 +37,10 @@ from fenics_crack.scene.fields import MAX_ALLOWED_MAGNITUDE
 
 
 def floats_or_nan(data: Any) -> np.ndarray:
-    """Convert data to an array of floats; nan for complex or other data without numbers."""
+    """Convert data to an array of floats.
+
+    If the data are complex or no numbers, the result is a single nan.
+    """
     try:
         return np.asarray(np.nan if np.iscomplexobj(data) else data, dtype=float)
     except (TypeError, ValueError, OverflowError):
@@ -65,9 +68,9 @@ class ReadOnlyArrays:
 
 
 class AbsentMatrix:
-    """Stand-in for a matrix of a structure from a file without matrices.
+    """Stand-in for a mass or stiffness that a structure's file does not hold.
 
-    Rank 0 has all rows. Any use but for the sizes raises InputError.
+    Its sizes are those of a PETSc matrix with all rows on rank 0. Any other use raises InputError.
     """
 
     def __init__(self, n_rows: int, rank: int) -> None:
@@ -93,9 +96,10 @@ class AbsentMatrix:
 
 
 def expand_to_pairs(name: str, data: Any, n_pairs: int) -> np.ndarray:
-    """Return a number for each pair (n_pairs,), from one for all or one for each.
+    """Return one number for each pair: (n_pairs,).
 
-    ``name`` is the key of the InputError if ``data`` have another shape or are not finite.
+    ``data`` is a single number for all pairs, or has one number for each. InputError with the key
+    ``name``: ``data`` has another shape or is not finite.
     """
     pair_values = floats_or_nan(data)
     if pair_values.shape not in ((), (n_pairs,)) or not np.all(np.isfinite(pair_values)):
@@ -208,11 +212,22 @@ def check_and_distribute_parts(
     mass: Any, stiffness: Any, gaps: tuple[Any, Any], load_parts: Mapping[str, Any], clearance: Any,
     comm: MPI.Comm,
 ) -> dict[str, Any]:  # fmt: skip
-    """Check and distribute the data of :meth:`Structure.from_matrices` (collective).
+    """Check a structure's matrices and load, and distribute the rows to the ranks (collective).
 
-    The damping is left out. ``gaps`` are the matrices B of the normal and B_t of the tangential
-    gaps, or None. ``load_parts`` are the load's mean, cosine and sine part, in this order, by the
-    names of their arguments.
+    :meth:`Structure.from_matrices` passes its own arguments on, except the damping.
+
+    Parameters
+    ----------
+    mass, stiffness : (n, n)
+        Matrices in any allowed form: in memory, or the path of a file.
+    gaps : tuple
+        Matrix B of the normal gaps, or None, and matrix B_t of the tangential gaps, or None.
+    load_parts : dict
+        The load's mean, cosine and sine part, in this order. The keys name them in errors.
+    clearance : float or (n_pairs,) [m]
+        Clearance of the pairs.
+    comm : MPI.Comm
+        Ranks that share matrices which are not PETSc's.
 
     Returns
     -------
@@ -261,10 +276,11 @@ def check_and_distribute_parts(
 
 
 def _load_rows_from_parts(load_parts: Mapping[str, Any], n: int) -> np.ndarray:
-    """Return the coefficients (2K+1, n) of a load from mean, cosine and sine parts.
+    """Return a load's Fourier coefficients from its mean, cosine and sine part: (2K+1, n).
 
-    ``load_parts`` has the parts by key, in this order. Column k of a part (n, K) is its k-th
-    harmonic; the mean has one column.
+    The rows are the mean, then cosine and sine of each harmonic 1 to K. ``load_parts`` has the
+    mean, cosine and sine part, in this order. Column k of a part (n, K) is harmonic k. The mean has
+    one column. The keys name the parts in errors.
     """
     allowed_columns_by_key = {"force_mean": 1}
     rows_of_parts = [

@@ -57,7 +57,7 @@ class LabelledMatrix:
     Attributes
     ----------
     matrix : (n, n)
-        Both triangles.
+        The matrix, with entries on both sides of the diagonal.
     labels : (n, 2) int or None
         Node and direction of each row, 1 to 3 along x, y, z. None: unknown.
     held_labels : (k, 2) int or None
@@ -152,17 +152,18 @@ def read_matrix(
 def read_labels(path: Path) -> np.ndarray:
     """Read node and direction of each matrix row from a file of CalculiX or Ansys.
 
-    Lines before the first label are a heading. If lines begin with the numbers of rows, they are
-    sorted by these.
+    Lines before the first label are a heading. A line may begin with the row's number. The result
+    is then sorted by row numbers.
 
     Returns
     -------
     (n, 2) int
+        Node and direction of each row: 1 to 3 along x, y, z, then rotations.
 
     Raises
     ------
     OSError, ValueError
-        As :func:`read_matrix`.
+        The file cannot be read, or contradicts itself; the message names the line.
     """
     labels: list[tuple[int, int]] = []
     row_numbers: list[int] = []
@@ -321,7 +322,8 @@ def _read_abaqus(path: Path) -> LabelledMatrix:
 def _read_nastran(path: Path, matrix_letter: str) -> LabelledMatrix:
     """Read a matrix DMIG from a Nastran .pch file, with the labels of its rows.
 
-    The matrix is the only one with a name that begins with ``matrix_letter`` and a further letter.
+    The matrix's name begins with ``matrix_letter`` and a further letter, such as "KAAX" for "K".
+    ValueError: no matrix or more than one matrix has such a name.
     """
     entry_labels: list[list[int]] = []
     entries: list[float] = []
@@ -518,7 +520,7 @@ def read_matrix_market_shape(path: Path) -> tuple[int, int]:
     Raises
     ------
     OSError, ValueError
-        As :func:`read_matrix_market`.
+        The file cannot be read, contradicts itself, or is refused.
     """
     with open_lines_and_byte_limit(path) as (text_file, allowed_bytes):
         _, sizes, _ = _read_header_and_sizes(iter(text_file), allowed_bytes)
@@ -586,7 +588,8 @@ def _dense_row_and_column_indices(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return row and column indices of the entries in a dense Matrix Market file.
 
-    Columns follow each other. A symmetric matrix has only the entries from the diagonal down.
+    Both arrays are (m,) int, from 0. The file has column after column. A symmetric matrix has only
+    the entries on the diagonal and below, a skew-symmetric one only those below.
     """
     if symmetry == "general":
         columns, rows = np.indices(shape[::-1]).reshape(2, -1)
@@ -600,12 +603,16 @@ def _split_entries_and_positions(
 ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """Split the table of a sparse Matrix Market file into values and positions.
 
+    ``table`` (m, 3) has row and column, from 1, and value of each entry. ``shape`` is that of the
+    matrix. ``symmetry`` is the word in the file's header, such as "general". ValueError: the table
+    contradicts them.
+
     Returns
     -------
     (m,)
         Values of the entries.
     ((m,), (m,)) int
-        Their rows and columns, from 0.
+        Rows and columns of these entries, from 0.
     """
     if len(table) and table.shape[1] != 3:
         raise ValueError(

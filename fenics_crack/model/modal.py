@@ -56,16 +56,16 @@ def is_small(structure: Structure) -> bool:
 
 @dataclass(frozen=True)
 class AllModes:
-    """All modes of a small structure, with pairs and damping in modal coordinates.
+    """All modes of a small structure, with contact pairs and damping in modal coordinates.
 
     Attributes
     ----------
     squares : (n,) [rad^2/s^2]
         Squares omega_j^2 of the natural frequencies, ascending.
     shapes : (n_dofs, n)
-        Phi, mass-normalised.
+        Mode shapes Phi, mass-normalised.
     damping : (n,) or (n, n) [1/s]
-        Phi^T C Phi, or its diagonal if it is diagonal.
+        Phi^T C Phi with the damping matrix C; only the diagonal (n,) if all other entries are zero.
     gaps_by_mode : (n, n_pairs)
         Phi^T B, with the gap matrix B: change of each pair's gap by a unit amplitude of each mode.
     is_unconstrained : bool
@@ -413,7 +413,10 @@ def _compute_all_modes(structure: Structure) -> AllModes:
 
 
 def _quasi_static_reduction_modes(structure: QuasiStaticReduction) -> AllModes:
-    """Return the modes of a structure with massless crack faces, and its static part."""
+    """Return all modes of a structure that is reduced to modes and massless coordinates.
+
+    The massless coordinates respond statically: their flexibility is in the result, too.
+    """
     gap, modal_shapes, squares = structure.gap.toarray(), structure.shapes, structure.omega**2
     flexibility_factor = structure.truncated_flexibility_root
     pair_factor = gap.T @ flexibility_factor  # exact even if L L^T is mostly rounding

@@ -112,10 +112,11 @@ class Modes(Tabular):
 def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Modes:
     """Find the lowest natural modes with all cracks open or bonded (collective).
 
-    Open faces pass through each other. Bonded faces have no relative normal motion, B^T phi = 0
-    whatever the clearance, and slide without friction: they are a little softer than the uncracked
-    structure. A breathing crack without clearance resonates near 2 w_open w_tied / (w_open +
-    w_tied).
+    Open faces pass through each other. Bonded faces have no relative normal motion, whatever the
+    clearance: B^T phi = 0 with the gap matrix B and the shape phi. Bonded faces slide without
+    friction, so the structure is a little softer than without a crack. A breathing crack without
+    clearance resonates near 2 w_open w_tied / (w_open + w_tied). w_open and w_tied are a mode's
+    frequencies with the crack open and bonded.
 
     A structure with massless crack faces has the modes to which it was reduced. Its bonded modes
     are as accurate as the reduction.
@@ -123,7 +124,7 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     Parameters
     ----------
     structure : Structure
-        Its M and K are taken, and its B with a bonded crack.
+        Structure that vibrates. Load, clearance and damping do not matter.
     count : int
         Number of modes.
     lips : "open" or "tied"
@@ -138,7 +139,8 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     ------
     InputError
         ``lips`` is neither word, or the stiffness has a negative eigenvalue. Or ``count`` is not
-        between 1 and n_dofs (less one for each bonded pair), or the number of modes with mass.
+        between 1 and the number of modes. This is the number of dofs with mass, with a bonded crack
+        less one for each independent pair.
     ConvergenceError
         SLEPc found fewer modes than requested, or the lowest frequency of a clamped mesh is lost in
         rounding.
@@ -174,7 +176,8 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
 def count_bonded_modes(structure: Structure) -> int:
     """Return the number of modes that a structure has with a bonded crack (collective).
 
-    Each independent bond takes one mode away, unless it has residual flexibility.
+    Each bond B^T u = 0 that is independent of the others takes one mode away. In a structure with
+    massless crack faces, a flexible bond takes none.
     """
     if structure.n_pairs == 0:
         return structure.n_modes
@@ -258,12 +261,15 @@ def solve_modes_with_factor(
 ) -> Modes:
     """Find the lowest modes of a structure, given the inverse of its stiffness (collective).
 
-    Every dof of the structure has mass.
+    Every dof of the structure has mass. Modes with an open crack that were computed before are
+    returned again.
 
     Parameters
     ----------
     stiffness_inverse : StiffnessInverse
         Factor of the stiffness with an open crack.
+    structure : Structure
+        Structure that vibrates.
     n_modes : int
         Number of modes.
     ties : (n_local, n_ties), optional
@@ -429,8 +435,8 @@ def _find_modes_near_zero_omega(
 def n_krylov_vectors(n_modes: int) -> int:
     """Return the number of Krylov vectors for a number of modes.
 
-    SLEPc's default is twice the number of modes, or 15 more than them if that is larger. For more
-    than 150 modes fewer vectors are as quick.
+    For n modes, SLEPc's default is the larger of 2 n and n + 15. Above 150 modes n + 150 vectors
+    are as quick, so the result is n + 150.
     """
     return max(min(2 * n_modes, n_modes + 150), n_modes + 15)
 
@@ -443,7 +449,8 @@ def _find_modes_near_shift(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the modes whose omega^2 is closest to a shift [rad^2/s^2] (collective).
 
-    ``shifted_inverse`` solves K - shift M.
+    ``shifted_inverse`` solves (K - s M) x = r with the stiffness K, the mass M and the shift s. s
+    is ``squared_omega_shift``.
 
     Returns
     -------
@@ -542,13 +549,14 @@ def orthonormalise_against_basis(
 ) -> np.ndarray:
     """Orthogonalise columns against a basis and each other (collective).
 
-    Columns are scaled to x^T A x = 1 first. Directions with an eigenvalue of the Gram matrix up to
-    1e-12 are left out. The loss is at most 1e-6 of a static response and 1e-12 of a compliance.
+    Each column x is first scaled to x^T A x = 1. Nearly dependent directions are left out: those
+    with an eigenvalue of the columns' Gram matrix up to 1e-12. If the columns are static responses,
+    a response loses at most 1e-6, and a compliance 1e-12.
 
     Parameters
     ----------
     matrix : PETSc.Mat
-        A, whose inner product x^T A y is taken.
+        A, symmetric: columns x and y are orthogonal if x^T A y = 0.
     basis : (n_local, n)
         V, with V^T A V = I.
     columns : (n_local, m)
@@ -695,8 +703,9 @@ def count_damped_modes(structure: Structure) -> int:
 def damped_count_and_max_omega_or_none(structure: Structure) -> tuple[int, float] | None:
     """Count the damped modes and find their highest frequency (collective).
 
-    If a reduced structure has modal damping as a projected matrix, the modes of the whole structure
-    count. Without damping the result is (0, 0.0).
+    The result is None if the highest mode is damped, as with Rayleigh damping, or if the damping is
+    a matrix. Without damping the result is (0, 0.0). In a reduced structure with a damping matrix,
+    the whole structure's modes are counted.
 
     Returns
     -------
@@ -705,13 +714,12 @@ def damped_count_and_max_omega_or_none(structure: Structure) -> tuple[int, float
     max_frequency : float [rad/s]
         Highest frequency of a damped mode; all modes above are undamped.
 
-    None is returned instead of these two numbers in two cases: the structure's highest mode is
-    damped, as with Rayleigh damping, or the damping is a matrix.
+
 
     Raises
     ------
     InputError
-        As :func:`damped_modes`.
+        The number of damping ratios or of modes does not fit the structure.
     """
     if not isinstance(structure.damping, DampingRule | None):
         structure = structure.whole
@@ -746,7 +754,7 @@ def project_damping_on_modes(
     Parameters
     ----------
     mode_columns : (n_local, m)
-        X, with X^T M X = I and X^T K X = diag(squared_omegas).
+        X, with X^T M X = I and X^T K X = diag(squared_omegas). M is the mass and K the stiffness.
     squared_omegas : (m,) [rad^2/s^2]
         Squares of the modes' frequencies.
 
@@ -836,10 +844,12 @@ class BilinearFrequencies(Tabular):
         Returns
         -------
         dict
-            ``mode``, the number of the mode; ``omega_open``, ``omega_tied`` and ``omega_bilinear``
-            [rad/s]; ``over_open``, ``over_tied`` and ``over_bilinear``, the ratios of the load
-            frequency to them: a ratio less 1 is a frequency shift. The shape (...) is that of
-            ``omega``, and with several speeds also that of the speeds.
+            ``mode``, the number of the mode from 1. ``omega_open``, ``omega_tied`` and
+            ``omega_bilinear`` [rad/s], the mode's frequencies with the crack open, bonded, and
+            breathing. ``over_open``, ``over_tied`` and ``over_bilinear``: the load frequency
+            divided by each of these. Such a ratio minus 1 is a relative frequency shift. Arrays
+            have the shape of ``omega``. If the frequencies are for several rotor speeds, both
+            shapes are broadcast.
         """
         omega, omega_bilinear = np.asarray(omega, dtype=float), self.omega_bilinear
         mode_index = np.abs(omega[..., None] - omega_bilinear).argmin(axis=-1)
@@ -940,11 +950,11 @@ def solve_bonded_modes(structure: Structure, count: int, factor: Factor | None =
 def find_bonded_mode_indices(open_modes: Modes, bonded_modes: Modes) -> np.ndarray:
     """Find the bonded mode with the shape of each open mode (collective).
 
-    Each bonded mode is taken at most once. As many modes as possible are matched by shape, with an
-    overlap (phi_open^T M phi_tied)^2 above 0.9. All others follow the order of their numbers. A
-    bonded mode of lower frequency is not matched by shape, because bonds only raise frequencies
-    (Rayleigh). Shapes of equal frequencies, to 1e-6, are arbitrary in their space, so their
-    overlaps are summed.
+    Each bonded mode is taken at most once. As many modes as possible are matched by shape. Then the
+    overlap (phi_open^T M phi_tied)^2 is above 0.9, with the mass M and the shapes phi. All other
+    modes are matched in ascending order. A bonded mode of lower frequency is not matched by shape,
+    because bonds only raise frequencies (Rayleigh). Shapes of equal frequencies, to 1e-6, are
+    arbitrary in their space, so their overlaps are summed.
 
     Parameters
     ----------

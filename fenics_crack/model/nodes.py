@@ -64,7 +64,7 @@ class Nodes(ReadOnlyArrays):
     def find_nearest_position_and_dofs(
         self, comm: MPI.Comm, key: str, point: Sequence[float]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Find the node nearest to a point (collective).
+        """Find the node nearest to ``point`` (d,) [m] (collective).
 
         Returns
         -------
@@ -76,8 +76,9 @@ class Nodes(ReadOnlyArrays):
         Raises
         ------
         InputError
-            The point, called ``key``, is away from the mesh by more than 5 % of the mesh's size. Or
-            the nearest node is clamped, or there are two nodes, on the crack faces.
+            The point is farther from all nodes than 5 % of the mesh's size. Or the nearest node is
+            clamped. Or two nodes coincide there, one on each crack face. The error names the point
+            ``key``.
         """
         all_points, all_node_dofs = gather_rows(comm, self.points), gather_rows(comm, self.dofs)
         distances = np.linalg.norm(all_points - point, axis=1)
@@ -158,7 +159,8 @@ class Pairs(ReadOnlyArrays):
     nodes : (n, d) [m] or None
         Corners of the facets of a solid's crack faces; those on fronts come last.
     pressure_matrix : (n, n_pairs) scipy.sparse.csr_matrix or None
-        Value of each pair's pressure function at ``nodes``.
+        Value of each pair's pressure function at ``nodes``: the shape of the pressure, 0 to 1, with
+        which the pair's contact force acts on the crack faces.
     tangential_gap_matrix : (n_local, 2 n_pairs) scipy.sparse.csr_matrix or None
         Tangential gaps of a solid's pairs, from the dofs of the whole structure: all pairs along
         their first directions, then all along their second ones.
@@ -189,9 +191,10 @@ class Coordinates:
     comm : MPI.Comm
         The ranks that share the structure.
     gap : scipy.sparse.csr_matrix
-        B of the normal gaps B^T u, the rows owned by this rank: (n_local, n_pairs).
+        Matrix B of the normal gaps B^T u with the displacement u: (n_local, n_pairs). Each rank has
+        the rows of its own dofs.
     tangential : scipy.sparse.csr_matrix or None
-        B_t, likewise, for faces in a plane: tangential gaps g_t = B_t^T u.
+        Matrix B_t of the tangential gaps B_t^T u, with the rows of this rank. None: not known.
     force : (2K+1, n_local) [N]
         Mean of the load, then cosine and sine part of its harmonics 1 to K.
     nodes : Nodes or None
@@ -199,8 +202,8 @@ class Coordinates:
     pairs : Pairs
         Positions, areas and cracks of the contact pairs in a mesh.
     watched : (n_local,) or None
-        The watched displacement [m], for results without a named dof, is the product with u. None:
-        the dof that carries most of the load is watched.
+        Vector whose product with u is the watched displacement [m], which results report if no dof
+        is named. None: the dof that carries most of the load is watched.
     """
 
     body: Any
@@ -489,26 +492,26 @@ class Coordinates:
 class Clamp:
     """Inertia and load of a mesh, for the reaction at the clamp.
 
-    The motions r are the translations, then the rotations.
-
     A rigid motion r of the whole mesh stretches nothing and closes no gap. With the displacement u
     relative to the clamp, the mass M, the load f and all nodes, also clamped ones, Newton's law
     gives
 
         r . R = r^T M (u'' + a u') - r^T f
 
-    R are the forces of the clamp. A translation gives their sum, a rotation about the clamp's
-    centre their moment about the centre. The mass coefficient a [1/s] of Rayleigh damping is a drag
-    from outside. All other damping acts inside and exerts no force on the whole.
+    R are the forces of the clamp. If r is a translation, r . R is the clamp's force in this
+    direction. If r is a rotation about the clamp's centre, r . R is the moment about the centre.
+    The mass coefficient a [1/s] of Rayleigh damping is a drag from outside. All other damping acts
+    inside and exerts no force on the whole.
 
     Attributes
     ----------
     center : (d,) [m]
         Middle of the clamped nodes, between their smallest and largest coordinates.
     inertia : (n_rigid, n_local)
-        r^T M of the free dofs; 3 motions of a plate, 6 of a solid.
+        r^T M of the free dofs, a row for each rigid motion r: translations, then rotations. A plate
+        has 3 motions, a solid 6.
     load : (2K+1, n_rigid) [N], [N m]
-        r^T f for each row of the load.
+        r^T f for each row of the load: mean, cosine and sine parts.
     """
 
     center: np.ndarray
@@ -570,19 +573,26 @@ class Clamp:
     ) -> tuple[np.ndarray, ...]:
         """Return forces and moments at the clamp in a recorded motion.
 
-        Accelerations are second derivatives of a spline of degree 5 through the record. The
-        results have the shapes of :meth:`reaction_of_waves`.
+        Accelerations are second derivatives of a spline of degree 5 through the record.
 
         Parameters
         ----------
         time : (n,) [s]
             Instants of the record.
         inertia_record : (n, n_rigid)
-            r^T M u at these instants, as in :meth:`reaction_of_waves`.
+            r^T M u at these instants, with the rigid motions r, the mass matrix M and the
+            displacement u.
         omega : float [rad/s]
             Angular frequency of the load.
         drag : float [1/s]
             Mass coefficient a of Rayleigh damping.
+
+        Returns
+        -------
+        (n, d) [N]
+            Forces.
+        (n, n_rigid - d) [N m]
+            Moments.
         """
         from scipy.interpolate import make_interp_spline  # takes a while, rarely used
 

@@ -39,29 +39,28 @@ from fenics_crack.numerics.equations import MACHINE_EPSILON, ROUNDING
 
 @dataclass(frozen=True, eq=False)
 class Receptance:
-    """Lowest modes at pairs and load, and the static compliance of all other modes.
+    """Lowest modes of a structure, and the static flexibility G of all other modes.
 
-    The columns of X are sources: unit forces on the pairs, then the nonzero parts of the load
-    (:func:`pair_and_load_force_matrix`). G is the static flexibility of all modes that are not
-    among ``squares``, a matrix from forces to displacements. Every rank has the same arrays, except
-    ``force``.
+    Both are given at the contact pairs and along the load. The columns of X are unit forces on the
+    pairs, then the nonzero parts of the load (:func:`pair_and_load_force_matrix`). Every rank has
+    the same arrays, except ``force``.
 
     Attributes
     ----------
     squares : (n_modes,) [rad^2/s^2]
-        w_j^2, ascending.
+        Squares of the lowest natural frequencies, ascending.
     modal : (n_sources, n_modes)
         X^T Phi with the mass-normalised mode shapes Phi.
     compliance : (n_sources, n_sources)
-        S = X^T G X.
+        S = X^T G X: displacement along each column of X by the forces of each column.
     rows : dict of int to ((n_modes,), (n_sources,))
-        Displacement of a dof, by the dof's number: in the modes Phi, and static, a row of G X.
-        Further dofs are added on request.
+        Displacements of single dofs by the dof's number: a row of Phi, and a row of G X. Further
+        dofs are added on request.
     force : (2K+1, n_local) [N]
         The structure's load f.
     inertia : (n_pairs,) [m s^2/N]
-        Diagonal of B^T G M G B. At the angular frequency w, a pair's compliance exceeds S by about
-        w^2 times this number.
+        Diagonal of B^T G M G B, with the gap matrix B and the mass M. At the angular frequency w, a
+        pair's compliance by these modes exceeds the static one by about w^2 times this number.
     """
 
     squares: np.ndarray
@@ -79,21 +78,24 @@ class Receptance:
     def residual_response(
         self, n_kept_modes: int, residual_part: np.ndarray, modal_displacements: np.ndarray
     ) -> np.ndarray:
-        """Return static responses of the modes beyond the first ``n_kept_modes``.
+        """Return static responses that omit only the first ``n_kept_modes`` modes.
 
         The responses are Y^T G X: displacements along columns Y by the unit forces X on pairs and
-        load. G is the static flexibility of all modes beyond the first ``n_kept_modes``.
+        load. G is the static flexibility of all modes except the first ``n_kept_modes``.
 
         Parameters
         ----------
+        n_kept_modes : int
+            Number of lowest modes that G omits, at most ``n_modes``.
         residual_part : (m, n_sources)
-            Y^T G X with the flexibility G beyond all ``n_modes``.
+            Y^T G X with the static flexibility that omits all ``n_modes`` modes of this object.
         modal_displacements : (m, n_modes)
-            Y^T Phi, the mode shapes along Y.
+            Y^T Phi with the mode shapes Phi.
 
         Returns
         -------
         (m, n_sources)
+            Y^T G X.
         """
         truncated_mode_slice = slice(n_kept_modes, None)
         modal_flexibility = (
@@ -102,19 +104,21 @@ class Receptance:
         return np.asarray(residual_part + modal_flexibility @ self.modal[:, truncated_mode_slice].T)
 
     def compliance_beyond(self, n_kept_modes: int) -> np.ndarray:
-        """Return the static compliance without the first ``n_kept_modes`` modes.
+        """Return the static compliance of all modes except the first ``n_kept_modes``.
 
         The compliance is S = X^T G X, (n_sources, n_sources). X are the unit forces on pairs and
-        load, and G is the static flexibility of all further modes.
+        load, and G is the static flexibility of the modes that count.
         """
         return self.residual_response(n_kept_modes, self.compliance, self.modal)
 
     def inertia_beyond(self, n_kept_modes: int) -> np.ndarray:
-        """Return the inertia at the pairs (n_pairs,) without the first ``n_kept_modes`` modes.
+        """Return the w^2 terms of the pairs' compliances from the truncated modes: (n_pairs,).
 
-        The inertia is the diagonal of B^T G M G B, with the gap matrix B, the mass M, and the
-        static flexibility G of all further modes. Its sum measures the truncation error at low
-        frequency.
+        Truncated are all modes except the first ``n_kept_modes``. At a low angular frequency w,
+        their dynamic compliance at pair i is S_ii + w^2 J_i, with the static compliance S. The
+        result is J [m s^2/N], the diagonal of B^T G M G B. B is the gap matrix, M the mass, and G
+        the static flexibility of the truncated modes. The sum of J measures the error of a
+        quasi-static response.
         """
         modal_flexibility = (
             self.modal[: len(self.inertia), n_kept_modes:] / self.squares[n_kept_modes:]
@@ -172,10 +176,11 @@ def make_empty_shared_receptance_list(structure: Structure) -> list[Receptance]:
 def _convert_receptance_to_load(
     structure: Structure, known_receptance: Receptance
 ) -> Receptance | None:
-    """Convert a receptance with another load to the structure's load (collective).
+    """Convert a receptance of the same structure under another load (collective).
 
-    Returns None if the structure's load is no linear combination of the other load's parts, to
-    1e-12, or if only one of both has tangential pairs.
+    ``known_receptance`` has the other load; the result has the load of ``structure``. Returns None
+    unless every part of the load is a linear combination of the other load's parts, to 1e-12.
+    Returns None, too, if either the structure or the receptance has tangential pairs, but not both.
     """
     known_load_coefficients = known_receptance.force
     new_load_rows = structure.force[find_loaded_row_mask(structure)]
@@ -259,8 +264,8 @@ def _extend_receptance(
 ) -> Receptance:
     """Make a receptance with ``n_modes`` modes (collective).
 
-    ``known_receptance`` has fewer modes; its static compliance, less the part of the new modes, is
-    used again. None: the static responses are computed.
+    ``known_receptance`` has fewer modes. Its static compliance is used again, after the new modes'
+    part is subtracted. None: the static responses are computed.
     """
     begin_stage("factorisation of the stiffness")
     with Factor(structure.stiffness, definite=True) as factored_stiffness:
@@ -327,14 +332,14 @@ def _extend_receptance(
 def modal_and_static_displacement_rows(
     structure: Structure, n_modes: int, dofs: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return modal displacements of dofs, and static ones by the other modes (collective).
+    """Return displacements of dofs by modes, and static ones by all other modes (collective).
 
-    Later requests for the same dofs take them from the receptance.
+    The displacements are kept in the structure's receptance for later calls.
 
     Parameters
     ----------
     n_modes : int
-        Number of modes.
+        Number of lowest modes.
     dofs : (m,) int
         Numbers of the dofs.
 
@@ -343,7 +348,8 @@ def modal_and_static_displacement_rows(
     (m, n_modes)
         Displacements of the dofs in the mass-normalised modes.
     (m, n_sources)
-        Static displacements by unit forces on pairs and load, without the part of these modes.
+        Static displacements of the dofs by unit forces on pairs and load. The static flexibility
+        omits the ``n_modes`` modes.
     """
     known_receptance, structure = receptance(structure, n_modes), structure.original
     requested_dofs = [int(dof) for dof in dofs]
@@ -370,9 +376,10 @@ def modal_and_static_displacement_rows(
 def expand_residual_response(
     structure: Structure, shapes: np.ndarray, squares: np.ndarray, amplitudes: np.ndarray
 ) -> np.ndarray:
-    """Return the static displacements G X c by forces, without some modes (collective).
+    """Return static displacements G X c that omit some modes (collective).
 
-    G is the static flexibility without these modes, and X are unit forces on pairs and load.
+    G is the static flexibility of all modes except those given. X are unit forces on pairs and
+    load, and c their amplitudes.
 
     Parameters
     ----------
@@ -381,7 +388,7 @@ def expand_residual_response(
     squares : (n_modes,) [rad^2/s^2]
         Squares of their frequencies.
     amplitudes : (m, n_sources)
-        Amplitudes c of the forces X (:func:`pair_and_load_force_matrix`).
+        Amplitudes c, one load case in each row (X: :func:`pair_and_load_force_matrix`).
 
     Returns
     -------
@@ -406,14 +413,14 @@ def _store_dof_rows(
     flexibility: ResidualFlexibility,
     stiffness_factor_or_none: Factor | None = None,
 ) -> None:
-    """Add displacements of dofs to ``rows`` of a receptance (collective).
+    """Add displacements of dofs to the attribute ``rows`` of a receptance (collective).
 
     Parameters
     ----------
     dofs : (m,) int
         Numbers of the dofs.
     flexibility : ResidualFlexibility
-        Static flexibility without the modes of the receptance.
+        Static flexibility of all modes that the receptance lacks, with its unit forces.
     stiffness_factor_or_none : Factor, optional
         Factor of the stiffness. Default: it is computed.
     """
@@ -447,9 +454,10 @@ def _store_dof_rows(
 
 
 def _loaded_dofs(structure: Structure) -> np.ndarray:
-    """Return the loaded dofs, whose displacements a receptance stores at once (collective).
+    """Return the dofs on which the load acts (collective).
 
-    If there are more than 16 (MAX_BLOCK_COLUMNS), return the watched dof alone.
+    A receptance stores the displacements of these dofs from the start. If there are more than 16
+    (MAX_BLOCK_COLUMNS), the result is the watched dof alone.
     """
     owned_dofs = np.flatnonzero(np.any(structure.force != 0.0, axis=0)) + structure.first_dof
     dofs = gather_rows(structure.comm, owned_dofs)
@@ -490,9 +498,10 @@ class ResidualFlexibility:
         self._is_well_supported = bool(np.all(squares > np.sqrt(MACHINE_EPSILON) * squares[-1:]))
 
     def solve(self, stiffness_factor: Factor, forces: np.ndarray) -> np.ndarray:
-        """Return displacements G f by forces f, both (m, n_local) (collective).
+        """Return displacements G f by ``forces`` f, both (m, n_local) (collective).
 
-        G is the static flexibility without the modes; ``stiffness_factor`` is that of K.
+        G is the static flexibility of all modes except ``shapes``. ``stiffness_factor`` is the
+        factor of the stiffness.
         """
         structure, mode_shapes = self.structure, self.shapes
         modal_forces = structure.sum_over_ranks(forces @ mode_shapes)
@@ -507,9 +516,11 @@ class ResidualFlexibility:
     def projected_compliance_and_inertia(
         self, stiffness_factor: Factor, force_columns: sparse.spmatrix
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return static displacements along forces Y by the forces X (collective).
+        """Return the static compliance and its w^2 term between two sets of forces (collective).
 
-        G is the static flexibility without the modes, X are the ``sources``, and M is the mass.
+        G is the static flexibility of all modes except ``shapes``, X are the ``sources``, and M is
+        the mass. At the angular frequency w, the dynamic compliance along Y is about Y^T G Y + w^2
+        Y^T G M G Y.
 
         Parameters
         ----------
@@ -521,7 +532,7 @@ class ResidualFlexibility:
         Returns
         -------
         (m, n_sources)
-            Y^T G X.
+            Y^T G X, displacements along Y by the forces X.
         (m,)
             Diagonal of Y^T G M G Y.
         """
@@ -556,9 +567,10 @@ class ResidualFlexibility:
         return projected_compliance, inertia_diagonal
 
     def compliance_and_inertia(self, stiffness_factor: Factor) -> tuple[np.ndarray, np.ndarray]:
-        """Return the static compliance of the sources X without the modes (collective).
+        """Return the static compliance of ``sources`` X and its w^2 term (collective).
 
-        G is the static flexibility without the modes, and M is the mass.
+        G is the static flexibility of all modes except ``shapes``, M is the mass, and w an angular
+        frequency. ``stiffness_factor`` is the factor of the stiffness.
 
         Returns
         -------

@@ -52,8 +52,9 @@ MASS_REMEDY = "reduce it with method = 'free_interface', or use integrate_expone
 class ReducedBody(Body):
     """Constant data of a reduced structure (:class:`Body`).
 
-    ``source`` is the structure that was reduced. ``error_share_removed_by_larger_reduction`` is the
-    attribute ``share`` of :class:`ReducedStructure`, which explains all other fields.
+    ``source`` is the structure that was reduced. ``basis``, ``omega`` and ``reference`` are
+    explained in :class:`ReducedStructure`. ``error_share_removed_by_larger_reduction`` is its
+    attribute ``share``.
     """
 
     source: Structure
@@ -69,11 +70,25 @@ def _make_body_fields(
     gap: np.ndarray, tangential_gap: np.ndarray | None, force: np.ndarray,
     massless_stiffness: np.ndarray,
 ) -> dict[str, Any]:  # fmt: skip
-    """Return the fields of a :class:`ReducedBody` by name, but for basis and reference.
+    """Return the fields of a :class:`ReducedBody` by name, without basis and reference.
 
-    The modal coordinates have mass 1 and stiffness ``squared_frequencies``. The coordinates without
-    mass, if any, follow, with the stiffness ``massless_stiffness``. A damping matrix has the modes'
-    rows only. ``gap``, ``tangential_gap`` and ``force`` are in all coordinates.
+    The coordinates are the amplitudes of modes with mass 1, then n_massless coordinates without
+    mass.
+
+    Parameters
+    ----------
+    source : Structure
+        Structure that is reduced; clearance, nodes and pairs are its own.
+    squared_frequencies : (n_modes,) [rad^2/s^2]
+        Squares of the modes' frequencies, which are their stiffnesses.
+    damping : DampingRule, (n_modes, n_modes) or None
+        Damping of the modes; the massless coordinates are undamped.
+    gap, tangential_gap : (n_modes + n_massless, n_gaps)
+        Normal and tangential gaps of the pairs by unit coordinates; no tangential gaps: None.
+    force : (2K+1, n_modes + n_massless)
+        Load on the coordinates.
+    massless_stiffness : (n_massless, n_massless)
+        Stiffness of the coordinates without mass.
     """
     n_modes, n_massless = len(squared_frequencies), len(massless_stiffness)
     if isinstance(damping, np.ndarray):
@@ -92,7 +107,7 @@ def _make_body_fields(
 
 
 class ReducedStructure(Structure):
-    """A structure in few coordinates q of a basis T, u = T q.
+    """A structure in few coordinates q: displacements are u = T q with a basis T.
 
     Every rank has all coordinates. ``find_dof`` and ``values_at`` refer to the dofs of the whole
     structure, and so do drawings and files of its solutions.
@@ -102,15 +117,16 @@ class ReducedStructure(Structure):
     whole : Structure
         Structure that was reduced.
     basis : (whole.n_local, n_dofs)
-        T, M-orthonormal; the columns are modes of the reduced structure.
+        T, with T^T M T = I and the mass M. The columns are modes of the reduced structure.
     omega : (n_dofs,) [rad/s]
         Frequencies of these modes.
     reference : ReducedStructure or None
         Reduction to a larger basis, to estimate the reduction error.
     share : float
-        Assumed share of the truncation error that the reference removes. It is 0.75 with static
-        shapes of the next order, and at most 0.5 with twice the modes (1 with all modes). The error
-        estimate is divided by the share.
+        Fraction of the truncation error that the reference is assumed to remove. The difference
+        between both reductions is divided by this fraction to estimate the error. The fraction is
+        0.75 if the reference has further static shapes, and at most 0.5 if it has more modes. It is
+        at most 1 if the reference has all modes.
     """
 
     body: ReducedBody
@@ -237,7 +253,11 @@ class QuasiStaticReduction(ReducedStructure):
         return np.asarray(damping.getValues(mode_range, mode_range))
 
     def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return frequencies omega and ``shapes`` for an open crack; None for a bonded crack."""
+        """Return the modes with an open crack; None for a bonded crack.
+
+        The results are frequencies (n_modes,) [rad/s] and shapes in the coordinates, (n_dofs,
+        n_modes).
+        """
         return None if is_bonded else (self.omega, self.shapes)
 
 
@@ -245,7 +265,7 @@ class QuasiStaticReduction(ReducedStructure):
 class MasslessBody(ReducedBody):
     """Constant data of a :class:`MasslessStructure`.
 
-    ``inverse_compliance_root`` is the attribute ``root`` explained there.
+    ``inverse_compliance_root`` is the attribute ``root`` of that class.
     """
 
     inverse_compliance_root: np.ndarray
@@ -284,7 +304,10 @@ class MasslessStructure(QuasiStaticReduction):
         reference: MasslessStructure | None,
         share: float = 0.5,
     ) -> None:
-        """Make the structure from modes and the residual compliance.
+        """Make the structure from modes Phi and the static compliance of all other modes.
+
+        X are unit forces on the pairs, then on the load's nonzero parts. G is the static
+        flexibility of all other modes. B and B_t are the matrices of normal and tangential gaps.
 
         Parameters
         ----------
@@ -297,11 +320,12 @@ class MasslessStructure(QuasiStaticReduction):
         modal_pairs : (n_modes, n_pairs or more)
             Phi^T [B, B_t], the modes' normal and tangential gaps.
         force : (2K+1, n_dofs)
-            Load on all coordinates.
+            Load on all coordinates: amplitudes of the modes, then of the unit forces X.
         compliance : (n_sources, n_sources)
             S = X^T G X, the static compliance of pairs and load without the modes.
         reference, share
-            Attributes of :class:`ReducedStructure`.
+            Reduction to more modes, or None, and the fraction of the truncation error that it
+            removes (:class:`ReducedStructure`).
         """
         if isinstance(damping, DampingRule):
             damping = damping.for_modes(len(squares))
@@ -329,15 +353,15 @@ class MasslessStructure(QuasiStaticReduction):
     def flexibility(self) -> np.ndarray:
         """Inverse of the static compliance S of pairs and load without the modes.
 
-        The matrix has n_dofs - n_modes rows and columns. S is also the stiffness of the massless
-        coordinates, so the result is their flexibility. If the unit forces depend on each other, it
-        is the pseudoinverse.
+        The matrix has n_dofs - n_modes rows and columns. The massless coordinates are amplitudes of
+        unit forces. Their stiffness is S, so the result is their flexibility. If S is singular, the
+        result is the pseudoinverse.
         """
         return self.root @ self.root.T
 
     @property
     def truncated_flexibility_root(self) -> np.ndarray:  # type: ignore[override]
-        """Root L of the truncated part's flexibility L L^T in the coordinates: (n_dofs, r).
+        """Root L of the truncated modes' flexibility L L^T in the coordinates: (n_dofs, r).
 
         L is zero for the modes, and ``root`` for the massless coordinates.
         """
@@ -443,13 +467,14 @@ class MasslessStructure(QuasiStaticReduction):
         Parameters
         ----------
         displacement : (m, n_dofs)
-            Coordinates, as in :meth:`expand`.
+            Amplitudes of the modes, then amplitudes of the unit forces on pairs and load.
         dofs : sequence of int or None
-            None stands for the watched dof.
+            Numbers of n dofs; None stands for the watched dof.
 
         Returns
         -------
         (m, n) [m]
+            Displacements, a row for each row of ``displacement``.
         """
         if self._source.whole is not self._source:  # it is reduced itself
             return self._source.values_at(self._expand_to_source(displacement), dofs)
@@ -463,7 +488,10 @@ class MasslessStructure(QuasiStaticReduction):
 
 
 def check_faces_have_mass(structure: Structure, remedy: str) -> None:
-    """Raise InputError, with advice ``remedy``, if crack faces lack mass."""
+    """Raise InputError if the structure is reduced to massless crack faces.
+
+    ``remedy`` is the advice in the error.
+    """
     if structure.light_lips:
         raise InputError(
             "structure", repr(structure), f"a structure whose crack faces have mass; {remedy}"

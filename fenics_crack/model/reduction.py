@@ -75,38 +75,40 @@ def reduce_structure(
 ) -> ReducedStructure:
     """Reduce a structure to a few coordinates (collective).
 
-    The displacement is sought as u = T q. T holds the lowest modes with an open crack, and a second
-    part that depends on the method. With "massless", the truncated part responds quasi-statically,
-    so crack faces have no mass (:class:`MasslessStructure`): best for contact on many pairs. With
-    "free_interface", the second part is the static response to each pair's force and to the load.
+    The displacement is sought as u = T q with few coordinates q. The columns of T are the lowest
+    modes with an open crack, then static responses to each pair's force and to the load. With the
+    method "free_interface", these responses have mass. With "massless", they have none and move
+    quasi-statically, so crack faces have no mass (:class:`MasslessStructure`). This is best for
+    contact on many pairs.
 
-    If one ratio damps all modes, it damps all coordinates: these are the modes of the reduced
-    structure. Rayleigh damping keeps its coefficients. Any other damping is projected. With
-    "massless", modal damping by several ratios gives the last ratio to further kept modes.
+    If one ratio damps all modes of the structure, it damps all modes of the reduced one. Rayleigh
+    damping keeps its coefficients. Any other damping is projected on T. With "massless" and several
+    ratios, kept modes without a ratio of their own get the last ratio.
 
     Parameters
     ----------
     structure : Structure
         Structure to reduce.
     modes : int, optional
-        Number of the lowest modes to keep. Default: the damped modes, but 50 if all of more than
-        600 are damped; 20 without damping, or with a matrix.
+        Number of the lowest modes to keep. Default: the number of damped modes. If every mode is
+        damped and there are more than 600 dofs: 50. Without damping, or with a damping matrix: 20.
     method : "massless" or "free_interface"
-        Second part of T.
+        Kind of the static responses in T, as above.
     reference : bool or int
-        Also keep a larger reduction, the reference, to estimate the reduction error. It has twice
-        the modes ("massless"), or further static shapes. With "massless", a number is the number of
-        modes in the reference.
+        True: also keep a larger reduction, the reference, to estimate the reduction error. With
+        "massless" the reference has twice the modes, otherwise further static responses. A number,
+        with "massless" only: number of modes in the reference.
 
     Returns
     -------
     ReducedStructure
-        On every rank; a :class:`MasslessStructure` with the method of this name.
+        Reduced structure, the same on every rank. With "massless" a :class:`MasslessStructure`.
 
     Raises
     ------
     InputError
-        Unknown method, fewer modes than requested, or more than 600 dofs with a ratio for each.
+        The method is unknown, the structure has fewer modes than requested, or each of more than
+        600 dofs has its own damping ratio.
 
     Examples
     --------
@@ -178,15 +180,17 @@ def _reduce_massless(
 ) -> MasslessStructure:
     """Reduce a structure to ``n_kept`` modes and crack faces without mass.
 
-    The reference, which estimates the error, has twice the modes, or ten more if that is larger. At
-    most it has n_dofs - n_pairs modes, so that each pair keeps a static part. The reference has all
-    modes if ``n_kept`` is not below this limit. It also has all modes if the limit leaves a pair
-    more than half of its residual flexibility. A number above ``n_kept`` in ``reference_choice`` is
-    the number of modes instead; False omits the reference.
+    Another reduction with more modes, the reference, serves to estimate the error. By default it
+    has 2 ``n_kept`` modes, at least ``n_kept`` + 10, but at most n_dofs - n_pairs. This limit
+    leaves each pair a static part. The reference has all modes if ``n_kept`` reaches the limit. It
+    also has all modes if, at the limit, a pair keeps more than half of its residual flexibility.
+    ``reference_choice`` False: no reference. A number above ``n_kept``: number of modes in the
+    reference.
 
-    The reference removes a fraction of the truncation error, the attribute ``share``. The fraction
-    is 1 - J_r / J, with the inertia J (J_r) of the modes beyond ``n_kept`` (beyond the reference).
-    It is at least 0.1, and at most 0.5 unless the reference has all modes.
+    The reference removes a fraction of the truncation error, the attribute ``share``. The estimate
+    is 1 - J_r / J. J is the sum of :meth:`Receptance.inertia_beyond` for ``n_kept`` modes, and J_r
+    the sum for the reference's modes. The fraction is at least 0.1, and at most 0.5 unless the
+    reference has all modes.
 
     InputError: ``n_kept`` modes leave out a rigid-body motion.
     """
@@ -259,7 +263,7 @@ def _is_residual_flexibility_rounding(
 ) -> np.ndarray:
     """Return True for forces whose residual flexibility is only rounding: (n_sources,) bool.
 
-    It is then at most 1e-14 of the modes' compliance.
+    The residual flexibility is then at most 1e-14 of the compliance by the kept modes.
 
     Parameters
     ----------
@@ -332,8 +336,20 @@ def _reduce_to_vectors(
 ) -> ReducedStructure:
     """Reduce a structure to the span of modes and other displacement vectors.
 
-    The basis is made M-orthonormal and K-diagonal, with mass M and stiffness K. ``squared_omegas``
-    are the squares of the modes' frequencies; ``displacement_vectors`` are (n_local, m).
+    The basis T has T^T M T = I and a diagonal T^T K T, with the mass M and the stiffness K.
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure to reduce.
+    mode_shapes : (n_local, n_modes)
+        Mass-normalised modes.
+    squared_omegas : (n_modes,) [rad^2/s^2]
+        Squares of the modes' frequencies.
+    displacement_vectors : (n_local, m)
+        Other displacements; directions in the span of the modes are dropped.
+    reference : ReducedStructure or None
+        Larger reduction, to estimate the reduction error.
     """
     displacement_vectors = orthonormalise_against_basis(
         structure, structure.mass, mode_shapes, displacement_vectors

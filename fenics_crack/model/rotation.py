@@ -65,9 +65,9 @@ class Rotation:
     at_rest : Structure
         The structure without rotation: K and its own load.
     rotation_stiffness : PETSc.Mat
-        K_1 = K_g - M_y, stress stiffening less spin softening at 1 rad/s: (n, n) [kg].
+        K_1 = K_g - M_y at 1 rad/s: (n, n) [kg]. K_g is stress stiffening, M_y spin softening.
     displaced_shape_stiffness_terms : tuple of PETSc.Mat
-        K_2 [kg] and K_3 [kg s^2], stiffness due to the displaced shape at 1 rad/s.
+        K_2 [kg] and K_3 [kg s^2], at 1 rad/s: stiffness because rotation displaces the structure.
     force : (n_local,) [kg m]
         Centrifugal load f_c at 1 rad/s.
     speed : float
@@ -109,7 +109,7 @@ class Rotation:
         )
 
     def static_shape_and_motion_stiffness(self, speed: float) -> tuple[Any, Any]:
-        """Return the stiffness for the static shape and for motion (collective).
+        """Return the stiffness for the static displacement and for vibration (collective).
 
         W is ``speed`` [rad/s], K the stiffness at rest, and K_1 the ``rotation_stiffness``.
 
@@ -118,7 +118,7 @@ class Rotation:
         PETSc.Mat
             K + W^2 K_1, for the displacement u_s due to rotation.
         PETSc.Mat
-            K(W), for motion about the displaced shape.
+            K(W), for vibration about the displaced shape.
         """
         speed_squared, (K_2, K_3) = speed**2, self.displaced_shape_stiffness_terms
         static_shape_stiffness = weighted_sum(
@@ -143,9 +143,9 @@ def static_displacement_and_forces(
 
         K u + B lambda = f,        0 <= lambda,    B^T u <= g0,    lambda^T (B^T u - g0) = 0
 
-    Contact is rigid, with the stiffness K and the gap matrix B. The contact forces lambda solve a
-    small problem on the crack faces, with their compliance B^T K^-1 B. If the load opens all pairs,
-    they are zero.
+    Contact is rigid. u is the displacement, K the stiffness, B the gap matrix and g0 the clearance.
+    The contact forces lambda solve a small problem on the crack faces, with the compliance B^T K^-1
+    B. If the load f opens all pairs, lambda is zero.
 
     Parameters
     ----------
@@ -396,10 +396,11 @@ class RitzProjection:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RunUpBody(ReducedBody):
-    """Constant data of a :class:`RunUpStructure`, which explains most fields.
+    """Constant data of a :class:`RunUpStructure`.
 
-    ``ritz`` is the projection for all speeds. ``dense_stiffness`` (n, n) is the stiffness V^T K(W)
-    V at the speed W, with the basis V.
+    ``speed``, ``shapes`` and ``truncated_flexibility_root`` are explained in that class. ``ritz``
+    is the projection for all speeds. ``dense_stiffness`` (n, n) is the stiffness V^T K(W) V at the
+    speed W, with the basis V.
     """
 
     speed: float
@@ -410,10 +411,10 @@ class RunUpBody(ReducedBody):
 
 
 class RunUpStructure(QuasiStaticReduction):
-    """A rotating structure at one speed, in coordinates for all speeds.
+    """A rotating structure at one speed, in coordinates that hold for a range of speeds.
 
-    The lowest modes have mass. The truncated part is quasi-static, as in
-    :class:`fenics_crack.MasslessStructure`.
+    The coordinates are amplitudes of a basis (:class:`RitzProjection`). The lowest modes have mass.
+    All other modes respond statically, without mass.
 
     Attributes
     ----------
@@ -512,8 +513,8 @@ class RunUpStructure(QuasiStaticReduction):
 def run_up_structure(structure: Structure, start: float, stop: float, modes: int) -> RunUpStructure:
     """Make a rotating structure for all speeds in a range (collective).
 
-    The result has the speed of ``structure``. One damping ratio, or one for each of the lowest
-    modes, holds for the modes at each speed; modes beyond get the last ratio.
+    The result has the speed of ``structure``. Modal damping holds for the modes at each speed. With
+    several ratios, modes without a ratio of their own get the last one.
 
     Parameters
     ----------
@@ -527,12 +528,13 @@ def run_up_structure(structure: Structure, start: float, stop: float, modes: int
     Returns
     -------
     RunUpStructure
-        For :func:`continue_parameter` over "speed".
+        Structure whose speed :func:`continue_parameter` can vary.
 
     Raises
     ------
     InputError
-        The structure does not rotate, its damping is a matrix, or a speed cannot be used.
+        The structure does not rotate, its damping is a matrix, or it is unstable at a speed of the
+        range. Or the range or the number of modes is not allowed.
 
     Examples
     --------

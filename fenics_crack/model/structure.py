@@ -60,7 +60,7 @@ from fenics_crack.model.nodes import Clamp, Coordinates, Nodes, Pairs, body_prop
 class ModalDamping:
     """Damping C = M Phi diag(2 xi_j omega_j) Phi^T M, never formed.
 
-    Phi holds mass-normalised modes.
+    Phi holds mass-normalised modes with the frequencies omega_j. M is the mass.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ class ModalDamping:
 class RayleighDamping:
     """Damping C = a M + b K.
 
-    Every mode is damped by the ratio
+    M is the mass and K the stiffness. A mode of frequency omega has the damping ratio
 
         xi(omega) = a / (2 omega) + b omega / 2
 
@@ -265,11 +265,13 @@ class Structure(Coordinates):
     Attributes
     ----------
     comm, gap, tangential, force, nodes, pairs, watched
-        See :class:`fenics_crack.model.nodes.Coordinates`.
+        Ranks, matrix B of the normal gaps, matrix B_t of the tangential gaps, load, node positions,
+        contact pairs, and watched displacement (:class:`fenics_crack.model.nodes.Coordinates`).
     mass, stiffness : PETSc.Mat
         (n, n), symmetric; [kg], [N/m].
     clearance : (n_pairs,) [m]
-        g0 of every pair; positive: an opening that closes first, negative: preload.
+        Clearance g0 of every pair. Positive: the faces are apart at rest. Negative: they are
+        pressed together at rest (preload).
     damping_factor : float
         Factor of the damping relative to :attr:`original`; 1 unless varied.
     clamp : fenics_crack.model.nodes.Clamp or None
@@ -315,9 +317,9 @@ class Structure(Coordinates):
     def clearance(self) -> np.ndarray:
         """Clearance g0 of every pair: (n_pairs,) [m].
 
-        Clearance added by varying the structure is included. If the structure has tangential gaps
-        as further pairs (:meth:`with_tangential_pairs`), they get no added clearance when it is
-        given for each normal pair.
+        Clearance added by :meth:`varied` is included. :meth:`with_tangential_pairs` makes pairs of
+        tangential gaps. If the added clearance is an array with one number for each normal pair,
+        these further pairs get none of it.
         """
         clearance, added_clearance = self.body.clearance.copy(), self.setting.added_clearance
         clearance[: np.size(added_clearance) if np.ndim(added_clearance) else None] += (
@@ -387,8 +389,8 @@ class Structure(Coordinates):
         compute : callable
             Function of a structure.
         from_matrices : bool
-            True if the result depends on mass, stiffness and pairs alone. All structures with the
-            same ones then share the result.
+            True if the result depends on mass, stiffness and pairs alone. Structures that share
+            these three but have another load then share the result, too.
         """
         cache = self.body.matrix_cache if from_matrices else self.body.result_cache
         if compute not in cache:
@@ -449,9 +451,9 @@ class Structure(Coordinates):
         return gap
 
     def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return the modes of a reduced structure that need no solver; else None.
+        """Return the modes that a reduced structure knows without a solver, else None.
 
-        A structure that is not reduced has none.
+        A structure that is not reduced knows none. The results are frequencies and mode shapes.
 
         Parameters
         ----------
@@ -490,7 +492,9 @@ class Structure(Coordinates):
         return dof
 
     def blade_of(self, dof: int) -> tuple[int, int]:
-        """Return the sector's number, from 1, and its dof for a dof of the structure.
+        """Return the sector of a dof of the structure, and the dof's number in this sector.
+
+        Sectors are numbered from 1.
 
         Any structure but a bladed disk is its only sector, number 1.
         """
@@ -638,13 +642,15 @@ class Structure(Coordinates):
     def with_tangential_pairs(self, direction: np.ndarray | None = None) -> Structure:
         """Return this structure with tangential gaps as further pairs.
 
-        These are all gaps on which contact with friction acts: B = [B_n, B_t] (n_local, 2 n_pairs).
-        Tangential gaps have no clearance.
+        The new gap matrix is [B, B_t], (n_local, 2 n_pairs). B has the normal gaps, and B_t one
+        tangential gap for each pair. Tangential gaps have no clearance.
 
         Parameters
         ----------
         direction : (n_pairs,) [rad] or None
-            In a solid: angle phi of each pair, B_t = cos(phi) B_1 + sin(phi) B_2.
+            In a solid: angle phi of each pair's sliding line, from the pair's first tangential
+            direction to its second. B_t is then cos(phi) B_1 + sin(phi) B_2, with the matrices B_1
+            and B_2 of both directions. None for a plate.
 
         Raises
         ------
@@ -674,7 +680,7 @@ class Structure(Coordinates):
     def with_doubled_pairs(self, clearance: float) -> Structure:
         """Return this structure with every pair twice, for a law with two springs per pair.
 
-        The gap matrix becomes [B, B], (n_local, 2 n_pairs). The second copy of each pair has
+        The gap matrix B becomes [B, B], (n_local, 2 n_pairs). The second copy of each pair has
         ``clearance`` [m] in addition.
         """
         clearances = np.add.outer(
@@ -686,7 +692,7 @@ class Structure(Coordinates):
         )
 
     def with_places(self, nodes: Nodes | None, pairs: Pairs) -> Structure:
-        """Return this structure with given positions and other mesh data of nodes and pairs."""
+        """Return this structure with other data on the mesh: ``nodes`` and ``pairs``."""
         return self._plain_structure_with_changes(nodes=nodes, pairs=pairs)
 
     def damped(self, damping: DampingRule | None) -> Self:
@@ -794,8 +800,9 @@ class Structure(Coordinates):
 
             M u'' + C u' + K u + B lambda(g) = f,        g = B^T u - g0
 
-        Crack faces touch where g > 0: a column of B has 1 at the dof that moves towards the other
-        face, -1 at the other face's.
+        u is the displacement, f the load, g the gap of each pair, and lambda the contact force.
+        Crack faces touch where g > 0. So a column of B has 1 at the dof of the face that closes the
+        pair by moving in the dof's direction. It has -1 at the other face's dof.
 
         Parameters
         ----------
@@ -803,17 +810,17 @@ class Structure(Coordinates):
             NumPy, SciPy sparse, PETSc, or the path of a Matrix Market file; symmetric, the mass
             positive definite, the stiffness semidefinite; [kg], [N/m].
         gap : (n, n_pairs) or (n,)
-            B; None: no pairs.
+            Gap matrix B; None: no pairs.
         force_sin, force_cos, force_mean : (n,) [N] or None
-            Sine and cosine part of the load, and its mean. With K columns (n, K) in place of (n,),
-            column k is harmonic k. The mean has a single column.
+            Sine part, cosine part and mean of the load f. Sine and cosine part may have K columns,
+            (n, K): column k is harmonic k.
         clearance : float or (n_pairs,) [m]
             g0; negative for preload.
         tangential : (n, n_pairs) or (n,)
-            B_t, for friction. In space (n, 2 n_pairs): the first direction of all pairs, then the
-            second direction, at right angles to it.
+            Matrix B_t of the tangential gaps B_t^T u, for friction. In space (n, 2 n_pairs): the
+            first tangential direction of all pairs, then the second, at right angles to the first.
         damping : ModalDamping, RayleighDamping, (n, n) matrix or None
-            Modal or Rayleigh damping, or C [N s/m] in any of the forms above.
+            Modal or Rayleigh damping, or the matrix C [N s/m] in the forms allowed for the mass.
         comm : MPI.Comm
             Ranks that share matrices given whole on every rank; PETSc matrices keep their own.
 
@@ -842,8 +849,8 @@ class Structure(Coordinates):
 def _is_mean_kept(load_weights: np.ndarray) -> bool:
     """Return True if load weights keep the mean load.
 
-    ``load_weights`` is a factor, 1 in this case, or a matrix (2K+1, 2K+1) for the load's rows. Its
-    first row and column must then be those of I.
+    ``load_weights`` is a factor of the load, or a matrix (2K+1, 2K+1) that maps the load's rows.
+    The mean is kept if the factor is 1, or the matrix has the first row and column of I.
     """
     if load_weights.ndim == 0:
         return bool(load_weights == 1.0)
@@ -878,7 +885,7 @@ def _make_empty_tangential_pairs_cache(
 
 
 def _add_tangential_pairs(structure: Structure, direction: np.ndarray | None) -> Structure:
-    """Return a structure with tangential gaps as pairs behind the normal ones.
+    """Return a structure with tangential gaps as further pairs, after the normal ones.
 
     ``direction`` (n_pairs,) [rad] is the angle of each pair's sliding line in a solid, else None.
     """
