@@ -282,7 +282,7 @@ def _check_plate_cells(scene: Scene) -> None:
 
 
 def _find_doubled_corner_indices(slits: list[Slit], n_columns: int) -> list[tuple[int, int]]:
-    """Return the block corners on cracks except at tips, as (column, row).
+    """Return the block corners on cracks, except at tips, as (column, row) of the corner.
 
     At these corners each crack face has a separate point. An end of a crack at the plate's edge is
     a mouth, not a tip. ``slits`` are the cracks among the blocks.

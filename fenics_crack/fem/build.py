@@ -87,7 +87,7 @@ def pair_crack_faces(
     dofs : Dofs
         Free dofs of the mesh.
     t : ufl expression [m]
-        Thickness of a plate, 1 for a solid.
+        Thickness t of a plate, 1 for a solid.
     mouth_only : bool
         True to keep a single pair for each crack, at the mouth or in the middle.
     max_patches : int, optional
@@ -467,8 +467,8 @@ def _match_face_nodes(
     Returns
     -------
     lower_node_table, upper_node_table : (n, 2 + d)
-        Matched rows in order along the cracks; nodes of tips and fronts come last. Both faces share
-        these nodes, so the lower table has half of the area.
+        Matched rows in order along the cracks; nodes of tips and fronts come last. Tips and fronts
+        belong to both faces, so their areas are halved in the lower table.
     crack_of_pair : (n,) int
         Crack of each row.
     distances_on_crack : (n,) [m]

@@ -477,11 +477,12 @@ class _IntegrationDomain:
         Returns
         -------
         frame_vectors : (n, m, 3, 3)
-            Rows e_1, e_2, e_3 (:meth:`Front.frame_and_curvature`).
+            Rows: unit vectors e_1 ahead of the crack, e_2 normal to it, e_3 along the front.
         xi, y, r : (n, m) [m]
             Coordinates along e_1 and e_2, and distance from the front.
         hat, hat_slope : (n, m, n_stations)
-            Hat functions, and the derivatives by the length along the front.
+            Hat functions, 1 at a station and 0 at its neighbours, and the derivatives by the length
+            along the front.
         curvature, curvature_slope : (n, m) [1/m], [1/m^2]
             Front curvature, and the derivative by the length along the front.
         domain_radius : (n, m) [m]

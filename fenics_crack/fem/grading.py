@@ -376,7 +376,10 @@ class Grading:
 
 
 def crack_gradings(scene: Scene) -> list[Grading]:
-    """Return a grading of element lengths around each crack tip in a plate."""
+    """Return a grading of element lengths around each crack tip in a plate.
+
+    A grading states the element length as a function of the distance from the tip.
+    """
     return [
         Grading(
             (face.tip_position, crack.given("height")),

@@ -68,8 +68,8 @@ class Station:
     arc_length : float [m]
         Distance along a crack's path, or along a front, from the first point.
     adjacent_pairs : (k,) int
-        Contact pairs whose patches touch the front within the station's hat function. The crack is
-        closed at the station while all these pairs are closed. Always empty for a plate.
+        Contact pairs with a patch at the front, between the previous and the next station. The
+        crack is closed at the station while all these pairs are closed. Always empty for a plate.
     """
 
     name: str
@@ -251,7 +251,9 @@ def _crack_face_normals_at_nodes(dofs: Dofs) -> np.ndarray:
 def _singular_displacement_derivative(
     r: Any, cos_half_angle: Any, sin_half_angle: Any, kolosov: float, mode: Any
 ) -> tuple[Any, Any]:
-    """Return the x_1 derivative of the displacement field around a tip with K = 1.
+    """Return the derivative, ahead of the crack, of the displacement around a tip.
+
+    The field has K_I = 1 or K_II = 1.
 
     Parameters
     ----------

@@ -60,7 +60,7 @@ def assemble_loads(scene: Scene, dofs: Dofs, mass: Any) -> tuple[np.ndarray, np.
         Mean, then cosine and sine parts up to the loads' highest order K. The columns are all
         owned dofs, clamped dofs included.
     watched_vector : (n_local,) or None
-        Vector whose product with the displacement u is the displacement to be reported [m]. None:
+        The product of this vector and the displacement u is reported in results [m]. None: results
         report the dof with the largest load.
 
     Raises

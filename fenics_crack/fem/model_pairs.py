@@ -165,8 +165,8 @@ def find_gap_matrix_and_pairs(
     Raises
     ------
     InputError
-        The model has no pair: two coincident nodes with dofs, not connected by the stiffness. Or
-        three nodes coincide, or both nodes of a pair lie on the same side of the crack.
+        The stiffness connects all coincident nodes with dofs, so there is no pair. Or three nodes
+        coincide, or both nodes of a pair lie on the same side of the crack.
     """
     twins = _TwinNodes(model, dofs, stiffness)
     facets = _crack_face_facets(model, twins)
@@ -276,8 +276,12 @@ def _cell_facets_and_cell_centres(
 ) -> Facets:
     """Return the facets of all cells of the same kind, with the cells' centres.
 
-    ``cells`` (n, k) are nodes, ``n_corners`` corners first. ``local_facets`` (m, n_facet_corners)
-    are the columns of each facet's corners in ``cells``.
+    ``points`` (n_nodes, 3) [m] are node positions. ``cells`` (n, k) are nodes, ``n_corners``
+    corners first. ``local_facets`` (m, n_facet_corners) are the columns of each facet's corners in
+    ``cells``.
+
+    The first result has a row for each facet (n m, 2 n_facet_corners): corners, then middle nodes,
+    or -1 in cells without. The second result is the centre (n m, 3) [m] of each facet's cell.
     """
     n_facet_corners = local_facets.shape[1]
     middle_column_by_edge = {

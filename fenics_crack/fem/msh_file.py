@@ -445,8 +445,8 @@ def _check_mouths_are_open(
 ) -> None:
     """Raise InputError if both crack faces share a node at the plate's edge.
 
-    A crack that reaches the edge has a mouth, with a node for each face. ``face_edges`` are the
-    nodes of element edges on the lower and on the upper face, (n, 2) each.
+    A crack that reaches the edge must have a mouth there: two coincident nodes, one for each face.
+    ``face_edges`` are the nodes of element edges on the lower and on the upper face, (n, 2) each.
     """
     boundary_edges = cells.sorted_facets_and_owners[0][cells.is_boundary_facet]
     boundary_edges = boundary_edges[~are_rows_in(boundary_edges, np.concatenate(face_edges))]

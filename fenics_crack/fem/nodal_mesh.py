@@ -22,7 +22,9 @@ cell."""
 
 
 class NodalMesh:
-    """Whole mesh of a structure, gathered on every rank (collective to create).
+    """Whole mesh of a structure, gathered on every rank.
+
+    All ranks create the object together.
 
     InputError for a structure made from matrices without a mesh.
 
@@ -189,8 +191,8 @@ class NodalMesh:
     def boundary_sides(self) -> np.ndarray:
         """Return the nodes of boundary edges or facets, crack faces included: (n, k) int.
 
-        For a plate the rows are as in ``edges``. For a solid they are 3 or 4 facet corners,
-        anticlockwise seen from outside.
+        A plate's row has the edge's ends, with elements of order 2 the middle node between. A
+        solid's row has 3 or 4 facet corners, anticlockwise seen from outside.
         """
         sides, cell_counts, cell_index = self._all_cell_sides
         sides, cells = sides[cell_counts == 1], self.cells[cell_index[cell_counts == 1]]
@@ -211,8 +213,8 @@ class NodalMesh:
     def crack_face_sides(self) -> np.ndarray:
         """Return the nodes of edges or facets on crack faces: (n, k) int.
 
-        A boundary side is on a crack face if the centre coincides with another side's centre. Rows
-        are as in ``boundary_sides``.
+        The rows are selected from ``boundary_sides``. A side is on a crack face if the centre
+        coincides with another side's centre.
         """
         from scipy.spatial import cKDTree  # slow to import, and few pictures need it
 

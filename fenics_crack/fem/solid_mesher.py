@@ -514,7 +514,7 @@ def _make_front_data(crack: CrackData, rim: set[int]) -> FrontData:
 def _check_front_and_ligament_exist(
     crack: CrackData, surface_tag: int, front: FrontData, part_triangles: np.ndarray
 ) -> None:
-    """Raise Refusal if a crack lies in a face, or the front is too close to the surface.
+    """Raise Refusal if a crack lies in a face, or its front is too close to the surface.
 
     The crack's centre, and the front except near its ends, must be at least 0.1 element lengths
     from the part's surface. A crack without a front inside the part is refused, too.

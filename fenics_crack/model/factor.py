@@ -322,8 +322,8 @@ def factored_sum(matrix: Any, weight: float, added_matrix: Any, **options: Any) 
 def _make_saddle_point_matrix(matrix: Any, border: sparse.spmatrix) -> Any:
     """Return the saddle-point matrix [[A, s B], [s B^T, 0]] (collective).
 
-    ``matrix`` is A, and ``border`` (n_local, m) is B. The scale s, the largest row sum of |A|,
-    keeps both blocks of one size. The last rank owns the rows of B^T.
+    ``matrix`` is A, and ``border`` (n_local, m) is B. The scale s is the largest row sum of |A|, so
+    entries of A and s B have similar size. The last rank owns the rows of B^T.
     """
     comm, n_border = matrix.comm.tompi4py(), border.shape[1]
     border_scale = matrix.norm(PETSc.NormType.INFINITY) or 1.0

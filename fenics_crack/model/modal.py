@@ -113,8 +113,9 @@ class AllModes:
             Factor of the damping.
         is_loaded : (m, n) bool, optional
             True for modes that the load drives, by default all. At the resonance of an undamped
-            mode, the receptance is singular. A mode without load then gets the impedance
-            1.5e-8 (omega_j^2 + omega^2) instead, as contact keeps the motion finite.
+            mode, the denominator omega_j^2 - omega^2 is zero. If the load does not drive the mode,
+            contact keeps the motion finite. The denominator is then replaced by 1.5e-8 (omega_j^2 +
+            omega^2).
 
         Returns
         -------

@@ -177,7 +177,7 @@ def count_bonded_modes(structure: Structure) -> int:
     """Return the number of modes that a structure has with a bonded crack (collective).
 
     Each bond B^T u = 0 that is independent of the others takes one mode away. In a structure with
-    massless crack faces, a flexible bond takes none.
+    massless crack faces, a bond with residual flexibility takes none.
     """
     if structure.n_pairs == 0:
         return structure.n_modes
@@ -213,8 +213,8 @@ def find_independent_ties(structure: Structure) -> sparse.csc_matrix:
 def _count_modes_without_ties(structure: Structure, ties: Any) -> int:
     """Return the number of modes of a structure in which every dof has mass.
 
-    This is the number of dofs less the bonds of a bonded crack. ``ties`` (n_local, n_ties) are
-    these bonds; None: the crack is open.
+    With a bonded crack, the number is n_dofs - n_ties. ``ties`` (n_local, n_ties) are the bonds;
+    None: the crack is open, and the number is n_dofs.
     """
     return structure.n_dofs - (0 if ties is None else int(ties.shape[1]))
 
@@ -587,9 +587,9 @@ def orthonormalise_against_basis(
 def _signs_for_positive_largest_component(structure: Structure, shapes: np.ndarray) -> np.ndarray:
     """Return signs that make the largest component of each shape positive.
 
-    A symmetric structure has several equally large components, to 1e-6. Then the first by position
-    and direction decides, or without positions the lowest dof. Neither rounding nor the numbering,
-    which depends on the number of ranks, may decide.
+    A symmetric structure has several equally large components, to 1e-6. The first of these by
+    position and direction is then made positive; without positions, the one with the lowest dof. So
+    the signs depend neither on rounding nor on the number of ranks.
 
     Returns
     -------
@@ -848,8 +848,8 @@ class BilinearFrequencies(Tabular):
             ``omega_bilinear`` [rad/s], the mode's frequencies with the crack open, bonded, and
             breathing. ``over_open``, ``over_tied`` and ``over_bilinear``: the load frequency
             divided by each of these. Such a ratio minus 1 is a relative frequency shift. Arrays
-            have the shape of ``omega``. If the frequencies are for several rotor speeds, both
-            shapes are broadcast.
+            have the shape of ``omega``. If this object has frequencies for several rotor speeds,
+            the shapes of ``omega`` and of the speeds are broadcast.
         """
         omega, omega_bilinear = np.asarray(omega, dtype=float), self.omega_bilinear
         mode_index = np.abs(omega[..., None] - omega_bilinear).argmin(axis=-1)
@@ -931,7 +931,7 @@ def solve_bonded_modes(structure: Structure, count: int, factor: Factor | None =
     Parameters
     ----------
     count : int
-        Number of modes.
+        Number of modes to return.
     factor : Factor, optional
         Factor of the stiffness with an open crack. Default: it is computed.
     """
@@ -950,11 +950,11 @@ def solve_bonded_modes(structure: Structure, count: int, factor: Factor | None =
 def find_bonded_mode_indices(open_modes: Modes, bonded_modes: Modes) -> np.ndarray:
     """Find the bonded mode with the shape of each open mode (collective).
 
-    Each bonded mode is taken at most once. As many modes as possible are matched by shape. Then the
-    overlap (phi_open^T M phi_tied)^2 is above 0.9, with the mass M and the shapes phi. All other
-    modes are matched in ascending order. A bonded mode of lower frequency is not matched by shape,
-    because bonds only raise frequencies (Rayleigh). Shapes of equal frequencies, to 1e-6, are
-    arbitrary in their space, so their overlaps are summed.
+    Each bonded mode is taken at most once. As many modes as possible are matched by shape. Such a
+    match needs an overlap (phi_open^T M phi_tied)^2 above 0.9, with the mass M and the shapes phi.
+    All other modes are matched in ascending order. A bonded mode of lower frequency is not matched
+    by shape, because bonds only raise frequencies (Rayleigh). Shapes of equal frequencies, to 1e-6,
+    are arbitrary in their space, so their overlaps are summed.
 
     Parameters
     ----------

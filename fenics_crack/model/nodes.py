@@ -277,8 +277,9 @@ class Coordinates:
     def watched_dof(self) -> int:
         """Dof of the whole structure for results without a named dof (collective).
 
-        The dof is chosen by :meth:`Structure.watching`, else the one with the largest factor in
-        ``watched``, else the one that carries most of the load.
+        If :meth:`Structure.watching` has chosen a dof, this dof. Otherwise, if the vector
+        ``watched`` is known, the dof with its largest entry. Otherwise the dof that carries most of
+        the load.
         """
         whole_structure = self.whole
         if self.setting.watched_dof is not None:

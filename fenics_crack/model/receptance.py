@@ -237,8 +237,8 @@ def check_has_matrices(structure: Structure, result_name: str) -> None:
 def pair_and_load_force_matrix(structure: Structure) -> sparse.csr_matrix:
     """Return unit forces on pairs and load as columns X = [B, B_t, f] (collective).
 
-    B has the normal gaps, B_t the tangential gaps (if any), and f the nonzero parts of the load.
-    The shape is (n_local, n_sources).
+    B is the matrix of normal gaps, B_t the matrix of tangential gaps (if any). f are the nonzero
+    parts of the load: mean, cosine and sine parts. The shape is (n_local, n_sources).
     """
     nonzero_load_rows = structure.force[find_loaded_row_mask(structure)]
     pair_forces = [structure.gap] + ([] if structure.tangential is None else [structure.tangential])

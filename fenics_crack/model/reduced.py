@@ -125,8 +125,8 @@ class ReducedStructure(Structure):
     share : float
         Fraction of the truncation error that the reference is assumed to remove. The difference
         between both reductions is divided by this fraction to estimate the error. The fraction is
-        0.75 if the reference has further static shapes, and at most 0.5 if it has more modes. It is
-        at most 1 if the reference has all modes.
+        0.75 if the reference has further static shapes, and at most 0.5 if it has more modes. If
+        the reference has all modes, the fraction is at most 1.
     """
 
     body: ReducedBody
@@ -215,8 +215,8 @@ class QuasiStaticReduction(ReducedStructure):
     shapes : (n_dofs, n_modes)
         Mode shapes Phi in the coordinates, mass-normalised.
     truncated_flexibility_root : (n_dofs, r) [(m/N)^(1/2)]
-        Root L of the flexibility beyond the modes: forces f move the coordinates by L L^T f
-        without inertia.
+        Root L of the truncated part's flexibility: forces f move the coordinates by L L^T f without
+        inertia.
     """
 
     light_lips = True

@@ -506,7 +506,7 @@ class RunUpStructure(QuasiStaticReduction):
         )
 
     def damped(self, damping: DampingRule | None) -> RunUpStructure:
-        """Raise InputError: the damping comes from the structure before the run-up."""
+        """Raise InputError: a run-up has the damping of the structure from which it was made."""
         raise InputError("damping", damping, "left out; damp the structure before run_up_structure")
 
 

@@ -406,8 +406,9 @@ class Structure(Coordinates):
         setting : Setting
             Factors and added clearance.
         **changes
-            New values for fields of the body (:class:`Body`). Cached results are then dropped, but
-            those from matrices and pairs stay if these do not change.
+            New values for fields of the body (:class:`Body`). Any change drops cached results.
+            Results that depend on matrices and pairs alone are dropped only if a change concerns
+            matrices or pairs.
         """
         if setting is self.setting and not changes:
             return self
@@ -547,7 +548,8 @@ class Structure(Coordinates):
     def lumped(self) -> Structure:
         """Return this structure with the row sums of the mass as a diagonal mass.
 
-        Modal damping then belongs to the modes with this mass, and Rayleigh damping to this mass.
+        Modal damping then acts on the modes with the diagonal mass, and Rayleigh damping is a times
+        the diagonal mass plus b times the stiffness.
 
         Raises
         ------
@@ -877,7 +879,7 @@ def _add_tangents(structure: Structure) -> Structure:
 def _make_empty_tangential_pairs_cache(
     structure: Structure,
 ) -> list[tuple[np.ndarray | None, Structure]]:
-    """Return an empty cache for the last (direction, result) of tangential pairs.
+    """Return an empty cache for the last structure with tangential pairs, and its ``direction``.
 
     :meth:`Structure.with_tangential_pairs` fills it.
     """
