@@ -183,7 +183,7 @@ def step_collision_severities(monodromy_matrices: np.ndarray) -> np.ndarray:
 class MultiplierStepControl(StepControl):
     """Reject steps over which the Floquet multipliers mu change too much.
 
-    Steps up to 0.01 ``longest_step`` may change |mu| as they do. A longer step is rejected if
+    A step above 0.01 ``longest_step`` is rejected if
 
     - a leading ln |mu| changes by more than half its distance to 0, and more than 0.01, or
     - linear extrapolation of the sorted ln |mu| has an error above the same limit.

@@ -798,8 +798,9 @@ def find_orbit(
 ) -> PeriodicOrbit | None:
     """Search for an orbit from a state by Newton's method.
 
-    The search fails after 20 integrated periods, or if all motions together need more Taylor pieces
-    (intervals with one Taylor series) than the budget: 20,000, or more for a slow load. An
+    The search fails after 20 integrated periods, or if its budget of Taylor pieces is spent. A
+    piece is an interval with a single Taylor series; the budget for all motions together is 20,000,
+    or more for a slow load. An
     orbit's state must return after a period, with a relative error up to 1e-6.
 
     Parameters
