@@ -584,8 +584,9 @@ class Wave:
 
     @cached_property
     def _integrals(self) -> ContactIntegrals:
-        """Object to compute contact forces from slow gaps (gap plus residual flexibility times
-        force).
+        """Object to compute contact forces from slow gaps.
+
+        A slow gap is the gap plus residual flexibility times contact force.
 
         Only for coupled pairs or friction.
         """
