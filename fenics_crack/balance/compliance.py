@@ -512,9 +512,11 @@ class ModalCompliance:
 
             Z_k = omega_j^2 - (k w)^2 + i k w d c.
 
-        The inverse H_k = 1 / Z_k has the derivatives
+        The inverse H_k has the derivatives
 
-            dH_k/dw = -H_k^2 (-2 k^2 w + i k d c),        dH_k/dd = -H_k^2 i k w c.
+            dH_k/dw = -H_k (-2 k^2 w + i k d c) H_k,        dH_k/dd = -H_k (i k w c) H_k.
+
+        If damping couples modes, Z_k, H_k and c are matrices.
 
         Parameters
         ----------

@@ -404,8 +404,9 @@ class ContactPoint(DenseLinearisation):
     def residual(self) -> np.ndarray:  # type: ignore[override]
         """Residual of the equations: (2H+1, n_rows) [m].
 
-        s - g_lin + (R - R_inf) b, with the slow gap s, the gap g_lin without contact, the dynamic
-        compliance R, the residual flexibility R_inf and the contact forces' coefficients b.
+        The residual is s - g_lin + (R - R_inf) b. s is the slow gap, and g_lin the gap without
+        contact. R is the dynamic compliance, R_inf the residual flexibility, and b the contact
+        forces' coefficients.
         """
         system = self.system
         return (
@@ -418,8 +419,8 @@ class ContactPoint(DenseLinearisation):
     def jacobian(self) -> np.ndarray:
         """Dense Jacobian I + (R - R_inf) T: ((2H+1) n_rows, (2H+1) n_rows).
 
-        R - R_inf is the dynamic compliance less residual flexibility, T the forces' derivative by
-        the slow gap (gap plus residual flexibility times contact force).
+        R is the dynamic compliance, and R_inf the residual flexibility. T is the forces' derivative
+        by the slow gap: gap plus residual flexibility times contact force.
         """
         return self.linearised_forces.identity_plus_compliance_tangent(
             self.system.dynamic_less_static_compliance
@@ -583,9 +584,9 @@ class Wave:
 
     @cached_property
     def _integrals(self) -> ContactIntegrals:
-        """Object to compute contact forces from slow gaps (gap plus residual flexibility times
-        force).
+        """Object to compute contact forces from slow gaps.
 
+        A slow gap is the gap plus residual flexibility times contact force.
         Only for coupled pairs or friction.
         """
         assert self.contact is not None

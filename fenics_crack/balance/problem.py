@@ -584,8 +584,7 @@ class Search:
     def _point_after_newton_steps_or_at_guess(
         self, snes: SystemSnes | None, guess: np.ndarray
     ) -> Linearisation:
-        """Take full Newton steps from a guess, and return the equations linearised at the last
-        point.
+        """Take full Newton steps from a guess; return the equations at the last point.
 
         ``guess`` (2H+1, n_rows) [m] has slow gap coefficients. If ``snes`` is None, the C kernel
         takes the steps. If these steps fail, the point at the guess is returned. The attribute

@@ -66,8 +66,8 @@ class Stability(Described):
         Outcome of the motion from rest, if it was integrated and does not settle to the solution;
         else "".
     rest_amplitude : float [m]
-        Half the peak-to-peak displacement of the watched dof in the motion to which the motion from
-        rest settles, over its whole period. nan: the motion does not settle.
+        Amplitude of the watched dof in the motion to which the motion from rest settles: half the
+        peak-to-peak displacement over the whole period. nan: the motion does not settle.
     """
 
     multipliers: np.ndarray

@@ -84,10 +84,9 @@ Relative to the longest step. With the default longest step this is 0.1 % of the
 
 
 def leading_multipliers_and_counts(multipliers: np.ndarray) -> np.ndarray:
-    """Select the largest Floquet multipliers at each point, and count those outside the unit
-    circle.
+    """Select each point's largest Floquet multipliers, and count multipliers outside the circle.
 
-    Outside means |mu| > 1 + 1e-6 for a multiplier mu. Only the selected multipliers are counted.
+    Outside the unit circle means |mu| > 1 + 1e-6 for a multiplier mu. Only the selected multipliers are counted.
 
     Parameters
     ----------
@@ -183,7 +182,7 @@ def step_collision_severities(monodromy_matrices: np.ndarray) -> np.ndarray:
 class MultiplierStepControl(StepControl):
     """Reject steps over which the Floquet multipliers mu change too much.
 
-    Steps up to 0.01 ``longest_step`` may change |mu| as they do. A longer step is rejected if
+    A step above 0.01 ``longest_step`` is rejected if
 
     - a leading ln |mu| changes by more than half its distance to 0, and more than 0.01, or
     - linear extrapolation of the sorted ln |mu| has an error above the same limit.

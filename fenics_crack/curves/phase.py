@@ -87,8 +87,8 @@ class ExcitingHarmonic:
     def _complex_work_of(self, coefficients: np.ndarray) -> complex:
         """Return the complex work from products of load and displacement [N m].
 
-        ``coefficients`` (2H+1, 2) [N m] are the displacement's Fourier coefficients times the
-        cosine part (first column) and the sine part of the load.
+        ``coefficients`` (2H+1, 2) [N m] are products with the displacement's Fourier coefficients:
+        of the load's cosine part (first column), and of the load's sine part.
         """
         cosine, sine = coefficients[2 * self.harmonic - 1], coefficients[2 * self.harmonic]
         return complex(cosine[0] + sine[1], cosine[1] - sine[0])

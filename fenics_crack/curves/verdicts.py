@@ -74,7 +74,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     Raises
     ------
     InputError
-        As :func:`fenics_crack.shoot`.
+        The law is smooth, and its tangent is not the slope of its force.
 
     Examples
     --------

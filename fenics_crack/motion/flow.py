@@ -86,12 +86,11 @@ def exact_flow_or_none(structure: Structure, contact: ContactLaw) -> ContactFlow
 
     None in three cases:
 
-    - The law is smooth. - The structure is large. A small one has at most 600 dofs on one rank, or
-    is reduced to modes and
-      massless faces.
-    - Contact is rigid, or sticks without tangential springs, and the residual flexibility is
-    singular,
-      as on faces with mass.
+    - The law is smooth.
+    - The structure is large. A small one has at most 600 dofs on one rank, or is reduced to modes
+      and massless faces.
+    - The residual flexibility is singular, as on faces with mass. In addition, contact is rigid, or
+      sticks without tangential springs.
     """
     return (
         ContactFlow(structure, contact)

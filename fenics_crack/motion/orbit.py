@@ -798,9 +798,10 @@ def find_orbit(
 ) -> PeriodicOrbit | None:
     """Search for an orbit from a state by Newton's method.
 
-    The search fails after 20 integrated periods, or if all motions together need more Taylor pieces
-    (intervals with one Taylor series) than the budget: 20,000, or more for a slow load. An
-    orbit's state must return after a period, with a relative error up to 1e-6.
+    The search fails after 20 integrated periods, or if its budget of Taylor pieces is spent. A
+    piece is an interval with a single Taylor series; the budget for all motions together is 20,000,
+    or more for a slow load. An orbit's state must return after a period, with a relative error up
+    to 1e-6.
 
     Parameters
     ----------
@@ -896,7 +897,8 @@ class _NewtonOrbitSearch:
             Returns (I - M)^-1 b for the first steps, with M of a nearby motion. None: M is
             computed.
         step_tolerance : float
-            Maximum |simplified step| / |state| at the orbit.
+            Maximum |simplified step| / |state| at the orbit. With more than 120 modes, 1.5e-8 is
+            taken instead.
         """
         forms_monodromy = self._flow.n_modes <= MAX_MODES_FOR_MONODROMY
         min_damping_factor = MIN_NEWTON_DAMPING if forms_monodromy else 0.1

@@ -690,8 +690,8 @@ class Path:
         part : PathSegment
             New points up to the next event. The point of a terminal event replaces the last point.
         retry_index : int or None
-            Index in ``segment`` of the point from which to retry with a shorter step, because an
-            event with ``must_be_located`` was not located; otherwise None.
+            If an event with ``must_be_located`` was not located: index in ``segment`` of the point
+            from which to retry with a shorter step. Otherwise None.
         """
         min_parameter, max_parameter = self._options.parameter_range
         is_outside = (segment.parameters[1:] < min_parameter) | (
