@@ -587,7 +587,6 @@ class Wave:
         """Object to compute contact forces from slow gaps.
 
         A slow gap is the gap plus residual flexibility times contact force.
-
         Only for coupled pairs or friction.
         """
         assert self.contact is not None

@@ -234,8 +234,7 @@ def continue_parameter(
         )
 
     def follow_other_curve(returned_curve: GrowingCurve | None = None) -> GrowingCurve | None:
-        """Follow another curve from start to end; None if ``initial`` is given, or if none is
-        found.
+        """Follow another curve from start to end; None with ``initial``, or if none is found.
 
         ``returned_curve`` is the first curve, if it returned to its start.
         """
