@@ -84,9 +84,10 @@ Relative to the longest step. With the default longest step this is 0.1 % of the
 
 
 def leading_multipliers_and_counts(multipliers: np.ndarray) -> np.ndarray:
-    """Select each point's largest Floquet multipliers, and count multipliers outside the circle.
+    """Select each point's largest Floquet multipliers, and count those outside the circle.
 
-    Outside the unit circle means |mu| > 1 + 1e-6 for a multiplier mu. Only the selected multipliers are counted.
+    Outside the unit circle means |mu| > 1 + 1e-6 for a multiplier mu. Only the selected multipliers
+    are counted.
 
     Parameters
     ----------
