@@ -26,12 +26,12 @@ from scipy.special import gammaln, ndtr
 
 TRIAL_STUDENT_FREEDOMS = np.array([3.0, 5.0, 10.0, 30.0, 1e6])
 """Trial degrees of freedom nu of Student's t; 1e6 stands for normal errors."""
-MAX_WEIGHTING_ROUNDS, WEIGHTING_TOLERANCE = 30, 1e-2
+MAX_WEIGHTING_ROUNDS, WEIGHT_CHANGE_TOLERANCE = 30, 1e-2
 """Maximum rounds of weights, and maximum change in the last round.
 
 Changes of weights, and of residuals over their scale, are below 0.01 at the end.
 """
-DEPENDENT_EIGENVALUE_RATIO = 1e-12
+MAX_DEPENDENT_EIGENVALUE_RATIO = 1e-12
 """Eigenvalue, relative to the largest, below which columns are dependent."""
 
 
@@ -138,7 +138,8 @@ class StudentNoise:
                 trial_scales * variance_ratios ** (0.5 + 1.5 / trial_freedoms), min_scale
             )
             if np.all(
-                np.abs(trial_scales - previous_trial_scales) < WEIGHTING_TOLERANCE * trial_scales
+                np.abs(trial_scales - previous_trial_scales)
+                < WEIGHT_CHANGE_TOLERANCE * trial_scales
             ):
                 break
         self.trial_scales = trial_scales
@@ -261,7 +262,7 @@ class StudentNoise:
         coefficient_basis = (
             eigenvectors
             * np.where(
-                eigenvalues > DEPENDENT_EIGENVALUE_RATIO * eigenvalues[-1], eigenvalues, np.inf
+                eigenvalues > MAX_DEPENDENT_EIGENVALUE_RATIO * eigenvalues[-1], eigenvalues, np.inf
             )
             ** -0.5
         )
@@ -436,8 +437,8 @@ def fit_noise_by_reweighting(
         )
         weights, previous_residuals = student_noise.weights, student_noise.residuals
         if (
-            largest_changes[0] < WEIGHTING_TOLERANCE
-            and largest_changes[1] < WEIGHTING_TOLERANCE * student_noise.scale
+            largest_changes[0] < WEIGHT_CHANGE_TOLERANCE
+            and largest_changes[1] < WEIGHT_CHANGE_TOLERANCE * student_noise.scale
         ):
             break
     return student_noise
@@ -447,7 +448,7 @@ def find_least_squares_residuals(
     residuals_and_slopes_function: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
     lower_bounds: Sequence[float] | np.ndarray,
     upper_bounds: Sequence[float] | np.ndarray,
-    min_squares_reduction: float = WEIGHTING_TOLERANCE,
+    min_squares_reduction: float = WEIGHT_CHANGE_TOLERANCE,
 ) -> np.ndarray:
     """Minimise a sum of squares from zero unknowns, and return the residuals (n,).
 
@@ -471,7 +472,7 @@ def find_least_squares_residuals(
         bounds=(np.minimum(lower_bounds, 0.0), np.maximum(upper_bounds, 0.0)),
         method="dogbox",
         ftol=min_squares_reduction,
-        xtol=WEIGHTING_TOLERANCE,
+        xtol=WEIGHT_CHANGE_TOLERANCE,
         gtol=None,
     )
     return cached_function(solution.x.tobytes())[0]
