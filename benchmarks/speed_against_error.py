@@ -41,7 +41,7 @@ import common
 import fenics_crack as fc
 from fenics_crack.balance.harmonic_balance import truncated_orbit_solution
 from fenics_crack.balance.more_modes import MoreModes
-from fenics_crack.draw.figure import COLOURS_BY_NAME
+from fenics_crack.draw.figure import CURVE_COLOUR_CODE_BY_NAME
 from fenics_crack.motion.flow import exact_flow_or_none
 from fenics_crack.motion.search import search_orbit
 from fenics_crack.study.meshes import refine_scene_or_none
@@ -372,7 +372,7 @@ def draw(rows: list[Row]) -> Any:
             panel.semilogy(
                 [row["seconds"] for row in points],
                 [max(row[name], 1e-6) for row in points],
-                look, color=COLOURS_BY_NAME[colour], label=f"{name} error",
+                look, color=CURVE_COLOUR_CODE_BY_NAME[colour], label=f"{name} error",
             )  # fmt: skip
         for row in steps:
             place = row["seconds"], max(row["true"] or 0.0, 1e-6)

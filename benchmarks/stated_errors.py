@@ -70,7 +70,7 @@ import fenics_crack as fc
 from fenics_crack.balance.error_report import report_by_more_modes
 from fenics_crack.balance.more_modes import MoreModes
 from fenics_crack.basics.causes import MESH_ERROR_CAUSES
-from fenics_crack.errors.convergence import ROUNDING_SPREAD
+from fenics_crack.errors.convergence import MAX_RELATIVE_ROUNDING_SPREAD
 from fenics_crack.errors.numbers import compute_numbers, compute_orbit_values_by_name
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.motion.flow import exact_flow_or_none
@@ -667,7 +667,7 @@ def run_chosen(arguments: common.Arguments) -> None:
                 continue
             value, (stated, cause) = run.errors.values[key], run.errors.stated(key)
             off = abs(getattr(true, quantity) / value - 1.0)
-            if off > ROUNDING_SPREAD:
+            if off > MAX_RELATIVE_ROUNDING_SPREAD:
                 said = f"{structure.n_modes} modes, {'met' if met else status.split(';')[0]}"
                 rows.append((name, quantity, value, off, stated, off / stated, cause, said))
     columns = (*ANSWERED[:-1], "tolerance")

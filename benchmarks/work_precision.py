@@ -36,7 +36,7 @@ import numpy as np
 from reference_flow import ReferenceFlow
 
 import fenics_crack as fc
-from fenics_crack.draw.figure import COLOURS_BY_NAME
+from fenics_crack.draw.figure import CURVE_COLOUR_CODE_BY_NAME
 
 sys.path.insert(0, str(Path(__file__).with_name("orbits")))
 sys.path.append(str(Path(__file__).parent / "orbits" / "adapters"))
@@ -244,7 +244,7 @@ def finish(folder: Path, name: str, rows: list[tuple[Any, ...]]) -> None:
         points = [row for row in rows if row[1] == method and np.isfinite(row[3])]
         axes.loglog(
             [row[4] for row in points], [row[3] for row in points], look, ms=5, lw=1.0,
-            color=COLOURS_BY_NAME[colour], label=method if points else None,
+            color=CURVE_COLOUR_CODE_BY_NAME[colour], label=method if points else None,
         )  # fmt: skip
     axes.set_xlabel("processor time [ms]")
     axes.set_ylabel("error of the gaps over their motion [-]")

@@ -170,7 +170,7 @@ def prepared() -> Iterator[None]:
     """What a program says every few seconds depends on the machine's load, which no test is of.
     Its arguments are described once, which takes 5 ms."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("fenics_crack.basics.progress.MESSAGE_INTERVAL", 3600.0)
+        patch.setattr("fenics_crack.basics.progress.PROGRESS_MESSAGE_INTERVAL", 3600.0)
         parser_maker = importlib.import_module("fenics_crack.cli.command_line").build_parser
         patch.setattr("fenics_crack.cli.command_line.build_parser", cache(parser_maker))
         yield

@@ -27,17 +27,23 @@ from fenics_crack.basics.untrusted_files import (
     read_numbered_csv_rows,
 )
 
-ARRIVAL_COLUMN_NAMES = ("revolution", "angle [rad]", "mark [s]", "next_mark [s]", "arrival [s]")
+REQUIRED_ARRIVAL_COLUMN_NAMES = (
+    "revolution",
+    "angle [rad]",
+    "mark [s]",
+    "next_mark [s]",
+    "arrival [s]",
+)
 """Required columns of a CSV file."""
-RADIUS_COLUMN_NAME = "tip_radius [m]"
+TIP_RADIUS_COLUMN_NAME = "tip_radius [m]"
 """Optional column of a CSV file."""
-RADIUS_HINT_TEXT = "on the command line, --set tip_timing.tip_radius=0.5"
+MISSING_TIP_RADIUS_ADVICE = "on the command line, --set tip_timing.tip_radius=0.5"
 """Advice in the error for a missing tip radius."""
-MAX_STEADY_SPEED_VARIATION = 1e-2
+MAX_RELATIVE_RANGE_OF_CONSTANT_SPEED = 1e-2
 """Maximum range of a constant speed, relative to the mean."""
-MAX_ALLOWED_PASSAGES = 10**7
+MAX_TIP_PASSAGES_IN_RECORD = 10**7
 """Maximum number of passages in a record, which limits the memory."""
-MIN_REQUIRED_REVOLUTIONS = 10
+MIN_REVOLUTIONS_FOR_SPEED_OR_RESONANCE = 10
 """Minimum number of revolutions for a smoothed speed, and for a passage through a resonance."""
 
 
@@ -143,7 +149,7 @@ class ArrivalTimes(Tabular):
     def steady(self) -> bool:
         """True if the range of the speed is at most 1 % of the mean speed."""
         speed = self.speed
-        return bool(np.ptp(speed) <= MAX_STEADY_SPEED_VARIATION * speed.mean())
+        return bool(np.ptp(speed) <= MAX_RELATIVE_RANGE_OF_CONSTANT_SPEED * speed.mean())
 
     @cached_property
     def nominal_angle(self) -> np.ndarray:
@@ -319,12 +325,13 @@ class ArrivalTimes(Tabular):
                 str(path),
                 "a file with all revolutions; add the missing rows, with an empty arrival cell",
             )
-        if len(revolution_numbers) * len(probe_angles) > MAX_ALLOWED_PASSAGES:
+        if len(revolution_numbers) * len(probe_angles) > MAX_TIP_PASSAGES_IN_RECORD:
             size_text = f"{len(revolution_numbers)} revolutions, {len(probe_angles)} probes"
             raise InputError(
                 "path",
                 f"{path}: {size_text}",
-                f"at most {MAX_ALLOWED_PASSAGES:.0e} passages; split the file into shorter records",
+                f"at most {MAX_TIP_PASSAGES_IN_RECORD:.0e} passages; split the file into "
+                "shorter records",
             )
         begin_times = passage_marks[first_row_indices]
         end_times = passage_next_marks[first_row_indices]
@@ -406,7 +413,7 @@ def smooth_series(values: np.ndarray) -> np.ndarray:
     needs the variance of a value's error, which follows from fourth differences of the series.
     Fewer than 10 values are returned unchanged.
     """
-    if len(values) < MIN_REQUIRED_REVOLUTIONS:
+    if len(values) < MIN_REVOLUTIONS_FOR_SPEED_OR_RESONANCE:
         return values
     from scipy.signal import savgol_coeffs, savgol_filter
 
@@ -497,7 +504,7 @@ def choose_tip_radius(
         if given_radius is None:
             requirement_text = (
                 "given: the distance from the axis to the blade tips [m], for which "
-                f"{path} has no column '{RADIUS_COLUMN_NAME}'; {RADIUS_HINT_TEXT}"
+                f"{path} has no column '{TIP_RADIUS_COLUMN_NAME}'; {MISSING_TIP_RADIUS_ADVICE}"
             )
             raise InputError("tip_radius", None, requirement_text)
         return given_radius
@@ -509,7 +516,9 @@ def choose_tip_radius(
             "" if given_radius is None else f", equal to the given tip_radius = {given_radius:g} m"
         )
         raise InputError(
-            "path", f"{path}, {RADIUS_COLUMN_NAME} = {distinct_radii.tolist()}", requirement_text
+            "path",
+            f"{path}, {TIP_RADIUS_COLUMN_NAME} = {distinct_radii.tolist()}",
+            requirement_text,
         )
     return float(distinct_radii[0])
 
@@ -564,19 +573,19 @@ def _read_passages_and_radii(path: str | Path) -> tuple[np.ndarray, np.ndarray |
     Returns
     -------
     passages : (5, rows)
-        Columns :data:`ARRIVAL_COLUMN_NAMES`; nan for a missing arrival.
+        Columns :data:`REQUIRED_ARRIVAL_COLUMN_NAMES`; nan for a missing arrival.
     radii : (rows,) [m] or None
-        Tip radius of each row; None without the column :data:`RADIUS_COLUMN_NAME`.
+        Tip radius of each row; None without the column :data:`TIP_RADIUS_COLUMN_NAME`.
     """
     headings, line_numbers, number_columns = _read_headings_and_number_table(path)
-    for required_heading in ARRIVAL_COLUMN_NAMES:
+    for required_heading in REQUIRED_ARRIVAL_COLUMN_NAMES:
         if required_heading not in headings:
             contents_text = f"it has {', '.join(headings)}" if any(headings) else "it is empty"
             raise InputError(
                 "path", str(path), f"a file with the column '{required_heading}'; {contents_text}"
             )
     passages = number_columns[
-        [headings.index(required_heading) for required_heading in ARRIVAL_COLUMN_NAMES]
+        [headings.index(required_heading) for required_heading in REQUIRED_ARRIVAL_COLUMN_NAMES]
     ]
     if not line_numbers:
         raise InputError("path", str(path), "a file with rows of numbers below its headings")
@@ -594,13 +603,13 @@ def _read_passages_and_radii(path: str | Path) -> tuple[np.ndarray, np.ndarray |
             "path", f"{path}, line {line_numbers[int(np.argmin(is_valid))]}", requirement_text
         )
     return passages, number_columns[
-        headings.index(RADIUS_COLUMN_NAME)
-    ] if RADIUS_COLUMN_NAME in headings else None
+        headings.index(TIP_RADIUS_COLUMN_NAME)
+    ] if TIP_RADIUS_COLUMN_NAME in headings else None
 
 
 # --- records --------------------------------------------------------------------------------------
 
-PASSAGE_HEADING_PATTERN = re.compile(r"(?:blade\s*(\d+))?.*?\bprobe\s*(\d+)", re.IGNORECASE)
+BLADE_AND_PROBE_HEADING_PATTERN = re.compile(r"(?:blade\s*(\d+))?.*?\bprobe\s*(\d+)", re.IGNORECASE)
 """Pattern of the heading for a blade's arrivals at a probe.
 
 Groups: number of the blade, or None for the only blade; number of the probe.
@@ -668,12 +677,12 @@ def read_record(
     >>> blades = fc.read_record("record.csv")
     """
     headings, _, number_table = _read_headings_and_number_table(path)
-    if not any(map(PASSAGE_HEADING_PATTERN.search, headings)):
+    if not any(map(BLADE_AND_PROBE_HEADING_PATTERN.search, headings)):
         return {1: ArrivalTimes.from_csv(path, tip_radius=tip_radius)}
     column_by_heading = dict(zip(headings, number_table, strict=True))
     probe_headings_by_blade: dict[int, dict[int, str]] = {}
     for heading in headings:
-        if heading_match := PASSAGE_HEADING_PATTERN.search(heading):
+        if heading_match := BLADE_AND_PROBE_HEADING_PATTERN.search(heading):
             probe_headings_by_blade.setdefault(int(heading_match[1] or 1), {})[
                 int(heading_match[2])
             ] = heading
@@ -688,7 +697,7 @@ def read_record(
         path, column_by_heading.get("revolution", np.arange(float(number_table.shape[1])))
     )
     marks = _read_mark_times(path, column_by_heading, revolution_numbers)
-    tip_radius = choose_tip_radius(path, column_by_heading.get(RADIUS_COLUMN_NAME), tip_radius)
+    tip_radius = choose_tip_radius(path, column_by_heading.get(TIP_RADIUS_COLUMN_NAME), tip_radius)
     arrivals_by_blade = {}
     for blade_number, heading_by_probe in sorted(probe_headings_by_blade.items()):
         arrival_angles = np.full((len(marks) - 1, len(heading_by_probe)), np.nan)
@@ -720,7 +729,7 @@ def has_probe_angles(path: str | Path) -> bool:
     files, :func:`read_record` takes the angles from its argument ``probes``. Without this argument,
     it takes the median arrival angles.
     """
-    return ARRIVAL_COLUMN_NAMES[1] in _read_headings_and_number_table(path)[0]
+    return REQUIRED_ARRIVAL_COLUMN_NAMES[1] in _read_headings_and_number_table(path)[0]
 
 
 def find_probe_angles_by_blade(
@@ -792,7 +801,7 @@ def write_record(
             column_by_heading[f"blade {blade_number} probe {probe_number} [s]"] = arrivals.time[
                 :, sorted_probe_index
             ].tolist()
-    column_by_heading[RADIUS_COLUMN_NAME] = [first_arrivals.tip_radius] * len(first_arrivals)
+    column_by_heading[TIP_RADIUS_COLUMN_NAME] = [first_arrivals.tip_radius] * len(first_arrivals)
     Table.from_dict(column_by_heading, {}).save(path)
 
 
@@ -827,7 +836,7 @@ def _check_revolution_numbers(path: str | Path, revolution_numbers: np.ndarray) 
     if (
         not are_whole_numbers
         or np.any(np.diff(revolution_numbers) <= 0.0)
-        or np.ptp(revolution_numbers) > MAX_ALLOWED_PASSAGES
+        or np.ptp(revolution_numbers) > MAX_TIP_PASSAGES_IN_RECORD
     ):
         raise InputError("path", f"{path}: revolution", "a column of increasing whole numbers >= 0")
     return revolution_numbers.astype(int)
@@ -868,7 +877,7 @@ def _read_mark_times(
             return np.append(
                 marks, marks[-1] + 2.0 * last_two_durations[-1] - last_two_durations[0]
             )
-        if "speed" in heading.lower() and not PASSAGE_HEADING_PATTERN.search(heading):
+        if "speed" in heading.lower() and not BLADE_AND_PROBE_HEADING_PATTERN.search(heading):
             speeds = row_values * _find_unit_factor(path, heading, RAD_PER_S_BY_SPEED_UNIT)
             if not np.all(speeds > 0.0):
                 raise InputError("path", f"{path}: {heading}", "a column of numbers > 0")

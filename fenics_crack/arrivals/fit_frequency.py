@@ -33,7 +33,7 @@ from scipy.special import chdtrc
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.harmonics import (
-    ORDERS,
+    DEFAULT_TRIAL_ORDERS,
     Candidates,
     TipFit,
     condition_number,
@@ -41,7 +41,7 @@ from fenics_crack.arrivals.harmonics import (
 )
 from fenics_crack.arrivals.robust import (
     CONFIDENCE_LEVELS,
-    WEIGHTING_TOLERANCE,
+    WEIGHT_CHANGE_TOLERANCE,
     find_least_squares_residuals,
     fit_noise_by_reweighting,
     student_variance_ratio,
@@ -52,7 +52,7 @@ from fenics_crack.numerics.fourier import fourier_basis
 
 MAX_SCANNED_FREQUENCIES = 10**8
 """Maximum number of frequencies in a scan, as for 1e6 revolutions and orders up to 24."""
-MAX_REFINED_PEAKS, MIN_RELATIVE_PEAK = 40, 0.5
+MAX_REFINED_PEAKS, MIN_RELATIVE_PEAK_POWER = 40, 0.5
 """Maximum number of refined peaks in a scan; minimum power relative to the highest peak."""
 
 
@@ -166,7 +166,7 @@ def find_lines_and_residuals(
     """
     line_fits: list[TipFit] = []
     mean_speed = arrivals.mean_speed
-    omega_bounds = 0.5 * mean_speed, mean_speed * (max(max_order, ORDERS[-1]) + 1.0)
+    omega_bounds = 0.5 * mean_speed, mean_speed * (max(max_order, DEFAULT_TRIAL_ORDERS[-1]) + 1.0)
     residuals = np.array(displacements)
     n_constants = len(np.unique(constant_numbers[np.isfinite(displacements)]))
     while len(line_fits) < max_lines and np.isfinite(residuals).sum() > 2 * (n_constants + 3):
@@ -356,7 +356,7 @@ class _FrequencySearch:
             [(omega_bound - omega) / omega_unit] for omega_bound in self._omega_bounds
         )
         find_least_squares_residuals(
-            evaluate, min_unit_steps, max_unit_steps, WEIGHTING_TOLERANCE**2
+            evaluate, min_unit_steps, max_unit_steps, WEIGHT_CHANGE_TOLERANCE**2
         )  # a small tolerance, since peaks are compared by their sums of squares
         return best_omega, fit
 
@@ -460,7 +460,7 @@ class _FrequencySearch:
         peak_indices = peak_indices[np.argsort(-power[peak_indices])[:MAX_REFINED_PEAKS]]
         if power[peak_indices[0]] < np.log(len(power)) * float(noise_psi @ noise_psi):
             peak_indices = peak_indices[:1]  # as high as in noise: exponentially distributed
-        is_high = power[peak_indices] > MIN_RELATIVE_PEAK * power[peak_indices[0]]
+        is_high = power[peak_indices] > MIN_RELATIVE_PEAK_POWER * power[peak_indices[0]]
         return np.asarray(omega_step * (first_step + peak_indices[is_high]))
 
     def _fit_with_reweighting(self) -> None:

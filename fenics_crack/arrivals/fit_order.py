@@ -29,7 +29,7 @@ from scipy.special import fdtrc, ndtr
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.fit_frequency import find_lines_and_residuals
 from fenics_crack.arrivals.harmonics import (
-    ORDERS,
+    DEFAULT_TRIAL_ORDERS,
     Candidates,
     TipFit,
     compute_amplitudes_and_errors,
@@ -40,7 +40,7 @@ from fenics_crack.arrivals.harmonics import (
 )
 from fenics_crack.arrivals.robust import (
     CONFIDENCE_LEVELS,
-    DEPENDENT_EIGENVALUE_RATIO,
+    MAX_DEPENDENT_EIGENVALUE_RATIO,
     fit_noise_by_reweighting,
     student_variance_ratio,
 )
@@ -50,7 +50,7 @@ from fenics_crack.numerics.fourier import fourier_basis
 
 N_OMITTED_HARMONICS_TO_FOLD = 3
 """Number of omitted harmonics, next above the fitted ones, that may be folded onto them."""
-FOLDED_SIZE_RATIOS = np.array([0.0, *2.0 ** -np.arange(0.5, 8.0)])
+TRIAL_OMITTED_HARMONIC_RATIOS = np.array([0.0, *2.0 ** -np.arange(0.5, 8.0)])
 """Trial sizes of an omitted harmonic: 0, and 0.71 down to 0.0055.
 
 Sizes are relative to the amplitude of the last fitted harmonic; in a run-up, to the norm of all
@@ -60,7 +60,7 @@ fitted coefficients.
 
 def fit_order(
     arrivals: ArrivalTimes,
-    orders: Iterable[float] = ORDERS,
+    orders: Iterable[float] = DEFAULT_TRIAL_ORDERS,
     *,
     harmonics: int = 1,
     subharmonic: int = 1,
@@ -326,7 +326,7 @@ class Sample:
         self.covariance = covariance
         # The error of a probe's angle is common to all means of the probe: nearly singular.
         self._cholesky_factor = np.linalg.cholesky(
-            covariance + DEPENDENT_EIGENVALUE_RATIO * np.diag(np.diag(covariance))
+            covariance + MAX_DEPENDENT_EIGENVALUE_RATIO * np.diag(np.diag(covariance))
         )
 
     def fit_order_or_none(self, order: float, multiples: np.ndarray) -> OrderFit | None:
@@ -461,10 +461,10 @@ class Sample:
     def _list_omitted_harmonic_sizes(self, fit: OrderFit) -> np.ndarray:
         """Return trial standard deviations (n,) [m] of an omitted harmonic's coefficients.
 
-        They are :data:`FOLDED_SIZE_RATIOS` times the amplitude of the highest fitted harmonic.
-        Values above :attr:`max_allowed_omitted_size` are left out.
+        They are :data:`TRIAL_OMITTED_HARMONIC_RATIOS` times the amplitude of the highest fitted
+        harmonic. Values above :attr:`max_allowed_omitted_size` are left out.
         """
-        omitted_sizes = np.hypot(*fit.coefficients[-2:]) * FOLDED_SIZE_RATIOS
+        omitted_sizes = np.hypot(*fit.coefficients[-2:]) * TRIAL_OMITTED_HARMONIC_RATIOS
         return np.asarray(omitted_sizes[omitted_sizes < self.max_allowed_omitted_size])
 
     @property
@@ -475,7 +475,7 @@ class Sample:
         maximum keeps the normal equations accurate: 1e6 times the smallest diagonal entry of the
         Cholesky factor of ``covariance``.
         """
-        return float(np.diag(self._cholesky_factor).min() / np.sqrt(DEPENDENT_EIGENVALUE_RATIO))
+        return float(np.diag(self._cholesky_factor).min() / np.sqrt(MAX_DEPENDENT_EIGENVALUE_RATIO))
 
     def _solve_with_omitted_harmonics(
         self, fit: OrderFit, omitted_size_rows: np.ndarray

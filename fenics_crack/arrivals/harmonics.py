@@ -21,7 +21,7 @@ from fenics_crack.basics.tables import (
 )
 from fenics_crack.numerics.fourier import fourier_basis
 
-ORDERS = range(1, 25)
+DEFAULT_TRIAL_ORDERS = range(1, 25)
 """Default engine orders to try."""
 
 

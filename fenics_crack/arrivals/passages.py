@@ -13,18 +13,18 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import ndtri
 
-from fenics_crack.arrivals.arrival_times import MIN_REQUIRED_REVOLUTIONS, ArrivalTimes
+from fenics_crack.arrivals.arrival_times import MIN_REVOLUTIONS_FOR_SPEED_OR_RESONANCE, ArrivalTimes
 from fenics_crack.arrivals.fit_frequency import find_lines_and_residuals
-from fenics_crack.arrivals.harmonics import ORDERS, TipFit, make_orders_and_multiples
+from fenics_crack.arrivals.harmonics import DEFAULT_TRIAL_ORDERS, TipFit, make_orders_and_multiples
 from fenics_crack.arrivals.resonance import (
     INITIAL_DAMPING_RATIO,
-    MAX_SEARCH_ROUNDS,
+    MAX_REFIT_ROUNDS,
     PassageFit,
     Resonance,
 )
 from fenics_crack.arrivals.robust import CONFIDENCE_LEVELS, TRIAL_STUDENT_FREEDOMS
 from fenics_crack.arrivals.transient import (
-    RELATIVE_SPEED_HALF_WIDTH,
+    FITTED_SPEEDS_RELATIVE_HALF_WIDTH,
     Record,
     StiffeningFunction,
     make_stiffening_function,
@@ -33,14 +33,14 @@ from fenics_crack.basics.errors import InputError, check_count, check_number
 from fenics_crack.basics.progress import begin_stage
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 
-RELATIVE_SPEED_SPACING = 0.003
+SCANNED_SPEED_RELATIVE_SPACING = 0.003
 """Relative spacing of scanned speeds."""
 
 
 def fit_passage(
     arrivals: ArrivalTimes,
     speed: float,
-    orders: Iterable[float] = ORDERS,
+    orders: Iterable[float] = DEFAULT_TRIAL_ORDERS,
     *,
     stiffening: float | StiffeningFunction = 0.0,
 ) -> PassageFit:
@@ -82,7 +82,7 @@ def fit_passage(
         speed_ends = arrivals.speed.min(), arrivals.speed.max()
         allowed_speed_text = (
             f"inside the recorded range, {speed_ends[0]:.6g} to {speed_ends[1]:.6g} rad/s, with "
-            f"{MIN_REQUIRED_REVOLUTIONS} revolutions or more near it"
+            f"{MIN_REVOLUTIONS_FOR_SPEED_OR_RESONANCE} revolutions or more near it"
         )
         raise InputError("speed", speed, allowed_speed_text)
     resonance = Resonance(runs, speed, candidate_orders)
@@ -100,7 +100,7 @@ def fit_passage(
 
 def find_passages(
     arrivals: ArrivalTimes,
-    orders: Iterable[float] = ORDERS,
+    orders: Iterable[float] = DEFAULT_TRIAL_ORDERS,
     *,
     most: int = 8,
     asynchronous: int = 1,
@@ -239,9 +239,9 @@ class _ResonanceSearch:
         self.record, self.displacements, self.orders = record, displacements, candidate_orders
         self.resonances: list[Resonance] = []
         lowest_speed, highest_speed = record.arrivals.speed.min(), record.arrivals.speed.max()
-        n_centres = int(np.log(highest_speed / lowest_speed) / RELATIVE_SPEED_SPACING)
+        n_centres = int(np.log(highest_speed / lowest_speed) / SCANNED_SPEED_RELATIVE_SPACING)
         self._centre_speeds = lowest_speed * np.exp(
-            RELATIVE_SPEED_SPACING * (0.5 + np.arange(n_centres))
+            SCANNED_SPEED_RELATIVE_SPACING * (0.5 + np.arange(n_centres))
         )
         # Results of :func:`_compute_gain_and_squares_reduction`; nan: not computed yet.
         self._gains_and_reductions = np.full((n_centres, 2), np.nan)
@@ -285,11 +285,11 @@ class _ResonanceSearch:
                 )
             ]
             gains_and_reductions[
-                np.abs(centre_speeds / clearest_speed - 1.0) < 1.5 * RELATIVE_SPEED_SPACING
+                np.abs(centre_speeds / clearest_speed - 1.0) < 1.5 * SCANNED_SPEED_RELATIVE_SPACING
             ] = 0.0
             if (
                 _compute_gain_and_squares_reduction(
-                    self.record, residuals, clearest_speed, MAX_SEARCH_ROUNDS
+                    self.record, residuals, clearest_speed, MAX_REFIT_ROUNDS
                 )[0]
                 < CONFIDENCE_LEVELS.min_likelihood_gain
             ):
@@ -303,7 +303,10 @@ class _ResonanceSearch:
             self._compare_orders_with_neighbour(new_resonance)
             self._refit_neighbours_until_settled()
             gains_and_reductions[
-                (np.abs(centre_speeds / clearest_speed - 1.0) < 2.0 * RELATIVE_SPEED_HALF_WIDTH)
+                (
+                    np.abs(centre_speeds / clearest_speed - 1.0)
+                    < 2.0 * FITTED_SPEEDS_RELATIVE_HALF_WIDTH
+                )
                 & (gains_and_reductions[:, 1] > 0.0)
             ] = np.nan
         for resonance in [*self.resonances]:  # compare all orders, with all resonances known
@@ -366,7 +369,7 @@ class _ResonanceSearch:
         neighbours = [
             neighbour
             for neighbour in self.resonances
-            if resonance.is_near(neighbour, RELATIVE_SPEED_HALF_WIDTH)
+            if resonance.is_near(neighbour, FITTED_SPEEDS_RELATIVE_HALF_WIDTH)
             and not resonance.has_within_width(neighbour)
         ]
         if not neighbours:
@@ -400,7 +403,7 @@ class _ResonanceSearch:
         crowded_resonances = [
             resonance for resonance in self.resonances if resonance.list_neighbours(self.resonances)
         ]
-        for _ in range(MAX_SEARCH_ROUNDS):
+        for _ in range(MAX_REFIT_ROUNDS):
             has_moved = False
             for resonance in sorted(
                 crowded_resonances,

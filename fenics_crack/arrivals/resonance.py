@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.arrivals.fit_frequency import MIN_RELATIVE_PEAK
+from fenics_crack.arrivals.fit_frequency import MIN_RELATIVE_PEAK_POWER
 from fenics_crack.arrivals.harmonics import TipFit
 from fenics_crack.arrivals.robust import CONFIDENCE_LEVELS
 from fenics_crack.arrivals.transient import (
     DAMPING_RATIO_BOUNDS,
-    RELATIVE_SPEED_HALF_WIDTH,
+    FITTED_SPEEDS_RELATIVE_HALF_WIDTH,
     Fit,
     Mode,
     Record,
@@ -43,7 +43,7 @@ MAX_REFINED_ORDERS = 4
 """Maximum number of orders with refined fits; half as many for each of two neighbours."""
 INITIAL_DAMPING_RATIO = 0.004
 """Damping ratio in the scan of speeds and at the start of fits."""
-MAX_SEARCH_ROUNDS = 5
+MAX_REFIT_ROUNDS = 5
 """Maximum rounds of refits of neighbours, of pairs of orders, and of weights in a search."""
 
 
@@ -344,7 +344,10 @@ class Resonance:
                 and gain_mode_pairs[0][1].order == self.best_fit.first_mode.order
             )
             for gain, mode in gain_mode_pairs[: MAX_REFINED_ORDERS if is_last_round else 1]:
-                if gain > MIN_RELATIVE_PEAK * gain_mode_pairs[0][0] and mode not in fit_by_mode:
+                if (
+                    gain > MIN_RELATIVE_PEAK_POWER * gain_mode_pairs[0][0]
+                    and mode not in fit_by_mode
+                ):
                     fit_by_mode[mode] = Fit(runs, [mode], weights_of_runs)
             self.best_fit = min(fit_by_mode.values(), key=lambda fit: fit.noise.cost)
             if is_last_round:
@@ -383,7 +386,7 @@ class Resonance:
     def is_near(
         self,
         other_resonance: Resonance,
-        allowed_relative_distance: float = 2.0 * RELATIVE_SPEED_HALF_WIDTH,
+        allowed_relative_distance: float = 2.0 * FITTED_SPEEDS_RELATIVE_HALF_WIDTH,
     ) -> bool:
         """Return True if another resonance is near in speed.
 
@@ -490,7 +493,7 @@ class Resonance:
                 ]
             )
         fit_by_modes = {best_fit.modes: best_fit}
-        for _ in range(MAX_SEARCH_ROUNDS):
+        for _ in range(MAX_REFIT_ROUNDS):
             weights_of_runs, previous_fit = best_fit.weights, best_fit
             pair_gains = _compute_squares_reductions_by_pairs(runs, mode_lists, weights_of_runs)
             for index_pair in _choose_order_index_pairs(pair_gains):
@@ -538,7 +541,7 @@ class Resonance:
         neighbours = [
             other_resonance
             for other_resonance in resonances
-            if self.is_near(other_resonance, RELATIVE_SPEED_HALF_WIDTH)
+            if self.is_near(other_resonance, FITTED_SPEEDS_RELATIVE_HALF_WIDTH)
         ]
         best_fit, runs = self.best_fit, self._runs
         modes = [fitted_resonance.best_fit.first_mode for fitted_resonance in (self, *neighbours)]
@@ -705,7 +708,7 @@ def _choose_order_index_pairs(squares_reductions: np.ndarray) -> set[tuple[int, 
     return {
         (int(n), int(m))
         for n, m in index_pairs
-        if squares_reductions[n, m] > MIN_RELATIVE_PEAK * squares_reductions.max()
+        if squares_reductions[n, m] > MIN_RELATIVE_PEAK_POWER * squares_reductions.max()
     }
 
 

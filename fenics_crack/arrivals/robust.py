@@ -26,12 +26,12 @@ from scipy.special import gammaln, ndtr
 
 TRIAL_STUDENT_FREEDOMS = np.array([3.0, 5.0, 10.0, 30.0, 1e6])
 """Trial degrees of freedom nu of Student's t; 1e6 stands for normal errors."""
-MAX_WEIGHTING_ROUNDS, WEIGHTING_TOLERANCE = 30, 1e-2
+MAX_WEIGHTING_ROUNDS, WEIGHT_CHANGE_TOLERANCE = 30, 1e-2
 """Maximum rounds of weights, and maximum change in the last round.
 
 Changes of weights, and of residuals over their scale, are below 0.01 at the end.
 """
-DEPENDENT_EIGENVALUE_RATIO = 1e-12
+MAX_DEPENDENT_EIGENVALUE_RATIO = 1e-12
 """Eigenvalue, relative to the largest, below which columns are dependent."""
 
 
@@ -139,7 +139,8 @@ class StudentNoise:
                 trial_scales * variance_ratios ** (0.5 + 1.5 / trial_freedoms), min_scale
             )
             if np.all(
-                np.abs(trial_scales - previous_trial_scales) < WEIGHTING_TOLERANCE * trial_scales
+                np.abs(trial_scales - previous_trial_scales)
+                < WEIGHT_CHANGE_TOLERANCE * trial_scales
             ):
                 break
         self.trial_scales = trial_scales
@@ -191,7 +192,7 @@ class StudentNoise:
     def compute_whiteness_p_value(
         self, places: RevolutionsAndProbes, mark_shares: np.ndarray
     ) -> float:
-        """Return the probability that errors of arrivals and marks alone correlate residuals as much.
+        """Return the probability that errors alone correlate residuals as much as they are.
 
         A small probability means that the residuals contain a vibration or drift. nan if no
         revolution has a next one with arrivals, or all residuals are 0. The correlation is between
@@ -273,7 +274,7 @@ class StudentNoise:
         coefficient_basis = (
             eigenvectors
             * np.where(
-                eigenvalues > DEPENDENT_EIGENVALUE_RATIO * eigenvalues[-1], eigenvalues, np.inf
+                eigenvalues > MAX_DEPENDENT_EIGENVALUE_RATIO * eigenvalues[-1], eigenvalues, np.inf
             )
             ** -0.5
         )
@@ -290,7 +291,7 @@ class StudentNoise:
     def _list_psi_covariances_by_lag(
         self, psi_variance: float, places: RevolutionsAndProbes
     ) -> list[tuple[float, float]]:
-        """Return covariances of the weighted residuals psi for arrivals 0, 1, ... revolutions apart.
+        """Return covariances of the weighted residuals psi by distance in revolutions, from 0.
 
         Each entry has two covariances: between arrivals at the same probe (0 in the first entry),
         and between arrivals at two probes. A covariance within three standard deviations of 0
@@ -453,8 +454,8 @@ def fit_noise_by_reweighting(
         )
         weights, previous_residuals = student_noise.weights, student_noise.residuals
         if (
-            largest_changes[0] < WEIGHTING_TOLERANCE
-            and largest_changes[1] < WEIGHTING_TOLERANCE * student_noise.scale
+            largest_changes[0] < WEIGHT_CHANGE_TOLERANCE
+            and largest_changes[1] < WEIGHT_CHANGE_TOLERANCE * student_noise.scale
         ):
             break
     return student_noise
@@ -464,7 +465,7 @@ def find_least_squares_residuals(
     residuals_and_slopes_function: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
     lower_bounds: Sequence[float] | np.ndarray,
     upper_bounds: Sequence[float] | np.ndarray,
-    min_squares_reduction: float = WEIGHTING_TOLERANCE,
+    min_squares_reduction: float = WEIGHT_CHANGE_TOLERANCE,
 ) -> np.ndarray:
     """Minimise a sum of squares, and return the residuals (n,) at the solution.
 
@@ -490,7 +491,7 @@ def find_least_squares_residuals(
         bounds=(np.minimum(lower_bounds, 0.0), np.maximum(upper_bounds, 0.0)),
         method="dogbox",
         ftol=min_squares_reduction,
-        xtol=WEIGHTING_TOLERANCE,
+        xtol=WEIGHT_CHANGE_TOLERANCE,
         gtol=None,
     )
     return cached_function(solution.x.tobytes())[0]

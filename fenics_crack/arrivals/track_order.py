@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes, smooth_series
-from fenics_crack.arrivals.fit_order import FOLDED_SIZE_RATIOS, OrderFit, Sample
+from fenics_crack.arrivals.fit_order import TRIAL_OMITTED_HARMONIC_RATIOS, OrderFit, Sample
 from fenics_crack.arrivals.harmonics import (
     HarmonicFit,
     compute_amplitudes_and_errors,
@@ -30,14 +30,14 @@ from fenics_crack.arrivals.robust import (
 from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.basics.tables import (
     RAD_PER_TURN,
-    UNIT_BY_NAME,
+    UNIT_BY_DICT_ENTRY_NAME,
     add_frequency_entries,
     format_count,
     hertz_property,
 )
 from fenics_crack.numerics.fourier import fourier_basis
 
-N_NEIGHBOURS_PER_SIDE = 16
+N_NEIGHBOUR_GROUPS_PER_SIDE = 16
 """Number of neighbouring groups on either side in a run-up.
 
 A group and its neighbours share the size ratio of omitted harmonics.
@@ -110,7 +110,9 @@ class TipTrack(HarmonicFit):
         return column_by_name
 
     def _unit_by_name(self) -> Mapping[str, str]:
-        return UNIT_BY_NAME | {name: "m" for name in self.to_dict() if name.startswith("amplitude")}
+        return UNIT_BY_DICT_ENTRY_NAME | {
+            name: "m" for name in self.to_dict() if name.startswith("amplitude")
+        }
 
     def _repr_text(self) -> str:
         speeds_text = f"{self.speed[0]:.6g} to {self.speed[-1]:.6g} rad/s"
@@ -382,7 +384,7 @@ def _refit_groups_with_omitted_harmonics(
         sample.list_costs_and_fits_by_omitted_size(
             fit,
             np.minimum(
-                np.linalg.norm(fit.coefficients[1:]) * FOLDED_SIZE_RATIOS,
+                np.linalg.norm(fit.coefficients[1:]) * TRIAL_OMITTED_HARMONIC_RATIOS,
                 sample.max_allowed_omitted_size,
             ),
         )
@@ -398,8 +400,8 @@ def _refit_groups_with_omitted_harmonics(
     joint_fit_by_group = {}
     for sample_position, (group_index, (sample, _)) in enumerate(sample_fit_by_group.items()):
         window_slice = slice(
-            max(sample_position - N_NEIGHBOURS_PER_SIDE, 0),
-            sample_position + N_NEIGHBOURS_PER_SIDE + 1,
+            max(sample_position - N_NEIGHBOUR_GROUPS_PER_SIDE, 0),
+            sample_position + N_NEIGHBOUR_GROUPS_PER_SIDE + 1,
         )
         max_trusted_squares = _estimate_quartile_variance(
             residual_square_sums[window_slice], freedoms[window_slice]

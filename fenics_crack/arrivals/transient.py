@@ -35,7 +35,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from fenics_crack.arrivals.arrival_times import (
-    MIN_REQUIRED_REVOLUTIONS,
+    MIN_REVOLUTIONS_FOR_SPEED_OR_RESONANCE,
     ArrivalTimes,
     interpolate_by_splines,
 )
@@ -44,11 +44,11 @@ from fenics_crack.basics.errors import InputError, check_number
 from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 
-RELATIVE_SPEED_HALF_WIDTH = 0.035
+FITTED_SPEEDS_RELATIVE_HALF_WIDTH = 0.035
 """Half width of the fitted speeds about a resonance, relative to the resonance's speed."""
-DAMPING_RATIO_BOUNDS = 1e-5, RELATIVE_SPEED_HALF_WIDTH / 2.0
+DAMPING_RATIO_BOUNDS = 1e-5, FITTED_SPEEDS_RELATIVE_HALF_WIDTH / 2.0
 """Minimum and maximum of fitted damping ratios; a wider resonance looks like drift."""
-MAX_STIFFENING = 0.9
+MAX_STIFFENING_EXPONENT = 0.9
 """Maximum of |d ln w_n / d ln W|: orders hardly meet frequencies with a steeper dependence."""
 
 StiffeningFunction = Callable[[float, float], float]
@@ -318,18 +318,21 @@ class Record:
         count in this run. ``displacements`` are (revolutions, probes) [m].
         """
         relative_offsets = self.arrivals.speed / speed - 1.0
-        near_rows = np.flatnonzero(np.abs(relative_offsets) < RELATIVE_SPEED_HALF_WIDTH)
+        near_rows = np.flatnonzero(np.abs(relative_offsets) < FITTED_SPEEDS_RELATIVE_HALF_WIDTH)
         runs = []
         for run_rows in np.split(
-            near_rows, np.flatnonzero(np.diff(near_rows) > MIN_REQUIRED_REVOLUTIONS) + 1
+            near_rows,
+            np.flatnonzero(np.diff(near_rows) > MIN_REVOLUTIONS_FOR_SPEED_OR_RESONANCE) + 1,
         ):
             if (
-                len(run_rows) >= MIN_REQUIRED_REVOLUTIONS
+                len(run_rows) >= MIN_REVOLUTIONS_FOR_SPEED_OR_RESONANCE
                 and relative_offsets[run_rows].min() < 0.0 < relative_offsets[run_rows].max()
             ):
                 run = Run(self, displacements, int(run_rows[0]), int(run_rows[-1]) + 1)
                 # Leave out probes that measured too few revolutions of the run.
-                run.has_arrival &= run.has_arrival.sum(axis=0) >= MIN_REQUIRED_REVOLUTIONS
+                run.has_arrival &= (
+                    run.has_arrival.sum(axis=0) >= MIN_REVOLUTIONS_FOR_SPEED_OR_RESONANCE
+                )
                 runs += [run] * bool(np.any(run.has_arrival))
         return runs
 
@@ -344,16 +347,18 @@ def make_stiffening_function(stiffening: float | StiffeningFunction) -> Stiffeni
 
         def clipped_function(speed: float, omega: float) -> float:
             stiffening_value = float(
-                np.clip(stiffening(speed, omega), -MAX_STIFFENING, MAX_STIFFENING)
+                np.clip(stiffening(speed, omega), -MAX_STIFFENING_EXPONENT, MAX_STIFFENING_EXPONENT)
             )
             check_number(f"stiffening({speed:.6g}, {omega:.6g})", stiffening_value)
             return stiffening_value
 
         return clipped_function
     check_number("stiffening", stiffening)
-    if abs(stiffening_value := float(stiffening)) > MAX_STIFFENING:
+    if abs(stiffening_value := float(stiffening)) > MAX_STIFFENING_EXPONENT:
         raise InputError(
-            "stiffening", stiffening, f"a number from -{MAX_STIFFENING} to {MAX_STIFFENING}"
+            "stiffening",
+            stiffening,
+            f"a number from -{MAX_STIFFENING_EXPONENT} to {MAX_STIFFENING_EXPONENT}",
         )
     return lambda speed, omega: stiffening_value
 
@@ -458,7 +463,7 @@ class Fit:
         step_bounds = [
             [
                 mode.find_step_to(
-                    omega * (1.0 + bound_sign * RELATIVE_SPEED_HALF_WIDTH),
+                    omega * (1.0 + bound_sign * FITTED_SPEEDS_RELATIVE_HALF_WIDTH),
                     DAMPING_RATIO_BOUNDS[bound_sign > 0],
                 )
                 for bound_sign in (-1, 1)

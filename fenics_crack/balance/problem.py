@@ -54,7 +54,7 @@ from fenics_crack.balance.contact_system import (
 )
 from fenics_crack.balance.friction_integrals import FrictionIntegrals, integrals_with_coupled_pairs
 from fenics_crack.basics.errors import (
-    MAX_SAMPLES_PER_PERIOD,
+    MAX_CONTACT_SAMPLES_PER_PERIOD,
     InputError,
     check_count,
     check_number,
@@ -200,8 +200,10 @@ class Problem:
             if is_rigid(self.contact):
                 raise InputError("samples", self.samples, "left out with UnilateralConstraint")
             check_count("samples", self.samples, 2 * self.harmonics + 1)
-            if self.samples > MAX_SAMPLES_PER_PERIOD:
-                raise InputError("samples", self.samples, f"at most {MAX_SAMPLES_PER_PERIOD}")
+            if self.samples > MAX_CONTACT_SAMPLES_PER_PERIOD:
+                raise InputError(
+                    "samples", self.samples, f"at most {MAX_CONTACT_SAMPLES_PER_PERIOD}"
+                )
         if self.static_above is not None:
             check_number("static_above", min(self.static_above, 1e300), 0.0)  # inf: none
 

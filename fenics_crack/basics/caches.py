@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from fenics_crack.basics.ranks import MPI, Result
 
 
-PRIVATE_FOLDER_REQUIREMENT = "a folder that only this user can write to"
+PRIVATE_FOLDER_DESCRIPTION = "a folder that only this user can write to"
 """Description of a private folder, for errors and warnings."""
 
 
@@ -63,7 +63,7 @@ def _set_private_folder(variable_name: str, unusable_path: Path, reason: str) ->
     A warning names ``unusable_path`` and the ``reason``. InputError if the temporary folder is
     unusable, too.
     """
-    with report_write_errors(unusable_path, variable_name, PRIVATE_FOLDER_REQUIREMENT):
+    with report_write_errors(unusable_path, variable_name, PRIVATE_FOLDER_DESCRIPTION):
         private_path = check_private_folder(
             Path(tempfile.gettempdir()) / f"fenics-crack-{os.geteuid()}", 0o77
         )
@@ -192,7 +192,7 @@ def _find_form_folder_and_compiler(record_file: Path) -> tuple[Path, str]:
     """
     from fenics_crack.basics.untrusted_files import read_utf8_text  # NumPy
 
-    with report_write_errors(record_file.parent, "cache_dir", PRIVATE_FOLDER_REQUIREMENT):
+    with report_write_errors(record_file.parent, "cache_dir", PRIVATE_FOLDER_DESCRIPTION):
         record_file = check_private_folder(record_file.parent) / record_file.name
     with suppress(OSError, ValueError):
         record_text = read_utf8_text(record_file)

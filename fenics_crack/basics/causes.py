@@ -20,8 +20,11 @@ The same holds for the mesh, if a run with another mesh fails.
 """
 OPTIONAL_ERROR_CAUSES = ("mesh", "friction")
 """Causes that the user may leave out; the total error is then stated as incomplete."""
-RUN_WORDS_BY_CAUSE = {"mesh": "a run with another mesh", "shift": "a run with a shifted resonance",
-              "friction": "a run with friction"}  # fmt: skip
+VARIED_RUN_DESCRIPTION_BY_ERROR_CAUSE = {
+    "mesh": "a run with another mesh",
+    "shift": "a run with a shifted resonance",
+    "friction": "a run with friction",
+}
 """Words for the run that varies a cause; by default "a run with more modes"."""
-MISSING_PART_REASON_BY_CAUSE = {"friction": "the effect of friction at the crack tip is unknown"}
+UNKNOWN_ERROR_REASON_BY_CAUSE = {"friction": "the effect of friction at the crack tip is unknown"}
 """Reason, by cause, why the run that varies the cause gives no error of a number."""

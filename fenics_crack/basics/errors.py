@@ -12,9 +12,9 @@ from enum import IntEnum
 from numbers import Integral, Real
 from typing import Any
 
-N_LOWEST_MODES = 6
+N_FREQUENCIES_PER_CRACK_STATE = 6
 """Number of natural frequencies that are computed for the open and for the bonded crack."""
-MAX_SAMPLES_PER_PERIOD = 2**20
+MAX_CONTACT_SAMPLES_PER_PERIOD = 2**20
 """Maximum instants of a period at which the contact force may be evaluated."""
 N_RECORDED_PERIODS = 4
 """Number of final periods in a time integration that commands record; extremes come from them."""

@@ -32,11 +32,11 @@ from fenics_crack.basics.errors import DISK_FULL_ERROR_NUMBERS, InputError
 
 THREAD_COUNT_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS")
 """Environment variables that set the number of OpenBLAS's threads."""
-RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
+MPIRUN_ENVIRONMENT_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
 """Environment variables that mpirun sets for each process before MPI is started."""
-DEBIAN_MODULES = ("numpy", "mpi4py")
+DEBIAN_VERSION_MODULES = ("numpy", "mpi4py")
 """Modules that must have Debian's version for Debian's DOLFINx, PETSc and SciPy."""
-ONE_PROCESS_VARIABLES = {
+ONE_PROCESS_MPI_SETTINGS = {
     "OMPI_MCA_pml": "ob1", "OMPI_MCA_btl": "self", "OMPI_MCA_ess_singleton_isolated": "1",
 }  # fmt: skip
 """Settings of Open MPI for one process: no search for a network, no open port, no daemon.
@@ -48,7 +48,7 @@ INSTALLATION_ADVICE = (
     "conda env create -f environment.yml, or sh install.sh on Debian 12 or 13 (docs/install.md)"
 )
 """The three ways to get DOLFINx and the libraries around it."""
-OUT_OF_MEMORY_TEXTS = ("PetscMalloc", "failed to map segment")
+OUT_OF_MEMORY_ERROR_TEXTS = ("PetscMalloc", "failed to map segment")
 """Texts in errors of PETSc and the library loader if memory is short."""
 RANK_COUNT_VARIABLES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")
 """Environment variables with the number of ranks, set by Open MPI and MPICH."""
@@ -71,7 +71,7 @@ def check_debian_module_versions() -> None:
     version_by_module = (
         dict(re.findall("(.+)==(.+)", pin_file.read_text())) if pin_file.exists() else {}
     )
-    for module_name in version_by_module.keys() & DEBIAN_MODULES:
+    for module_name in version_by_module.keys() & DEBIAN_VERSION_MODULES:
         module_path = getattr(find_spec(module_name), "origin", None)
         if module_path is None or module_path.startswith("/usr/lib/python3/"):
             continue
@@ -197,7 +197,7 @@ def foreign_launcher_error(launcher_description: str, mpi_library: str) -> Input
 
 def is_started_by_mpirun() -> bool:
     """Return True if mpirun has started this process."""
-    return any(name in os.environ for name in RANK_VARIABLES)
+    return any(name in os.environ for name in MPIRUN_ENVIRONMENT_VARIABLES)
 
 
 @contextmanager
@@ -333,7 +333,7 @@ def describe_resource_shortage(error: Exception) -> str:
 
     Memory counts as short, too, above 90 % of the process's address space limit.
     """
-    is_reported = any(shortage_text in str(error) for shortage_text in OUT_OF_MEMORY_TEXTS)
+    is_reported = any(shortage_text in str(error) for shortage_text in OUT_OF_MEMORY_ERROR_TEXTS)
     # Few libraries name their need.
     is_near_limit = process_memory("VmPeak") > 0.9 * address_space_limit()
     if isinstance(error, MemoryError) or is_reported or is_near_limit:
@@ -350,10 +350,10 @@ def describe_resource_shortage(error: Exception) -> str:
 def set_one_process_variables() -> Iterator[None]:
     """Set environment variables for Open MPI without mpirun, during a block.
 
-    MPI starts in the block. :data:`ONE_PROCESS_VARIABLES` has the values. Nothing is set if mpirun
-    has started this process; a variable that the user has set stays.
+    MPI starts in the block. :data:`ONE_PROCESS_MPI_SETTINGS` has the values. Nothing is set if
+    mpirun has started this process; a variable that the user has set stays.
     """
-    value_by_variable = {} if is_started_by_mpirun() else ONE_PROCESS_VARIABLES
+    value_by_variable = {} if is_started_by_mpirun() else ONE_PROCESS_MPI_SETTINGS
     added_value_by_variable = {
         name: value for name, value in value_by_variable.items() if name not in os.environ
     }

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
-MESSAGE_INTERVAL = 5.0
+PROGRESS_MESSAGE_INTERVAL = 5.0
 """Time between progress messages [s]."""
 LOGGER = logging.getLogger("fenics_crack")
 """Logger of messages for the user: notes, remarks and warnings."""
@@ -58,9 +58,9 @@ def add_progress_text(describe_progress: Callable[[], str]) -> AbstractContextMa
 class StageLineHandler(logging.Handler):
     """Handler that shows the stages of a computation during a block.
 
-    On a terminal, the current stage is shown at once. Every 5 s (:data:`MESSAGE_INTERVAL`), a
-    message states the stage and the duration so far: on a terminal in place of the last message,
-    otherwise on a new line.
+    On a terminal, the current stage is shown at once. Every 5 s
+    (:data:`PROGRESS_MESSAGE_INTERVAL`), a message states the stage and the duration so far: on a
+    terminal in place of the last message, otherwise on a new line.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ class StageLineHandler(logging.Handler):
 
     def _print_messages_until_end(self, end_event: threading.Event) -> None:
         """Print the current stage and its duration every 5 s until an event is set."""
-        while not end_event.wait(MESSAGE_INTERVAL):
+        while not end_event.wait(PROGRESS_MESSAGE_INTERVAL):
             with self._write_lock:
                 elapsed_seconds = time.perf_counter() - self._start_time
                 progress_texts = [describe_progress() for describe_progress in _progress_functions]

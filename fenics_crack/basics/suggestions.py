@@ -21,9 +21,9 @@ from fenics_crack.basics.errors import InputError
 Function = TypeVar("Function", bound=Callable[..., Any])
 Class = TypeVar("Class")
 
-MIN_LIKENESS = 0.7
+MIN_SUGGESTION_LIKENESS = 0.7
 """Minimum likeness of a misspelt word and the suggested word (ratio of difflib)."""
-SAME_WORD_LIKENESS = 0.85
+MIN_SAME_WORD_LIKENESS = 0.85
 """Minimum likeness of two forms of a word, as "eigenfrequency" and "eigenfrequencies" (difflib)."""
 SEARCH_WORDS_BY_CALL = {
     "fc.solve(scene)": "solve steady periodic stationary forced vibration balance hbm run compute "
@@ -61,7 +61,7 @@ OWN_VERB_BY_FOREIGN_VERB = {"plot": "draw", "show": "draw", "read": "load", "exp
 """First word of this package's names, by the first word of names in other programs."""
 
 
-DESCRIPTION_BY_CLASS_NAME = {
+ARGUMENT_DESCRIPTION_BY_CLASS_NAME = {
     "Scene": "a Scene, as fc.Scene.load(path) returns", "Path": "a path", "str": "a text",
     "Mapping": "a dict", "None": "None", "Run": "a Run, as fc.solve(scene) returns",
     "ResponseCurve": "a ResponseCurve, as fc.curve(scene).result",
@@ -100,7 +100,7 @@ FACTOR_BY_UNIT_PREFIX = {
     "n": 1e-9,
 }
 """Factor from a prefixed unit to the unit."""
-FOREIGN_FACTORS_BY_UNIT = {
+FACTORS_FROM_OTHER_UNITS_BY_UNIT = {
     "kg/m^3": {"g/cm^3": 1e3, "kg/dm^3": 1e3, "t/m^3": 1e3, "t/mm^3": 1e12},
     "Pa": {"N/mm^2": 1e6, "N/m^2": 1.0},
     "N/m": {"N/mm": 1e3},
@@ -116,7 +116,7 @@ NUMBER_WITH_UNIT_PATTERN = re.compile(r"([+-]?\d*(?:[.,]\d*)?(?:[eE][+-]?\d+)?) 
 
 
 def find_similar_names(
-    word: object, known_names: Iterable[str], min_likeness: float = MIN_LIKENESS
+    word: object, known_names: Iterable[str], min_likeness: float = MIN_SUGGESTION_LIKENESS
 ) -> list[str]:
     """Return the known name most similar to a word.
 
@@ -139,7 +139,7 @@ def find_similar_names(
 
 
 def find_similar_or_longer_names(
-    name: str, known_names: Collection[str], min_likeness: float = MIN_LIKENESS
+    name: str, known_names: Collection[str], min_likeness: float = MIN_SUGGESTION_LIKENESS
 ) -> list[str]:
     """Return known names similar to a name, or else longer names.
 
@@ -165,7 +165,7 @@ def find_calls_by_synonyms(name: str) -> list[str]:
     name_words = re.findall("[a-z0-9]+", re.sub("([A-Z])", r"_\1", name[:100]).lower())
     n_matches_by_call = {
         call_text: sum(
-            bool(find_similar_names(name_word, synonym_text.split(), SAME_WORD_LIKENESS))
+            bool(find_similar_names(name_word, synonym_text.split(), MIN_SAME_WORD_LIKENESS))
             for name_word in name_words
         )
         for call_text, synonym_text in SEARCH_WORDS_BY_CALL.items()
@@ -204,7 +204,7 @@ def replacement_question_text(name: str, known_names: Sequence[str]) -> str:
     if names_with_own_verb:
         return did_you_mean_text([f"fc.{known_name}" for known_name in names_with_own_verb])
     similar_names = (
-        find_similar_names(name, known_names, SAME_WORD_LIKENESS)
+        find_similar_names(name, known_names, MIN_SAME_WORD_LIKENESS)
         if synonym_call_texts
         else find_similar_or_longer_names(name, known_names)
     )
@@ -268,8 +268,8 @@ def fit_argument_to_annotation(
     annotation : str
         Annotation: class names with " | " between them.
     known_class_names : collection of str
-        Class names that can be compared, beside :data:`DESCRIPTION_BY_CLASS_NAME`. With any further
-        class in the annotation, or ``str`` alone, nothing is checked.
+        Class names that can be compared, beside :data:`ARGUMENT_DESCRIPTION_BY_CLASS_NAME`. With
+        any further class in the annotation, or ``str`` alone, nothing is checked.
 
     Raises
     ------
@@ -282,7 +282,7 @@ def fit_argument_to_annotation(
         )
     )
     value_class_names = _class_names_of(value)
-    comparable_class_names = {*known_class_names, *DESCRIPTION_BY_CLASS_NAME}
+    comparable_class_names = {*known_class_names, *ARGUMENT_DESCRIPTION_BY_CLASS_NAME}
     is_checked = {"str"} != {*annotation_class_names} <= comparable_class_names
     if is_checked and value_class_names.isdisjoint(annotation_class_names):
         if "Run" in value_class_names and not _class_names_of(value.result).isdisjoint(
@@ -291,7 +291,7 @@ def fit_argument_to_annotation(
             return value.result
         is_plain_value = isinstance(value, str | int | float | None)
         class_descriptions = [
-            DESCRIPTION_BY_CLASS_NAME.get(class_name)
+            ARGUMENT_DESCRIPTION_BY_CLASS_NAME.get(class_name)
             or f"a{'n' * (class_name[0] in 'AEIO')} {class_name}"
             for class_name in annotation_class_names
         ]
@@ -437,7 +437,7 @@ def convert_to_unit_or_none(text: str, unit: str) -> float | None:
     given_unit = re.sub(r"([a-z])([23])\b", r"\1^\2", (number_match[2] or unit).strip())
     if given_unit == unit:
         return number
-    unit_factor = FOREIGN_FACTORS_BY_UNIT.get(unit, {}).get(given_unit)
+    unit_factor = FACTORS_FROM_OTHER_UNITS_BY_UNIT.get(unit, {}).get(given_unit)
     if unit_factor is None and unit and given_unit.endswith(unit):
         unit_factor = FACTOR_BY_UNIT_PREFIX.get(given_unit.removesuffix(unit))
     if unit_factor is None or not math.isfinite(number * unit_factor):

@@ -26,14 +26,14 @@ from fenics_crack.basics.suggestions import with_old_names
 
 MAX_PRINTED_ROWS = 40
 """Maximum rows of a table as text and as HTML; files have all rows."""
-N_SELECTED_ROWS = 8
+N_PRINTED_ROWS_OF_LONG_RESULT = 8
 """Number of rows printed of a long result: the rows with largest values, or evenly spread rows."""
 RAD_PER_TURN = 2.0 * math.pi
 """Factor from Hz to rad/s."""
 RAD_PER_S_PER_RPM = RAD_PER_TURN / 60.0
 """Factor from revolutions per minute to rad/s."""
 
-_NAME_WORDS_BY_UNIT = {
+_DICT_ENTRY_NAMES_BY_UNIT = {
     "rad/s": "omega omega_partly speed",
     "Hz": "frequency frequency_open frequency_tied frequency_partly frequency_bilinear "
     "frequency_error",
@@ -43,9 +43,9 @@ _NAME_WORDS_BY_UNIT = {
     "m": "amplitude_error displacement response clearance crack_length tip_radius rest_amplitude",
     "m/cycle": "rate",
 }
-UNIT_BY_NAME = {
+UNIT_BY_DICT_ENTRY_NAME = {
     **{name: observable.unit for name, observable in OBSERVABLES_BY_NAME.items()},
-    **{name: unit for unit, names in _NAME_WORDS_BY_UNIT.items() for name in names.split()},
+    **{name: unit for unit, names in _DICT_ENTRY_NAMES_BY_UNIT.items() for name in names.split()},
 }
 """Units for the entries of ``to_dict`` by name; all further entries have none."""
 
@@ -270,7 +270,7 @@ class Described:
 
     def _unit_by_name(self) -> Mapping[str, str]:
         """Return the units for entries of :meth:`to_dict` by name."""
-        return UNIT_BY_NAME
+        return UNIT_BY_DICT_ENTRY_NAME
 
     def _repr_text(self) -> str:
         """Return the text between the brackets of ``repr``."""
@@ -333,7 +333,7 @@ def import_optional(library: str, method: str) -> Any:
 
 # --- numbers for people ---------------------------------------------------------------------------
 
-MIN_REPORTED_ERROR = 1e-5
+MIN_REPORTED_RELATIVE_ERROR = 1e-5
 """Relative error below which the text is "less than 0.001 %": tables have six digits."""
 UNITS_WITHOUT_PREFIX = ("", "1", "-", "%", "Hz", "rad/s", "rpm", "rad", "deg", "degrees", "1/K")
 """Units that are shown without a prefix such as k or m."""
@@ -450,8 +450,8 @@ def format_percent(share: float) -> str:
 def format_error(error: float) -> str:
     """Return a relative error in per cent: "2.4 %", "less than 0.001 %"."""
     return (
-        f"less than {format_percent(MIN_REPORTED_ERROR)}"
-        if 0.0 < error < MIN_REPORTED_ERROR
+        f"less than {format_percent(MIN_REPORTED_RELATIVE_ERROR)}"
+        if 0.0 < error < MIN_REPORTED_RELATIVE_ERROR
         else format_percent(error)
     )
 

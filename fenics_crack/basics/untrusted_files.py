@@ -36,14 +36,14 @@ from typing import Any, TextIO
 
 import numpy as np
 
-MAX_FILE_BYTES = 2**31
+MAX_INPUT_FILE_BYTES = 2**31
 """Maximum bytes of a file with a mesh, a matrix or a result, and of the numbers in it."""
-HIDDEN_VARIABLE_PREFIXES = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "HDF5_")
+HIDDEN_ENVIRONMENT_VARIABLE_PREFIXES = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "HDF5_")
 """Prefixes of environment variables that a reader process does not get.
 
 The process is then no rank of MPI, and HDF5 loads no plug-ins.
 """
-READER_ENVIRONMENT = {
+READER_PROCESS_ENVIRONMENT = {
     "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "HDF5_PLUGIN_PRELOAD": "::",
 }  # fmt: skip
 """Environment variables for a reader process: one thread, no plug-ins."""
@@ -57,14 +57,14 @@ COMMA_NUMBER_PATTERN, POINT_NUMBER_PATTERN = (
     re.compile(rf"[+-]?\d*{mark}\d+(?:[eE][+-]?\d+)?") for mark in (",", r"\.")
 )
 """Patterns of numbers with a decimal comma, and with a decimal point."""
-FACTOR_BY_HEADING_PREFIX = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6}
+FACTOR_BY_HEADING_UNIT_PREFIX = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6}
 """Factor from a prefixed unit in a heading to the unit."""
 SI_UNIT_AND_FACTOR_BY_UNIT = {
     "rad": ("rad", 1.0),
     **dict.fromkeys(("deg", "°"), ("rad", math.pi / 180.0)),
     **{
         prefix + unit: (unit, factor)
-        for prefix, factor in FACTOR_BY_HEADING_PREFIX.items()
+        for prefix, factor in FACTOR_BY_HEADING_UNIT_PREFIX.items()
         for unit in ("m", "Hz")
     },
 }
@@ -90,7 +90,7 @@ def leave_working_folder() -> Iterator[None]:
 
 
 def regular_file_size(
-    path: str | Path, max_bytes: int | None = MAX_FILE_BYTES, *, follows_links: bool = True
+    path: str | Path, max_bytes: int | None = MAX_INPUT_FILE_BYTES, *, follows_links: bool = True
 ) -> int:
     """Return the size of a regular file [byte], or refuse the file.
 
@@ -152,7 +152,7 @@ def max_allowed_unpacked_bytes(packed_bytes: int) -> int:
     50 times ``packed_bytes``, but at least 16 MiB, which take seconds as text, and at most 2 GiB.
     This program's files take 1 to 10 times.
     """
-    return min(max(2**24, 50 * packed_bytes), MAX_FILE_BYTES)
+    return min(max(2**24, 50 * packed_bytes), MAX_INPUT_FILE_BYTES)
 
 
 def file_sha256(path: str | Path) -> str:
@@ -452,7 +452,7 @@ def _start_reader(
     environment = {
         name: value
         for name, value in os.environ.items()
-        if not name.startswith(HIDDEN_VARIABLE_PREFIXES)
+        if not name.startswith(HIDDEN_ENVIRONMENT_VARIABLE_PREFIXES)
     }
     own_socket, reader_socket = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     reader_descriptor = reader_socket.fileno()
@@ -462,7 +462,7 @@ def _start_reader(
                 sys.executable, "-I", str(READER_PROGRAM_PATH), str(reader_file),
                 str(reader_descriptor),
             ],
-            env=environment | READER_ENVIRONMENT, pass_fds=[reader_descriptor],
+            env=environment | READER_PROCESS_ENVIRONMENT, pass_fds=[reader_descriptor],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )  # fmt: skip
     return reader_process, own_socket

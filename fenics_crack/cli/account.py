@@ -30,7 +30,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.study.key_figures import distances_from_clamp
 from fenics_crack.study.plausibility import MAX_SMALL_ROTATION
 
-MAX_TRUSTED_TRANSVERSE_SLIDING = 0.3
+MAX_TRUSTED_TRANSVERSE_SLIDING_RATIO = 0.3
 """Maximum sliding across friction lines, over sliding along the lines, without a warning."""
 PRINT_ALWAYS, PRINT_BY_DEFAULT, PRINT_NEVER = range(3)
 """Levels at which a quantity is printed in the result's table.
@@ -38,7 +38,7 @@ PRINT_ALWAYS, PRINT_BY_DEFAULT, PRINT_NEVER = range(3)
 PRINT_BY_DEFAULT: unless ``output.quantities`` requests quantities. PRINT_NEVER: in files alone, for
 parts of an error, and for sentences printed below the table.
 """
-DESCRIPTION_UNIT_AND_LEVEL_BY_NAME = {
+DESCRIPTION_UNIT_AND_PRINT_LEVEL_BY_QUANTITY = {
     "periods": ("periods", "-", PRINT_BY_DEFAULT),
     "steps_per_period": ("steps in a period", "-", PRINT_BY_DEFAULT),
     "settled": ("change over the last period", "-", PRINT_BY_DEFAULT),
@@ -70,10 +70,10 @@ DESCRIPTION_UNIT_AND_LEVEL_BY_NAME = {
 
 :data:`OBSERVABLES_BY_NAME` has the motion's quantities.
 """
-TOLERANCE_OPTION_TEXT = "--set harmonic_balance.tolerance=1e-2"
+PROPOSED_TOLERANCE_OPTION = "--set harmonic_balance.tolerance=1e-2"
 """Command-line option proposed in warnings: the solver then chooses the number of harmonics."""
-MODE_DEPENDENCE_TEXT = "depends on truncated modes"
-MEANING_BY_BIFURCATION = {
+TRUNCATED_MODES_DEPENDENCE_REMARK = "depends on truncated modes"
+EFFECT_IN_TEST_BY_BIFURCATION_KIND = {
     "fold": "the curve turns back here; in a test the amplitude jumps",
     "period_doubling": "beyond this point the vibration repeats after two periods of the load; in "
     "a test half the load's frequency appears in the spectrum",
@@ -162,7 +162,7 @@ def yield_large_error_warning(
     if balance_table.tolerance is None:
         can_choose_harmonics = balance_table.samples is None and balance_table.form != "block"
         refinement_text = "more harmonics" + (
-            f": {TOLERANCE_OPTION_TEXT} chooses them"
+            f": {PROPOSED_TOLERANCE_OPTION} chooses them"
             if can_choose_harmonics
             else " (harmonic_balance.harmonics)"
         )
@@ -205,7 +205,7 @@ def yield_instability_warning(
     if stability is None or stability.verdict == "stable":
         return
     reason_text = f" ({stability.reason})" if stability.reason else ""
-    hint_texts = [] if scene.harmonic_balance.tolerance else [TOLERANCE_OPTION_TEXT]
+    hint_texts = [] if scene.harmonic_balance.tolerance else [PROPOSED_TOLERANCE_OPTION]
     if stability.verdict == "irregular":
         hints_text = f"; {hint_texts[0]} may find a periodic orbit" if hint_texts else ""
         yield f"{stability.reason}{motion_text}{hints_text}"
@@ -235,7 +235,7 @@ def list_friction_line_notes_and_warnings(run: Run[Any]) -> tuple[list[str], lis
     """Describe friction along lines in a solid, and warn if the sliding direction turns.
 
     At each contact pair friction acts along a fixed direction. The warning is given if sliding
-    across exceeds :data:`MAX_TRUSTED_TRANSVERSE_SLIDING`, 0.3, of sliding along the lines.
+    across exceeds :data:`MAX_TRUSTED_TRANSVERSE_SLIDING_RATIO`, 0.3, of sliding along the lines.
 
     Returns
     -------
@@ -252,9 +252,11 @@ def list_friction_line_notes_and_warnings(run: Run[Any]) -> tuple[list[str], lis
         "at each contact pair friction acts along one direction; sliding across it has no "
         f"friction, and is {sliding_ratio:.2g} of the sliding along it"
     )
-    if sliding_ratio > MAX_TRUSTED_TRANSVERSE_SLIDING:
+    if sliding_ratio > MAX_TRUSTED_TRANSVERSE_SLIDING_RATIO:
         return [note_text], [warning_text]
-    return [f"{note_text}; up to {MAX_TRUSTED_TRANSVERSE_SLIDING:g} nothing needs to be done"], []
+    return [
+        f"{note_text}; up to {MAX_TRUSTED_TRANSVERSE_SLIDING_RATIO:g} nothing needs to be done"
+    ], []
 
 
 def yield_nonunique_contact_force_warning(solution: PeriodicSolution) -> Iterator[str]:
@@ -289,7 +291,8 @@ def yield_mode_dependence_warning(
         contradiction_text := assessment_with_more_modes.describe_contradiction(verdict)
     ):
         yield (
-            f"{contradiction_text}: the verdict {verdict!r} {MODE_DEPENDENCE_TEXT}; raise "
+            f"{contradiction_text}: the verdict {verdict!r} "
+            f"{TRUNCATED_MODES_DEPENDENCE_REMARK}; raise "
             f"{scene.modes_key}"
         )
 
@@ -401,7 +404,7 @@ def make_report(
     )
     if table.columns[0] != "name":
         return report
-    conclusion_text = DESCRIPTION_UNIT_AND_LEVEL_BY_NAME["conclusion"][0]
+    conclusion_text = DESCRIPTION_UNIT_AND_PRINT_LEVEL_BY_QUANTITY["conclusion"][0]
     error_cells = ["" for _ in table.columns[4:]]
     conclusion_row = ["conclusion", conclusion_text, report.closing_sentence, "-", *error_cells]
     return replace(
@@ -503,8 +506,9 @@ def select_printed_quantities(table: Table, scene: Scene, place_flag: Observable
     (:class:`ObservableFlag`). Frequencies and speeds keep the scene's unit only.
 
     If the first column is "name", each row is a quantity. Rows on the computation, such as
-    harmonics, follow :data:`DESCRIPTION_UNIT_AND_LEVEL_BY_NAME`; rows with nan are left out, and so
-    is the column "name". Otherwise each column is a quantity; all columns besides quantities stay.
+    harmonics, follow :data:`DESCRIPTION_UNIT_AND_PRINT_LEVEL_BY_QUANTITY`; rows with nan are left
+    out, and so is the column "name". Otherwise each column is a quantity; all columns besides
+    quantities stay.
     """
     requested_names, default_names = scene.quantities, observable_names(required_flags=place_flag)
     table = _round_to_zero(table)
@@ -525,7 +529,9 @@ def select_printed_quantities(table: Table, scene: Scene, place_flag: Observable
             for table_row in table.rows
             if is_printed(table_row[0], table_row[3])
             and not (isinstance(table_row[2], float) and np.isnan(table_row[2]))
-            and DESCRIPTION_UNIT_AND_LEVEL_BY_NAME.get(table_row[0], ("", "", PRINT_ALWAYS))[2]
+            and DESCRIPTION_UNIT_AND_PRINT_LEVEL_BY_QUANTITY.get(
+                table_row[0], ("", "", PRINT_ALWAYS)
+            )[2]
             in printed_levels
         ]
         return Table(table.columns[1:], printed_rows)

@@ -39,7 +39,7 @@ PETSC_OPTION_PREFIXES = tuple(
 In this order: SNES of harmonic balance, GMRES, SLEPc for lowest modes, SLEPc for the largest
 frequency, factorisations.
 """
-ARGUMENT_NAMES_BY_TABLE = {
+LIBRARY_ARGUMENT_NAMES_BY_SCENE_TABLE = {
     "curve": ("parameter", "start"),
     "disk": ("families",),
     "excitation": ("omega",),
@@ -49,10 +49,10 @@ ARGUMENT_NAMES_BY_TABLE = {
     "tip_timing": ("clock", "noise", "probes", "revolutions", "tip_radius"),
 }
 DAMPING_ARGUMENT_NAMES = ("mass", "modes", "omegas", "ratio", "ratios", "stiffness")
-SCENE_KEY_BY_ARGUMENT = {
+SCENE_KEY_OR_OPTION_BY_ARGUMENT = {
     **{
         name: f"{table}.{name}"
-        for table, names in ARGUMENT_NAMES_BY_TABLE.items()
+        for table, names in LIBRARY_ARGUMENT_NAMES_BY_SCENE_TABLE.items()
         for name in names
     },
     **{f"damping {name}": f"damping.{name}" for name in DAMPING_ARGUMENT_NAMES},
@@ -66,7 +66,7 @@ SCENE_KEY_BY_ARGUMENT = {
     "start, end": "curve.start, curve.stop",
 }
 """Scene key or command-line option to print, by the argument name in an error of the library."""
-MAX_ENGINE_ORDER = 1000
+MAX_ENGINE_ORDER_IN_OPTION = 1000
 """Maximum engine order in the option ``--orders``."""
 HELP_EPILOG_TEXT = """\
 Start with:
@@ -96,7 +96,10 @@ def main(command_words: Sequence[str] | None = None) -> int:
     """
     gc.set_threshold(10_000)  # each search visits over 100,000 lasting objects: search less often
     atexit.register(gc.freeze)  # no search at exit: the system frees all memory
-    if any(os.environ.get(variable_name, "0") != "0" for variable_name in machine.RANK_VARIABLES):
+    if any(
+        os.environ.get(variable_name, "0") != "0"
+        for variable_name in machine.MPIRUN_ENVIRONMENT_VARIABLES
+    ):
         _discard_output_of_this_rank()
     if sys.stdout is None:
         _print_to_stderr(
@@ -216,7 +219,10 @@ def _print_input_errors(input_errors: Sequence[InputError]) -> None:
     """
     example_blocks = []
     for input_error in input_errors:
-        scene_key, example_text = SCENE_KEY_BY_ARGUMENT.get(input_error.key, input_error.key), ""
+        scene_key, example_text = (
+            SCENE_KEY_OR_OPTION_BY_ARGUMENT.get(input_error.key, input_error.key),
+            "",
+        )
         if input_error.value is None:
             from fenics_crack.cli.given import find_example_line, find_example_table_text
 
@@ -254,7 +260,7 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
         return _call_command(arguments, None, None) or Exit.DONE
     machine.check_debian_module_versions()
     from fenics_crack.cli.given import (
-        STRUCTURE_FILE_NAME,
+        KEPT_STRUCTURE_FILE_NAME,
         Console,
         read_inputs,
         read_prepared_inputs,
@@ -267,7 +273,7 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
     has_structure_file = (
         inputs
         and not vars(arguments).get("fresh", True)
-        and (inputs.folder / STRUCTURE_FILE_NAME).exists()
+        and (inputs.folder / KEPT_STRUCTURE_FILE_NAME).exists()
     )
     needs_mesh = (
         arguments.command not in ("new", "clean")
@@ -325,9 +331,9 @@ def _call_command(
     if inputs is None or ("output" not in arguments and arguments.command != "check"):
         return command_function(arguments, inputs, console)
     from fenics_crack.basics.ranks import on_root
-    from fenics_crack.cli.given import STRUCTURE_FILE_NAME, make_writable_folder
+    from fenics_crack.cli.given import KEPT_STRUCTURE_FILE_NAME, make_writable_folder
     from fenics_crack.study.plausibility import remarks_on_scene
-    from fenics_crack.study.sharing import STRUCTURE_FILES
+    from fenics_crack.study.sharing import CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST
 
     assert console is not None
     if arguments.command not in ("check", "clean"):
@@ -335,11 +341,11 @@ def _call_command(
     if (is_fresh := vars(arguments).get("fresh")) is not None and inputs.prepared_study is None:
         from fenics_crack.study.shelf import StructureFile
 
-        structure_path = inputs.folder / STRUCTURE_FILE_NAME
+        structure_path = inputs.folder / KEPT_STRUCTURE_FILE_NAME
         can_read_structure = on_root(
             console.comm, lambda: structure_path.is_file() and not structure_path.is_symlink()
         )
-        STRUCTURE_FILES[:] = [
+        CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST[:] = [
             StructureFile(
                 structure_path, console.print_notes, is_read=can_read_structure and not is_fresh
             )
@@ -349,7 +355,7 @@ def _call_command(
     try:
         return command_function(arguments, inputs, console)
     finally:
-        STRUCTURE_FILES.clear()
+        CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST.clear()
 
 
 # --- arguments ------------------------------------------------------------------------------------
@@ -366,14 +372,14 @@ class OrderRangeAction(argparse.Action):
     ) -> None:
         """Append the engine orders to the assignments of ``--set``; argparse calls this.
 
-        Raises InputError unless 1 <= FIRST <= LAST <= :data:`MAX_ENGINE_ORDER`.
+        Raises InputError unless 1 <= FIRST <= LAST <= :data:`MAX_ENGINE_ORDER_IN_OPTION`.
         """
         first_order, last_order = order_range
-        if not 1 <= first_order <= last_order <= MAX_ENGINE_ORDER:
+        if not 1 <= first_order <= last_order <= MAX_ENGINE_ORDER_IN_OPTION:
             raise InputError(
                 "--orders",
                 order_range,
-                f"two whole numbers with 1 <= FIRST <= LAST <= {MAX_ENGINE_ORDER}",
+                f"two whole numbers with 1 <= FIRST <= LAST <= {MAX_ENGINE_ORDER_IN_OPTION}",
             )
         engine_orders = [*range(first_order, last_order + 1)]
         arguments.set = [*arguments.set, f"tip_timing.orders={engine_orders}"]
@@ -389,7 +395,7 @@ def path(text: str) -> Path:
     return Path(text)
 
 
-COMMON_ARGUMENTS_TEXT = "scene --set --output"
+COMMON_ARGUMENT_NAMES = "scene --set --output"
 HELP_AND_CALL_BY_COMMAND = {
     "new": (
         "write a commented scene to start from",
@@ -401,16 +407,16 @@ HELP_AND_CALL_BY_COMMAND = {
     ),
     "modes": (
         "natural frequencies and mode shapes, crack open",
-        f"runs.solve:modes {COMMON_ARGUMENTS_TEXT} --count",
+        f"runs.solve:modes {COMMON_ARGUMENT_NAMES} --count",
     ),
     "campbell": (
         "natural frequencies over the speed of [rotation], crack open and bonded, and a picture",
-        f"study.campbell:campbell {COMMON_ARGUMENTS_TEXT} --count --speeds --pictures",
+        f"study.campbell:campbell {COMMON_ARGUMENT_NAMES} --count --speeds --pictures",
     ),
     "disk": (
         "natural frequencies of a bladed disk over the nodal diameter, and how much random "
         "mistuning amplifies the response of a blade, with pictures",
-        f"cli.commands:compute_and_report_bladed_disk {COMMON_ARGUMENTS_TEXT} --patterns "
+        f"cli.commands:compute_and_report_bladed_disk {COMMON_ARGUMENT_NAMES} --patterns "
         "--deviation --pictures",
     ),
     "reduce": (
@@ -419,29 +425,29 @@ HELP_AND_CALL_BY_COMMAND = {
     ),
     "solve": (
         "steady vibration at excitation.omega",
-        f"runs.solve:solve {COMMON_ARGUMENTS_TEXT} --fresh",
+        f"runs.solve:solve {COMMON_ARGUMENT_NAMES} --fresh",
     ),
     "verify": (
         "contributions of mesh, modes, harmonics and samples to the error of solve: observed "
         "orders, extrapolated values, grid-convergence indices, and a picture",
-        f"errors.verify:verify {COMMON_ARGUMENTS_TEXT} --fresh --pictures",
+        f"errors.verify:verify {COMMON_ARGUMENT_NAMES} --fresh --pictures",
     ),
     "curve": (
         "response curve of the table [curve]",
-        f"runs.curve:curve {COMMON_ARGUMENTS_TEXT} --fresh",
+        f"runs.curve:curve {COMMON_ARGUMENT_NAMES} --fresh",
     ),
     "integrate": (
         "motion in time by the table [integration]",
-        f"runs.integrate:integrate {COMMON_ARGUMENTS_TEXT}",
+        f"runs.integrate:integrate {COMMON_ARGUMENT_NAMES}",
     ),
     "sweep": (
         "all cases of the table [sweep.over]; continues where it stopped",
-        f"cli.commands:run_and_report_sweep {COMMON_ARGUMENTS_TEXT} --fresh",
+        f"cli.commands:run_and_report_sweep {COMMON_ARGUMENT_NAMES} --fresh",
     ),
     "grow": (
         "growth of the crack under the vibration by the table [growth]: length, life, frequencies; "
         "continues where it stopped",
-        f"fatigue.growth:grow {COMMON_ARGUMENTS_TEXT} --pictures",
+        f"fatigue.growth:grow {COMMON_ARGUMENT_NAMES} --pictures",
     ),
     "timing": (
         "arrival times of the blade tip at the probes of [tip_timing], and the vibration fitted to "
@@ -465,7 +471,7 @@ HELP_AND_CALL_BY_COMMAND = {
     ),
     "clean": (
         "remove the structure that earlier commands have kept in the folder for the results",
-        f"cli.commands:remove_kept_structure {COMMON_ARGUMENTS_TEXT}",
+        f"cli.commands:remove_kept_structure {COMMON_ARGUMENT_NAMES}",
     ),
     "doctor": (
         "versions of the installed libraries, and checks against known numbers",
@@ -589,19 +595,19 @@ HELP_AND_OPTIONS_BY_ARGUMENT: dict[str, tuple[str, dict[str, Any]]] = {
 }
 
 
-KEY_COMPLETION_BY_SHELL = {
+KEY_COMPLETION_FUNCTION_BY_SHELL = {
     "bash": "_fenics_crack_keys", "zsh": "_fenics_crack_keys", "fish": "(_fenics_crack_keys)",
 }  # fmt: skip
 """Completion of ``--set`` for shtab, by shell: the name of a shell function.
 
-:data:`KEY_FUNCTION_CODE_BY_SHELL` defines the function.
+:data:`KEY_COMPLETION_CODE_BY_SHELL` defines the function.
 """
-PATH_COMPLETION_BY_SHELL = {
+PATH_COMPLETION_FUNCTION_BY_SHELL = {
     "bash": "_shtab_compgen_files", "zsh": "_files",
     "fish": "(__fish_complete_path (commandline -ct))",
 }  # fmt: skip
 """Shell function for shtab to complete paths, by shell."""
-KEY_FUNCTION_CODE_BY_SHELL = {
+KEY_COMPLETION_CODE_BY_SHELL = {
     "bash": '_fenics_crack_keys() {{ compgen -W "{}" -- "$1"; }}',
     "zsh": "_fenics_crack_keys() {{ compadd {}; }}",
     "fish": "function _fenics_crack_keys; string split ' ' '{}'; end",
@@ -663,7 +669,7 @@ class CompletionAction(argparse.Action):
         keys_text = " ".join(known_keys())
         preamble_by_shell = {
             shell: function_code.format(keys_text)
-            for shell, function_code in KEY_FUNCTION_CODE_BY_SHELL.items()
+            for shell, function_code in KEY_COMPLETION_CODE_BY_SHELL.items()
         }
         print(shtab.complete(parser, call_arguments[1], preamble=preamble_by_shell))
         parser.exit()
@@ -697,7 +703,7 @@ def build_parser() -> argparse.ArgumentParser:
     program_parser.add_argument(
         "--completion",
         action=CompletionAction,
-        choices=(*KEY_FUNCTION_CODE_BY_SHELL,),
+        choices=(*KEY_COMPLETION_CODE_BY_SHELL,),
         help=completion_help,
     )
     command_group = program_parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
@@ -715,9 +721,9 @@ def build_parser() -> argparse.ArgumentParser:
             )
             if argument_name == "--set" or argument_options.get("type") is path:
                 completion_by_shell = (
-                    KEY_COMPLETION_BY_SHELL
+                    KEY_COMPLETION_FUNCTION_BY_SHELL
                     if argument_name == "--set"
-                    else PATH_COMPLETION_BY_SHELL
+                    else PATH_COMPLETION_FUNCTION_BY_SHELL
                 )
                 argument_action.complete = completion_by_shell  # type: ignore[attr-defined]
         verbosity_group = command_parser.add_mutually_exclusive_group()

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from fenics_crack.basics.atomic_files import complete_files_together, remove_file
 from fenics_crack.basics.errors import (
     INTERRUPTED_CURVE_STATUS,
-    N_LOWEST_MODES,
+    N_FREQUENCIES_PER_CRACK_STATE,
     Exit,
     InputError,
     StoppedError,
@@ -21,7 +21,7 @@ from fenics_crack.basics.ranks import ignore_stop_signals, on_root
 from fenics_crack.basics.tables import Report, format_speed
 from fenics_crack.cli.account import make_printed_table
 from fenics_crack.cli.given import (
-    STRUCTURE_FILE_NAME,
+    KEPT_STRUCTURE_FILE_NAME,
     CommandInputs,
     Console,
     PictureFiles,
@@ -31,7 +31,7 @@ from fenics_crack.cli.given import (
 from fenics_crack.cli.kinds import RESULT_KIND_BY_NAME, build_report, draw_result
 from fenics_crack.runs.run import Run
 from fenics_crack.study.plausibility import remarks_on_scene
-from fenics_crack.study.sharing import STRUCTURE_FILES
+from fenics_crack.study.sharing import CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST
 
 if TYPE_CHECKING:
     from fenics_crack.arrivals.arrival_times import ArrivalTimes
@@ -76,7 +76,7 @@ def run_and_report_function(
     known_values_by_parameter = {
         "comm": console.comm,
         "progress": console.shows_progress,
-        "few": N_LOWEST_MODES,
+        "few": N_FREQUENCIES_PER_CRACK_STATE,
         **vars(arguments),
         **vars(inputs),
         "scene": inputs.prepared_study or inputs.scene,
@@ -147,7 +147,7 @@ def write_and_print_report(
         Exit code, as from :func:`print_report_sentences`.
     """
     replacement_note = ""
-    for structure_file in STRUCTURE_FILES:
+    for structure_file in CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST:
         structure_file.write_noted_structure(console.comm)
     if result is not None:
         replacement_note = keep_previous_files_with_note(
@@ -213,10 +213,10 @@ def run_and_report_sweep(_: Namespace, inputs: CommandInputs, console: Console) 
 def remove_kept_structure(_: Namespace, inputs: CommandInputs, console: Console) -> None:
     """Run the command ``clean``: remove the stored structure from the results folder.
 
-    Earlier commands have written this file, :data:`STRUCTURE_FILE_NAME`, to mesh and reduce only
-    once.
+    Earlier commands have written this file, :data:`KEPT_STRUCTURE_FILE_NAME`, to mesh and reduce
+    only once.
     """
-    on_root(console.comm, lambda: remove_file(inputs.folder / STRUCTURE_FILE_NAME, "--output"))
+    on_root(console.comm, lambda: remove_file(inputs.folder / KEPT_STRUCTURE_FILE_NAME, "--output"))
 
 
 def write_prepared_study(arguments: Namespace, inputs: CommandInputs, console: Console) -> None:
@@ -292,7 +292,7 @@ def _convert_arrivals_to_measurements(
         The arrivals pass no resonance of the blade, or do not fit the scene: the speed differs by
         more than 1 %, for example.
     """
-    from fenics_crack.arrivals.arrival_times import MAX_STEADY_SPEED_VARIATION
+    from fenics_crack.arrivals.arrival_times import MAX_RELATIVE_RANGE_OF_CONSTANT_SPEED
     from fenics_crack.monitoring import scene_timing
     from fenics_crack.monitoring.identification.measurements import (
         Measurements,
@@ -331,7 +331,7 @@ def _convert_arrivals_to_measurements(
     has_fixed_speed = scene.speed > 0.0 and scene.excitation.order is None
     if (
         has_fixed_speed
-        and abs(arrivals.mean_speed / scene.speed - 1.0) > MAX_STEADY_SPEED_VARIATION
+        and abs(arrivals.mean_speed / scene.speed - 1.0) > MAX_RELATIVE_RANGE_OF_CONSTANT_SPEED
     ):
         measured_speed_text, scene_speed_text = (
             format_speed(speed, scene.is_speed_in_rpm)

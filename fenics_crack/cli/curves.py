@@ -10,8 +10,8 @@ import numpy as np
 from fenics_crack.basics.errors import INTERRUPTED_CURVE_STATUS
 from fenics_crack.basics.observables import IN_SPECIAL_POINTS_TABLE, OBSERVABLES_BY_NAME
 from fenics_crack.basics.tables import (
-    N_SELECTED_ROWS,
-    UNIT_BY_NAME,
+    N_PRINTED_ROWS_OF_LONG_RESULT,
+    UNIT_BY_DICT_ENTRY_NAME,
     Report,
     Table,
     add_frequency_entries,
@@ -20,7 +20,7 @@ from fenics_crack.basics.tables import (
     heading_with_unit,
 )
 from fenics_crack.cli import account
-from fenics_crack.cli.account import MEANING_BY_BIFURCATION
+from fenics_crack.cli.account import EFFECT_IN_TEST_BY_BIFURCATION_KIND
 from fenics_crack.curves.curve import (
     DESCRIPTION_BY_PARAMETER,
     ResponseCurve,
@@ -82,8 +82,11 @@ def _yield_curve_notes(run: Run[ResponseCurve], n_hidden_points: int) -> Iterato
     yield _describe_unstable_peak(run)
     yield account.describe_undamped_harmonics(run.structure, highest_harmonic_omega(scene, "curve"))
     for bifurcation_kind in dict.fromkeys(bifurcation.kind for bifurcation in curve.bifurcations):
-        if bifurcation_kind in MEANING_BY_BIFURCATION:
-            yield f"{kind_in_words(bifurcation_kind)}: {MEANING_BY_BIFURCATION[bifurcation_kind]}"
+        if bifurcation_kind in EFFECT_IN_TEST_BY_BIFURCATION_KIND:
+            yield (
+                f"{kind_in_words(bifurcation_kind)}: "
+                f"{EFFECT_IN_TEST_BY_BIFURCATION_KIND[bifurcation_kind]}"
+            )
     indicators = curve.indicators(run.watched_dof)
     peak_index = int(np.argmax(indicators.amplitude))
     if indicators.largest_order[peak_index] > 3:
@@ -321,7 +324,7 @@ def _parameter_columns_by_heading(curve: ResponseCurve) -> dict[str, np.ndarray]
         columns_by_name = columns_by_name if curve.parameter == "resonance" else {}
     named_columns = add_frequency_entries(columns_by_name).items()
     return columns_by_heading | {
-        heading_with_unit(name, UNIT_BY_NAME[name]): np.asarray(column)
+        heading_with_unit(name, UNIT_BY_DICT_ENTRY_NAME[name]): np.asarray(column)
         for name, column in named_columns
     }
 
@@ -353,7 +356,9 @@ def shorten_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table
         return row_index < len(bifurcations), other_rows[row_index][amplitude_column_index]
 
     kept_indices = sorted(
-        sorted(range(len(other_rows)), key=rank_row, reverse=True)[: N_SELECTED_ROWS - 3]
+        sorted(range(len(other_rows)), key=rank_row, reverse=True)[
+            : N_PRINTED_ROWS_OF_LONG_RESULT - 3
+        ]
     )
     kept_rows = [*first_rows, *(other_rows[row_index] for row_index in kept_indices)]
     return Table(table.columns, kept_rows), len(other_rows) - len(kept_indices)

@@ -31,13 +31,13 @@ from fenics_crack.version import VERSION
 
 MIN_NUMPY_VERSION = (1, 24)
 """Oldest supported NumPy, the version in Debian 12."""
-REFERENCE_MAX_AND_MIN_DISPLACEMENT = (2.19791942, -2.94941155)
+OSCILLATOR_REFERENCE_MAX_AND_MIN = (2.19791942, -2.94941155)
 """Maximum and minimum of x in a period of x'' + 0.1 x' + x + max(x, 0) = cos t.
 
 Another program integrated from one switching instant to the next (docs/verification, bilinear
 oscillator).
 """
-PLATE_SCENE_TABLES = {
+CHECKED_PLATE_SCENE_TABLES = {
     "geometry": {"width": 0.1, "height": 0.1, "thickness": 1.0},
     "crack": {"edge": "left", "height": 0.05, "length": 0.05},
     "material": {"young": 2e9, "poisson": 0.0, "density": 7800.0},
@@ -62,7 +62,7 @@ def run_and_print_checks(arguments: Namespace, *_: object) -> Exit:
         from fenics_crack.basics.tables import Table  # NumPy
     check_rows = [
         (check_name, "FAULT" if is_fault else "ok", finding_text)
-        for check_name, finding_text, is_fault in run_and_yield_checks(CHECKS_BY_NAME)
+        for check_name, finding_text, is_fault in run_and_yield_checks(CHECK_FUNCTION_BY_NAME)
     ]
     print(
         Table(("check", "verdict", "finding"), check_rows).format_as(arguments.format),
@@ -227,7 +227,7 @@ def _check_two_masses() -> str:
     )
     gaps = solution.gap(np.linspace(0.0, solution.period, 4096))
     relative_error = np.max(
-        np.abs(np.array([gaps.max(), gaps.min()]) / REFERENCE_MAX_AND_MIN_DISPLACEMENT - 1.0)
+        np.abs(np.array([gaps.max(), gaps.min()]) / OSCILLATOR_REFERENCE_MAX_AND_MIN - 1.0)
     )
     return _describe_error_or_raise("gaps of two masses at stops", relative_error, 1e-3)
 
@@ -240,7 +240,7 @@ def _check_plate() -> str:
     import numpy as np
 
     package_module = import_module("fenics_crack")
-    plate_scene = package_module.Scene.from_mapping(PLATE_SCENE_TABLES)
+    plate_scene = package_module.Scene.from_mapping(CHECKED_PLATE_SCENE_TABLES)
     uncracked_structure = package_module.build_structure(
         plate_scene.replace({"crack": None, "contact": None})
     )
@@ -276,7 +276,7 @@ def _describe_error_or_raise(quantity_name: str, relative_error: float, toleranc
     return error_text
 
 
-CHECKS_BY_NAME = {
+CHECK_FUNCTION_BY_NAME = {
     "program": _describe_program,
     "NumPy": _check_numpy,
     "compiler": _check_compiler,

@@ -50,13 +50,13 @@ if TYPE_CHECKING:
     ArrivalSource = Path | dict[int, ArrivalTimes] | None
 
 PLATE_TEMPLATE_PATH = "cli/new_scene.toml"
-ARRIVAL_FILE_SUFFIXES = (".csv", ".h5")
+ARRIVAL_OR_RESULT_FILE_SUFFIXES = (".csv", ".h5")
 """Endings of files with measured arrivals, and of results to compute arrivals from."""
-STRUCTURE_FILE_NAME = "prepared.h5"
+KEPT_STRUCTURE_FILE_NAME = "prepared.h5"
 """Name of the file with a meshed and reduced structure, stored for later commands."""
 PERIOD_FRAMES_FOLDER_NAME = "solution_period"
 """Folder for a period's frames for ParaView, inside the results folder."""
-RESULT_ENDINGS = (".h5", ".csv", ".json", ".png", ".pdf", ".svg")
+RESULT_FILE_ENDINGS = (".h5", ".csv", ".json", ".png", ".pdf", ".svg")
 """Endings of all files belonging to a result."""
 COMMANDS_FOR_PREPARED_FILES = ("solve", "curve")
 """Commands that accept a file from ``reduce`` in place of a scene."""
@@ -133,7 +133,8 @@ def read_inputs(arguments: Namespace) -> CommandInputs | None:
             speeds=_find_campbell_speeds_or_none(arguments, scene),
         )
     has_uncracked_record = (
-        arguments.before is not None and arguments.before.suffix.lower() in ARRIVAL_FILE_SUFFIXES
+        arguments.before is not None
+        and arguments.before.suffix.lower() in ARRIVAL_OR_RESULT_FILE_SUFFIXES
     )
     uncracked_arrival_source = (
         _read_arrivals(scene, arguments, arguments.before) if has_uncracked_record else None
@@ -549,7 +550,7 @@ def keep_previous_files_with_note(
     file_names = [
         f"{file_stem}{file_suffix}"
         for file_stem in (table_path.stem, *other_stems)
-        for file_suffix in RESULT_ENDINGS
+        for file_suffix in RESULT_FILE_ENDINGS
     ]
 
     def keep_files_on_root() -> str:

@@ -16,7 +16,7 @@ from fenics_crack.version import read_packaged_text
 
 MAX_LISTED_FACES = 40
 """Maximum number of the part's faces, largest first, listed in the scene and in the picture."""
-CRACK_HEIGHT_FRACTION = 0.2
+PROPOSED_CRACK_HEIGHT_FRACTION = 0.2
 """Height of the proposed crack above the clamp, relative to the part's length."""
 
 
@@ -111,7 +111,7 @@ def _propose_crack(part_surface: _PartSurface, axis: int) -> tuple[np.ndarray, n
     """Propose a crack on the largest face along the part's longest axis.
 
     All normals of this face differ by more than 45 degrees from coordinate ``axis``, 0 to 2. The
-    crack is at :data:`CRACK_HEIGHT_FRACTION`, 0.2, of the length above the clamped end.
+    crack is at :data:`PROPOSED_CRACK_HEIGHT_FRACTION`, 0.2, of the length above the clamped end.
 
     Returns
     -------
@@ -133,7 +133,9 @@ def _propose_crack(part_surface: _PartSurface, axis: int) -> tuple[np.ndarray, n
     face_index = int((np.array(axis_components) < 0.7).argmax())
     is_on_face = part_surface.face_numbers == part_surface.face_numbers_largest_first[face_index]
     target_point = part_surface.face_points[face_index] * (1.0 - axis_direction)
-    target_point[axis] = bottom_height + CRACK_HEIGHT_FRACTION * (top_height - bottom_height)
+    target_point[axis] = bottom_height + PROPOSED_CRACK_HEIGHT_FRACTION * (
+        top_height - bottom_height
+    )
     triangle_index = np.linalg.norm(
         part_surface.triangle_centers[is_on_face] - target_point, axis=1
     ).argmin()

@@ -19,7 +19,7 @@ from fenics_crack.arrivals.track_order import TipTrack
 from fenics_crack.balance.harmonic_balance import linear_response
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.atomic_files import write_file_whole
-from fenics_crack.basics.errors import N_LOWEST_MODES, InputError
+from fenics_crack.basics.errors import N_FREQUENCIES_PER_CRACK_STATE, InputError
 from fenics_crack.basics.tables import (
     choose_factor_and_prefixed_unit,
     format_percent,
@@ -42,8 +42,8 @@ from fenics_crack.runs.stress_intensity import stress_intensity
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.keys import unit_of_key
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.words import UNITS_WITHOUT_PREFIX, key_in_words, value_in_words
-from fenics_crack.study.campbell import MAX_REPORTED_ORDER, Campbell
+from fenics_crack.scene.words import SCENE_UNITS_WITHOUT_PREFIX, key_in_words, value_in_words
+from fenics_crack.study.campbell import MAX_REPORTED_ENGINE_ORDER, Campbell
 from fenics_crack.study.prepare import prepare
 from fenics_crack.sweep.plan import LOAD_FREQUENCY_KEYS
 from fenics_crack.sweep.result import SweepResult
@@ -341,7 +341,9 @@ def _compute_linear_response(
     amplitudes : (n,) [m]
     """
     max_modes = count_bonded_modes(structure) if lips == "tied" else structure.n_modes
-    natural_omega = solve_modes(structure, min(N_LOWEST_MODES, max_modes), lips=lips).omega
+    natural_omega = solve_modes(
+        structure, min(N_FREQUENCIES_PER_CRACK_STATE, max_modes), lips=lips
+    ).omega
     relative_offsets = np.geomspace(1e-6, 0.1, 30)
     omega_near_resonances = np.outer(
         natural_omega, np.concatenate([1.0 - relative_offsets, 1.0 + relative_offsets])
@@ -531,7 +533,7 @@ def draw_swept_quantity(
 def _scale_axis(axis: Axis, axis_values: np.ndarray) -> tuple[np.ndarray, str]:
     """Scale an axis's values to a readable unit, mm for m; return values and label."""
     unit, unit_factor = unit_of_key(axis.key), 1.0
-    if unit and unit not in UNITS_WITHOUT_PREFIX:
+    if unit and unit not in SCENE_UNITS_WITHOUT_PREFIX:
         unit_factor, unit = choose_factor_and_prefixed_unit(float(np.abs(axis_values).max()), unit)
     return unit_factor * axis_values, heading_with_unit(key_in_words(axis.key), unit)
 
@@ -547,10 +549,10 @@ def draw_crack_growth(growth: Growth, picture_files: PictureFiles) -> None:
 def draw_campbell_diagram(campbell: Campbell, picture_files: PictureFiles) -> None:
     """Draw a Campbell diagram in the scene's units, with engine orders.
 
-    Orders run from 1 to :data:`MAX_REPORTED_ORDER`, with the load's order in addition.
+    Orders run from 1 to :data:`MAX_REPORTED_ENGINE_ORDER`, with the load's order in addition.
     """
     scene = campbell.scene
-    engine_orders = sorted({*range(1, MAX_REPORTED_ORDER + 1), scene.excitation.order or 1})
+    engine_orders = sorted({*range(1, MAX_REPORTED_ENGINE_ORDER + 1), scene.excitation.order or 1})
     caption = "Natural frequencies over the speed; grey: engine orders; circles: where both meet."
     plot_rotor.draw_campbell(
         campbell,

@@ -42,7 +42,7 @@ from fenics_crack.scene.words import (
     key_in_words,
     value_in_words,
 )
-from fenics_crack.study.shelf import FILE_KIND as KEPT_KIND
+from fenics_crack.study.shelf import STRUCTURE_FILE_KIND
 from fenics_crack.sweep.result import has_omitted_options
 from fenics_crack.version import VERSION, read_packaged_text
 
@@ -148,7 +148,7 @@ def _read_result_files_and_note(result_paths: Sequence[Path]) -> tuple[list[Stor
             raise InputError("result", str(result_path), "a folder with results (.h5 files)")
         result_files += map(read_result_file, file_paths)
     result_files = [
-        stored_file for stored_file in result_files if stored_file.kind != KEPT_KIND
+        stored_file for stored_file in result_files if stored_file.kind != STRUCTURE_FILE_KIND
     ] or result_files
     whole_files = [
         stored_file for stored_file in result_files if not has_omitted_options(stored_file)

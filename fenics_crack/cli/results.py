@@ -10,14 +10,14 @@ import numpy as np
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.observables import OBSERVABLES_BY_NAME, Place
 from fenics_crack.basics.tables import (
-    MIN_REPORTED_ERROR,
-    UNIT_BY_NAME,
+    MIN_REPORTED_RELATIVE_ERROR,
+    UNIT_BY_DICT_ENTRY_NAME,
     Report,
     Table,
     add_frequency_entries,
 )
 from fenics_crack.cli import account
-from fenics_crack.cli.account import DESCRIPTION_UNIT_AND_LEVEL_BY_NAME
+from fenics_crack.cli.account import DESCRIPTION_UNIT_AND_PRINT_LEVEL_BY_QUANTITY
 from fenics_crack.errors.numbers import find_largest_omitted_harmonic, natural_frequency_name
 from fenics_crack.model.modes import FREQUENCY_KIND_NAMES, Modes, bilinear_frequencies
 from fenics_crack.runs.conclusion import explain_unknown_solution_error
@@ -243,8 +243,8 @@ def _tabulate_quantities(
     omega : float [rad/s]
         Load frequency.
     values_by_name : mapping of str to object
-        Quantities of the computation; names not in :data:`DESCRIPTION_UNIT_AND_LEVEL_BY_NAME` are
-        ignored.
+        Quantities of the computation; names not in
+        :data:`DESCRIPTION_UNIT_AND_PRINT_LEVEL_BY_QUANTITY` are ignored.
 
     Returns
     -------
@@ -252,7 +252,7 @@ def _tabulate_quantities(
         Columns name, quantity, value and unit; with stated errors also error [%] and main cause.
     """
     quantity_rows: list[QuantityRow] = [
-        (name, name, value, UNIT_BY_NAME[name])
+        (name, name, value, UNIT_BY_DICT_ENTRY_NAME[name])
         for name, value in add_frequency_entries({"omega": omega}).items()
     ]
     quantity_rows += [observation[:4] for observation in observe_quantities(run, run.result)]
@@ -272,7 +272,7 @@ def _tabulate_quantities(
         )
     quantity_rows += [
         (name, description, values_by_name[name], unit)
-        for name, (description, unit, _) in DESCRIPTION_UNIT_AND_LEVEL_BY_NAME.items()
+        for name, (description, unit, _) in DESCRIPTION_UNIT_AND_PRINT_LEVEL_BY_QUANTITY.items()
         if name in values_by_name
     ]
     headings = ["name", "quantity", "value", "unit"]
@@ -310,7 +310,9 @@ def _find_error_and_cause(run: Run[Any], quantity_name: str) -> tuple[float, str
         quantity_name = natural_frequency_name(run.scene, frequency_kind, int(mode_number))
     relative_error, cause_text = run.stated.stated(quantity_name)
     error_percent = (
-        100.0 * max(relative_error, MIN_REPORTED_ERROR) if relative_error < np.inf else np.nan
+        100.0 * max(relative_error, MIN_REPORTED_RELATIVE_ERROR)
+        if relative_error < np.inf
+        else np.nan
     )
     missing_cause_reasons = (
         run.stated.find_reasons_by_missing_cause(quantity_name)

@@ -47,7 +47,7 @@ from fenics_crack.study.prepare import (
     release_freed_memory,
 )
 from fenics_crack.study.resonance import FACTOR_AND_UNIT_BY_CURVE_PARAMETER, find_study_resonance
-from fenics_crack.study.sharing import STRUCTURE_FILES
+from fenics_crack.study.sharing import CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST
 from fenics_crack.study.solve import candidate_mode_counts
 
 
@@ -107,7 +107,7 @@ def compute_and_print_key_figures(_: Namespace, inputs: CommandInputs, console: 
         scene, structure, highest_harmonic_omega(scene)
     )
     scene_remarks = remarks_on_scene(study.scene, structure, key_figures)
-    for structure_file in STRUCTURE_FILES:
+    for structure_file in CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST:
         structure_file.write_noted_structure(console.comm)
     known_rows = [(label, value) for label, value in values_by_label.items() if value is not None]
     console.print_table(Table(("what", "value"), known_rows))

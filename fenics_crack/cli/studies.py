@@ -9,14 +9,14 @@ import numpy as np
 from fenics_crack.balance.error_report import LARGE_ERROR, PART_NAMES_OF_TOTAL_ERROR, ErrorReport
 from fenics_crack.basics.observables import IN_SPECIAL_POINTS_TABLE, observable_names
 from fenics_crack.basics.tables import (
-    N_SELECTED_ROWS,
+    N_PRINTED_ROWS_OF_LONG_RESULT,
     Report,
     Table,
     format_count,
     format_in_unit,
     format_percent,
 )
-from fenics_crack.cli.account import MODE_DEPENDENCE_TEXT, yield_large_error_warning
+from fenics_crack.cli.account import TRUNCATED_MODES_DEPENDENCE_REMARK, yield_large_error_warning
 from fenics_crack.errors.verification import Verification
 from fenics_crack.scene.keys import unit_of_key
 from fenics_crack.study.plausibility import remarks_on_scene
@@ -107,7 +107,7 @@ def yield_sweep_warnings(sweep_result: SweepResult) -> Iterator[str]:
     for warning_text in iterate_texts_by_reason(
         sweep_result,
         sweep_result.contradicted_indices_and_verdicts,
-        f"or more with a verdict on stability that {MODE_DEPENDENCE_TEXT}",
+        f"or more with a verdict on stability that {TRUNCATED_MODES_DEPENDENCE_REMARK}",
     ):
         yield f"{warning_text}; raise {sweep_result.scene.modes_key}"
     if not sweep_result.complete:
@@ -210,9 +210,9 @@ def list_skipped_peak_remarks(sweep_result: SweepResult) -> list[str]:
 def shorten_sweep_table(sweep_result: SweepResult) -> tuple[Table, str]:
     """Tabulate all cases of a small sweep, or the largest responses of a large sweep.
 
-    A sweep is small up to :data:`N_SELECTED_ROWS`, 8, cases. Otherwise take the largest response
-    over the load frequency, or over the longest axis, for each combination on all further axes;
-    keep the 8 largest.
+    A sweep is small up to :data:`N_PRINTED_ROWS_OF_LONG_RESULT`, 8, cases. Otherwise take the
+    largest response over the load frequency, or over the longest axis, for each combination on all
+    further axes; keep the 8 largest.
 
     Returns
     -------
@@ -237,7 +237,7 @@ def shorten_sweep_table(sweep_result: SweepResult) -> tuple[Table, str]:
     has_verdicts = not (verdict_set <= {""} or verdict_set == {"undecided"})
     verdict_names = ["verdict"] if has_verdicts else []
     table = sweep_result.table(*axis_keys, *state_names, *quantity_names, *verdict_names)
-    if len(table.rows) <= N_SELECTED_ROWS:
+    if len(table.rows) <= N_PRINTED_ROWS_OF_LONG_RESULT:
         return table, ""
     axis_index = int(np.argmax(sweep_result.shape))
     for frequency_key in LOAD_FREQUENCY_KEYS:
@@ -250,11 +250,13 @@ def shorten_sweep_table(sweep_result: SweepResult) -> tuple[Table, str]:
         f"; the table has the largest responses over {axis_keys[axis_index]}, "
         f"{sweep_result.path.stem}.csv has all cases"
     )
-    if len(row_indices) > N_SELECTED_ROWS:
+    if len(row_indices) > N_PRINTED_ROWS_OF_LONG_RESULT:
         descending_order = np.argsort(-responses.ravel()[row_indices], kind="stable")[
-            :N_SELECTED_ROWS
+            :N_PRINTED_ROWS_OF_LONG_RESULT
         ]
-        selection_text = f"{selection_text}; shown are {N_SELECTED_ROWS} of {len(row_indices)}"
+        selection_text = (
+            f"{selection_text}; shown are {N_PRINTED_ROWS_OF_LONG_RESULT} of {len(row_indices)}"
+        )
         row_indices = np.sort(row_indices[descending_order])
     return Table(
         table.columns, [table.rows[row_index] for row_index in row_indices]

@@ -38,7 +38,7 @@ from fenics_crack.runs.run import Run
 from fenics_crack.scene.result_tables import TipTiming
 from fenics_crack.scene.scene import Scene
 
-RECORD_TIMING_KEYS = (
+TIMING_KEYS_FOR_RECORD_WITHOUT_SCENE = (
     "tip_radius", "probes", "orders", "stiffening", "frequencies", "fitted_harmonics",
     "subharmonic", "angle_deviation",
 )  # fmt: skip
@@ -202,16 +202,16 @@ def _yield_timing_warnings(
 def _fit_and_report_record(arguments: Namespace, console: Console) -> Exit:
     """Fit and report the vibration in a record of arrivals (.csv) without a scene.
 
-    ``--set`` accepts :data:`RECORD_TIMING_KEYS`. A record at constant speed needs the probes'
-    angles, in the file or as ``tip_timing.probes``, unless a frequency range is given. Returns the
-    exit code.
+    ``--set`` accepts :data:`TIMING_KEYS_FOR_RECORD_WITHOUT_SCENE`. A record at constant speed needs
+    the probes' angles, in the file or as ``tip_timing.probes``, unless a frequency range is given.
+    Returns the exit code.
     """
     table_values_by_name = {}
     for full_key, key_value in parse_changes(arguments.set).items():
         table_name, _, key_name = full_key.partition(".")
-        if table_name != "tip_timing" or key_name not in RECORD_TIMING_KEYS:
+        if table_name != "tip_timing" or key_name not in TIMING_KEYS_FOR_RECORD_WITHOUT_SCENE:
             allowed_keys_text = ", ".join(
-                f"tip_timing.{record_key}" for record_key in RECORD_TIMING_KEYS
+                f"tip_timing.{record_key}" for record_key in TIMING_KEYS_FOR_RECORD_WITHOUT_SCENE
             )
             raise InputError(
                 full_key,

@@ -50,7 +50,7 @@ from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.plausibility import remarks_on_scene
 
-FREQUENCIES_PER_BANDWIDTH = 8
+SEARCH_FREQUENCIES_PER_BANDWIDTH = 8
 """Number of frequencies per half-power bandwidth 2 xi w in the first search for a peak.
 
 For a single mode, the first search finds the peak amplitude to 8e-3. A second search, in 40 steps
@@ -553,8 +553,8 @@ def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
     ).T
     band_offsets = np.arange(
         -SEARCH_BANDWIDTHS_PER_SIDE,
-        SEARCH_BANDWIDTHS_PER_SIDE + 0.5 / FREQUENCIES_PER_BANDWIDTH,
-        1.0 / FREQUENCIES_PER_BANDWIDTH,
+        SEARCH_BANDWIDTHS_PER_SIDE + 0.5 / SEARCH_FREQUENCIES_PER_BANDWIDTH,
+        1.0 / SEARCH_FREQUENCIES_PER_BANDWIDTH,
     )
 
     def find_peak(deviations: np.ndarray) -> tuple[float, float, int]:
@@ -585,7 +585,7 @@ def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
         half_power_bandwidth = np.interp(
             search_omegas[peak_index], natural_omegas[mode_range], damping_rates[mode_range]
         )
-        frequency_step = half_power_bandwidth / FREQUENCIES_PER_BANDWIDTH
+        frequency_step = half_power_bandwidth / SEARCH_FREQUENCIES_PER_BANDWIDTH
         fine_omegas = search_omegas[peak_index] + frequency_step * np.linspace(-1.0, 1.0, 41)
         fine_amplitudes = compute_amplitudes(fine_omegas)[:, blade_index]
         fine_peak_index = int(np.argmax(fine_amplitudes))

@@ -859,7 +859,7 @@ def _compute_bond_forces(
     return np.hstack([bond_forces.real, bond_forces.imag])
 
 
-MIN_OPENING_PATTERN_SIZE = 1e-5
+MIN_BOND_FORCE_PATTERN_SIZE = 1e-5
 """Minimum size [-] of a kept bond-force pattern.
 
 The squared size is the pattern's relative change of w^2 or the load's work, if the crack opens.
@@ -874,7 +874,7 @@ def _find_opening_shapes(
 
     D are the responses to contact forces and to bond forces, normalised to D^T K D = 1 with the
     stiffness K of the upper face in the wheel. Patterns of bond forces smaller than
-    ``MIN_OPENING_PATTERN_SIZE`` are left out.
+    ``MIN_BOND_FORCE_PATTERN_SIZE`` are left out.
 
     Parameters
     ----------
@@ -905,7 +905,7 @@ def _find_opening_shapes(
         bond_forces - contact_basis @ (contact_basis.T @ bond_forces), full_matrices=False
     )
     kept_patterns = np.hstack(
-        [contact_basis, bond_patterns[:, pattern_sizes > MIN_OPENING_PATTERN_SIZE]]
+        [contact_basis, bond_patterns[:, pattern_sizes > MIN_BOND_FORCE_PATTERN_SIZE]]
     )
     return scipy.linalg.solve_triangular(lower_factor.T, kept_patterns)
 
@@ -926,7 +926,7 @@ def _gather_results_by_diameter(
     )
 
 
-MIN_SIDE_PATTERN_SIZE = 0.5
+MIN_RELATIVE_SIDE_FORCE_PATTERN_SIZE = 0.5
 """Minimum singular value of a kept side-force pattern, relative to the largest value."""
 
 
@@ -952,7 +952,9 @@ def _find_side_force_patterns(
     force_patterns, pattern_sizes, _ = np.linalg.svd(
         np.hstack(scaled_force_parts), full_matrices=False
     )
-    kept_patterns = force_patterns[:, pattern_sizes > MIN_SIDE_PATTERN_SIZE * pattern_sizes[0]]
+    kept_patterns = force_patterns[
+        :, pattern_sizes > MIN_RELATIVE_SIDE_FORCE_PATTERN_SIZE * pattern_sizes[0]
+    ]
     side_force_patterns = np.zeros((sector.structure.n_dofs, kept_patterns.shape[1]))
     side_force_patterns[is_on_right_side] = kept_patterns
     return side_force_patterns

@@ -19,7 +19,7 @@ from fenics_crack.disk.bladed_disk import Amplification, NodalDiameters, wheel_o
 from fenics_crack.disk.cyclic import excited_diameter
 from fenics_crack.disk.wheel import Wheel
 from fenics_crack.draw.figure import (
-    COLOURS_BY_NAME,
+    CURVE_COLOUR_CODE_BY_NAME,
     Picture,
     PictureOptions,
     label_axis,
@@ -103,7 +103,7 @@ def _write_blade_numbers(panel: Axes, wheel: Wheel) -> None:
         panel.text(
             *text_position,
             str(sector_index + 1),
-            color=COLOURS_BY_NAME[colour],
+            color=CURVE_COLOUR_CODE_BY_NAME[colour],
             weight=weight,
             ha="center",
             va="center",
@@ -174,7 +174,7 @@ def draw_blades(
         panel.plot(
             unit_factor * curve.values,
             blade_amplitudes[blade_index],
-            color=COLOURS_BY_NAME[colour],
+            color=CURVE_COLOUR_CODE_BY_NAME[colour],
             lw=1.5,
             label=f"blade {blade_index + 1}{label_suffix}, up to {peak_text}",
         )
@@ -220,7 +220,7 @@ def draw_nodal_diameters(
     frequencies = found.omega[:, :families] / RAD_PER_TURN
     diameters = np.arange(len(frequencies))
     for family_number, family_frequencies, colour in zip(
-        count(1), frequencies.T, cycle(COLOURS_BY_NAME.values()), strict=False
+        count(1), frequencies.T, cycle(CURVE_COLOUR_CODE_BY_NAME.values()), strict=False
     ):
         panel.plot(
             diameters,
@@ -290,15 +290,17 @@ def draw_amplification(found: Amplification, **picture_options: Unpack[PictureOp
         found.factor,
         max(8, int(np.sqrt(n_patterns))),
         weights=np.full(n_patterns, 100.0 / n_patterns),
-        color=COLOURS_BY_NAME["blue"],
+        color=CURVE_COLOUR_CODE_BY_NAME["blue"],
         alpha=0.6,
     )
     panel.set(xlabel="amplification factor", ylabel=f"share of {n_patterns} patterns [%]")
-    panel.axvline(found.bound, color=COLOURS_BY_NAME["pink"], ls="--", label="Whitehead's bound")
+    panel.axvline(
+        found.bound, color=CURVE_COLOUR_CODE_BY_NAME["pink"], ls="--", label="Whitehead's bound"
+    )
     percentile_95 = found.percentile(95.0)
     panel.axvline(
         percentile_95,
-        color=COLOURS_BY_NAME["grey"],
+        color=CURVE_COLOUR_CODE_BY_NAME["grey"],
         ls=":",
         label=f"95 % of patterns below {percentile_95:.3g}",
     )
@@ -307,9 +309,9 @@ def draw_amplification(found: Amplification, **picture_options: Unpack[PictureOp
     share_axes.plot(
         sorted_factors,
         100.0 * np.arange(1, n_patterns + 1) / n_patterns,
-        color=COLOURS_BY_NAME["orange"],
+        color=CURVE_COLOUR_CODE_BY_NAME["orange"],
         lw=1.4,
     )
     share_axes.set(ylabel="share below [%]", ylim=(0.0, 102.0))
-    share_axes.yaxis.label.set_color(COLOURS_BY_NAME["orange"])
+    share_axes.yaxis.label.set_color(CURVE_COLOUR_CODE_BY_NAME["orange"])
     return picture.finish()

@@ -445,7 +445,7 @@ def _make_wheel_pairs(sector: Sector, cracked_places: tuple[int, ...]) -> Pairs:
 # --- in few coordinates ---------------------------------------------------------------------------
 
 
-N_REFERENCE_MODES = 16
+N_FURTHER_REFERENCE_MODES = 16
 """Number of modes in the reference for the reduction error, beyond the kept modes.
 
 On ten wheels, 16 modes cover 0.53 to 0.99 of the change by all neglected modes; eight modes cover
@@ -554,10 +554,10 @@ class WheelInFewCoordinates(Structure):
         """Rank the wheel's modes for a reduction with a reference for the error.
 
         Three groups follow in turn: the ``n_first`` lowest modes, the ``n_more`` modes with the
-        largest effect on the gaps, and the next N_REFERENCE_MODES modes by this effect. With mode
-        shapes phi and psi = B^T phi, mode j has the part (psi_ij / w_j)^2 of pair i's static
-        compliance. At frequency w, inertia changes this part by (w / w_j)^2. The effect is this
-        change relative to the pair's compliance, summed over the pairs.
+        largest effect on the gaps, and the next N_FURTHER_REFERENCE_MODES modes by this effect.
+        With mode shapes phi and psi = B^T phi, mode j has the part (psi_ij / w_j)^2 of pair i's
+        static compliance. At frequency w, inertia changes this part by (w / w_j)^2. The effect is
+        this change relative to the pair's compliance, summed over the pairs.
 
         Returns
         -------
@@ -571,7 +571,7 @@ class WheelInFewCoordinates(Structure):
         compliance_shares /= compliance_shares.sum(axis=1, keepdims=True)
         inertia_changes = compliance_shares.sum(axis=0) / omega**2
         mode_order = n_first + np.argsort(-inertia_changes[n_first:], kind="stable")
-        reference_indices = np.sort(mode_order[n_more : n_more + N_REFERENCE_MODES])
+        reference_indices = np.sort(mode_order[n_more : n_more + N_FURTHER_REFERENCE_MODES])
         first_indices, next_indices = np.arange(n_first), np.sort(mode_order[:n_more])
         mode_indices = np.concatenate([first_indices, next_indices, reference_indices])
         reference_share = (
@@ -735,7 +735,9 @@ def reduce_wheel(
         )._in_setting(wheel.setting)
     wheel_structure, reference_share = wheel_structure.with_ranked_modes_and_share(n_modes, more)
     n_modes += more
-    n_reference_modes = reference and min(n_modes + N_REFERENCE_MODES, wheel_structure.n_dofs)
+    n_reference_modes = reference and min(
+        n_modes + N_FURTHER_REFERENCE_MODES, wheel_structure.n_dofs
+    )
     reduced_structure = reduce_structure(
         wheel_structure, modes=n_modes, method="massless", reference=n_reference_modes
     )

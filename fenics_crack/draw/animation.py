@@ -29,7 +29,7 @@ from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import choose_factor_and_prefixed_unit
 from fenics_crack.draw import vtk
-from fenics_crack.draw.figure import COLOURS_BY_NAME, copy_canvas_image, label_axis
+from fenics_crack.draw.figure import CURVE_COLOUR_CODE_BY_NAME, copy_canvas_image, label_axis
 from fenics_crack.draw.vtk import PeriodFields
 from fenics_crack.scene.tables import Material
 
@@ -37,10 +37,10 @@ CONTACT_BACKGROUND_COLOUR = "#f5d6c1"
 """Background of the curve over time while crack faces touch: light orange."""
 UNSHADED_MESH_OPTIONS: dict[str, Any] = {"lighting": False, "reset_camera": False, "render": False}
 """Options of pyvista's ``add_mesh``: no shading, no camera change, no immediate rendering."""
-PART_COLOURS_BY_NAME = {
+ANIMATED_PART_COLOUR_BY_NAME = {
     "lips": "#000000",
-    "contact": COLOURS_BY_NAME["orange"],
-    "load": COLOURS_BY_NAME["pink"],
+    "contact": CURVE_COLOUR_CODE_BY_NAME["orange"],
+    "load": CURVE_COLOUR_CODE_BY_NAME["pink"],
     "rest": "#8a8a8a",
 }
 """Colours of an animation: crack faces and moving edges, contact dots, load, rest position."""
@@ -173,7 +173,7 @@ class _MovingMesh:
         if len(fields.pair_areas):
             plotter.add_mesh(
                 self.contact_dots,
-                color=PART_COLOURS_BY_NAME["contact"],
+                color=ANIMATED_PART_COLOUR_BY_NAME["contact"],
                 point_size=16,
                 render_points_as_spheres=True,
                 **UNSHADED_MESH_OPTIONS,
@@ -186,7 +186,7 @@ class _MovingMesh:
         self.arrow_starts, self.arrow_vectors = _find_arrow_starts_and_vectors(fields)
         if fields.has_load_arrow:
             plotter.add_mesh(
-                self.load_arrow, color=PART_COLOURS_BY_NAME["load"], **UNSHADED_MESH_OPTIONS
+                self.load_arrow, color=ANIMATED_PART_COLOUR_BY_NAME["load"], **UNSHADED_MESH_OPTIONS
             )
         self._move_to_frame(0)
 
@@ -198,7 +198,7 @@ class _MovingMesh:
         edges : (m, k) int
             Indices of k nodes along each edge.
         part_name : str
-            Key of ``PART_COLOURS_BY_NAME``, for the colour.
+            Key of ``ANIMATED_PART_COLOUR_BY_NAME``, for the colour.
         line_width : float
             Line width.
         """
@@ -206,7 +206,7 @@ class _MovingMesh:
         if len(edges):
             self.plotter.add_mesh(
                 edge_lines,
-                color=PART_COLOURS_BY_NAME[part_name],
+                color=ANIMATED_PART_COLOUR_BY_NAME[part_name],
                 line_width=line_width,
                 **UNSHADED_MESH_OPTIONS,
             )
@@ -320,7 +320,7 @@ def _make_palette(colour_scale: _ColourScale) -> Image.Image:
 
     The colours are greys, the drawn colours, and blends of these with black and white.
     """
-    part_colours = [*PART_COLOURS_BY_NAME.values(), COLOURS_BY_NAME["blue"]]
+    part_colours = [*ANIMATED_PART_COLOUR_BY_NAME.values(), CURVE_COLOUR_CODE_BY_NAME["blue"]]
     colour_array = to_rgba_array(
         [*part_colours, CONTACT_BACKGROUND_COLOUR, *colour_scale.colour_map.colors]
     )[:, :3]
@@ -465,7 +465,7 @@ class _AnimationPage:
                 [],
                 [],
                 label=label,
-                color=PART_COLOURS_BY_NAME[part_name],
+                color=ANIMATED_PART_COLOUR_BY_NAME[part_name],
                 lw=line_width,
                 marker=marker,
                 ms=8,
@@ -508,9 +508,11 @@ class _AnimationPage:
             curve_values = np.interp(
                 load_periods, self.frame_load_periods, self.frame_values, period=load_periods[-1]
             )
-        axes.axhline(0.0, color=COLOURS_BY_NAME["grey"], lw=0.8)
-        axes.plot(load_periods, curve_values, color=COLOURS_BY_NAME["blue"], lw=2)
-        self.time_line = axes.axvline(0.0, color=COLOURS_BY_NAME["grey"], lw=1, animated=True)
+        axes.axhline(0.0, color=CURVE_COLOUR_CODE_BY_NAME["grey"], lw=0.8)
+        axes.plot(load_periods, curve_values, color=CURVE_COLOUR_CODE_BY_NAME["blue"], lw=2)
+        self.time_line = axes.axvline(
+            0.0, color=CURVE_COLOUR_CODE_BY_NAME["grey"], lw=1, animated=True
+        )
         (self.wave_dot,) = axes.plot(
             [0.0], [0.0], "o", color="black", ms=8, clip_on=False, animated=True
         )

@@ -36,8 +36,13 @@ from fenics_crack.basics.tables import (
     heading_with_unit,
 )
 
-COLOURS_BY_NAME = {"blue": "#0072B2", "orange": "#D55E00", "green": "#009E73", "pink": "#CC79A7"}
-COLOURS_BY_NAME["grey"] = "#5C5C5C"
+CURVE_COLOUR_CODE_BY_NAME = {
+    "blue": "#0072B2",
+    "orange": "#D55E00",
+    "green": "#009E73",
+    "pink": "#CC79A7",
+}
+CURVE_COLOUR_CODE_BY_NAME["grey"] = "#5C5C5C"
 """Colours by name: Okabe and Ito's palette for colour-blind readers, and a grey."""
 FIGURE_STYLE = rc_params_from_file(
     Path(__file__).with_name("fenics_crack.mplstyle"), use_default_template=False
@@ -230,10 +235,11 @@ def read_axes_option(picture_options: PictureOptions) -> Any:
 def distinct_colours(n_colours: int) -> list[str]:
     """Return a list with ``n_colours`` different colours for lines.
 
-    Up to five are the colours in :data:`COLOURS_BY_NAME`. More colours go from dark to light.
+    Up to five are the colours in :data:`CURVE_COLOUR_CODE_BY_NAME`. More colours go from dark to
+    light.
     """
-    if n_colours <= len(COLOURS_BY_NAME):
-        return list(COLOURS_BY_NAME.values())[:n_colours]
+    if n_colours <= len(CURVE_COLOUR_CODE_BY_NAME):
+        return list(CURVE_COLOUR_CODE_BY_NAME.values())[:n_colours]
     return [to_hex(colour) for colour in colormaps["viridis"](np.linspace(0.0, 0.95, n_colours))]
 
 

@@ -23,7 +23,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import choose_factor_and_prefixed_unit, format_quantity
 from fenics_crack.draw.figure import (
-    COLOURS_BY_NAME,
+    CURVE_COLOUR_CODE_BY_NAME,
     FIGURE_STYLE,
     Picture,
     PictureOptions,
@@ -43,11 +43,11 @@ from fenics_crack.numerics.fourier import to_complex
 if TYPE_CHECKING:  # which loads DOLFINx
     from fenics_crack.runs.stress_intensity import StressIntensity
 
-DOUBTFUL_LABEL = f"not stable, or estimated error above {100 * LARGE_ERROR:g} %"
+DOUBTFUL_POINTS_LABEL = f"not stable, or estimated error above {100 * LARGE_ERROR:g} %"
 """Legend entry of doubtful points of a curve or cells of a map, with the limit of 5 %."""
-HATCH_COLOUR = "#ffffff"
+DOUBTFUL_HATCH_COLOUR = "#ffffff"
 """Colour of the lines that hatch doubtful cells of a map: white."""
-MISSING_COLOUR, OPEN_COLOUR = "#b5b5b5", "#e8e8e8"
+NO_VALUE_COLOUR, OPEN_CRACK_COLOUR = "#b5b5b5", "#e8e8e8"
 """Greys of a map's cells without a value, and of times and places where a crack is open."""
 
 
@@ -121,13 +121,13 @@ def draw_waves(
     [panel] = picture = Picture(**picture_options)
     for wave in waves:
         time = wave.time / period if period else wave.time
-        colour = COLOURS_BY_NAME.get(wave.colour, wave.colour)
+        colour = CURVE_COLOUR_CODE_BY_NAME.get(wave.colour, wave.colour)
         panel.plot(time, wave.values, wave.style, color=colour, label=wave.label, lw=wave.width)
         if wave.spread is not None:
             lower_edge, upper_edge = wave.values - wave.spread, wave.values + wave.spread
             panel.fill_between(time, lower_edge, upper_edge, color=colour, alpha=0.2, lw=0)
     if zero is not None:
-        panel.axhline(0.0, color=COLOURS_BY_NAME["grey"], lw=0.8, label=zero)
+        panel.axhline(0.0, color=CURVE_COLOUR_CODE_BY_NAME["grey"], lw=0.8, label=zero)
     if period:
         panel.set_xlabel("time / load period")
     else:
@@ -227,7 +227,9 @@ def draw_contact_map(
     [panel] = picture = Picture(**picture_options)
     contact_cells = np.ma.masked_less_equal(unit_factor * contact_values.T, 0.0)
     label = f"{label} [{unit}] (grey: open)"
-    _draw_coloured_cells(panel, load_periods, pair_distances, contact_cells, label, OPEN_COLOUR)
+    _draw_coloured_cells(
+        panel, load_periods, pair_distances, contact_cells, label, OPEN_CRACK_COLOUR
+    )
     panel.set_ylim(bottom=0.0)
     panel.set_xlabel("time / load period")
     for crack_border in crack_borders:
@@ -412,7 +414,9 @@ def draw_response(
         panel.set_yscale("log")
     n_present_lines = sum(line.get_linestyle() != "None" for line in panel.lines)
     line_styles = islice(
-        cycle(product((".-", ".--", ".:"), COLOURS_BY_NAME.values())), n_present_lines, None
+        cycle(product((".-", ".--", ".:"), CURVE_COLOUR_CODE_BY_NAME.values())),
+        n_present_lines,
+        None,
     )
     dot_size = 4.0 if len(values) <= 60 else 0.0  # more dots would touch
     for (label, curve_values), (style, colour) in zip(curves.items(), line_styles, strict=False):
@@ -430,10 +434,10 @@ def draw_response(
             x,
             y,
             "o",
-            color=COLOURS_BY_NAME["grey"],
+            color=CURVE_COLOUR_CODE_BY_NAME["grey"],
             mfc="none",
             ms=dot_size + 4.0,
-            label=DOUBTFUL_LABEL,
+            label=DOUBTFUL_POINTS_LABEL,
         )
     panel.set_xlabel(over)
     label_axis(panel.yaxis, quantity, unit)
@@ -507,7 +511,7 @@ def draw_map(
             "doubtful", is_doubtful.shape, f"an array of the shape of values, {cell_values.shape}"
         )
     [panel] = picture = Picture(**picture_options)
-    _draw_coloured_cells(panel, x, y, cell_values, value_label, MISSING_COLOUR, norm=colour_norm)
+    _draw_coloured_cells(panel, x, y, cell_values, value_label, NO_VALUE_COLOUR, norm=colour_norm)
     is_missing = np.ma.getmaskarray(cell_values)
     panel.plot(
         *(cell_coordinates.ravel()[is_missing.ravel()] for cell_coordinates in np.meshgrid(x, y)),
@@ -516,15 +520,17 @@ def draw_map(
         ms=5,
     )
     legend_patches = (
-        [Patch(facecolor=MISSING_COLOUR, label="not converged")] if is_missing.any() else []
+        [Patch(facecolor=NO_VALUE_COLOUR, label="not converged")] if is_missing.any() else []
     )
     if np.any(is_doubtful & ~is_missing):
-        hatch_options = {"edgecolor": HATCH_COLOUR, "hatch": "/////", "linewidth": 0.0}
+        hatch_options = {"edgecolor": DOUBTFUL_HATCH_COLOUR, "hatch": "/////", "linewidth": 0.0}
         doubtful_values = np.ma.masked_where(~is_doubtful, cell_values)
         panel.pcolor(x, y, doubtful_values, shading="nearest").set(
             facecolor="none", **hatch_options
         )
-        legend_patches.append(Patch(label=DOUBTFUL_LABEL, facecolor="#3b528b", **hatch_options))
+        legend_patches.append(
+            Patch(label=DOUBTFUL_POINTS_LABEL, facecolor="#3b528b", **hatch_options)
+        )
     panel.set(xlabel=x_label, ylabel=y_label)
     if legend_patches and picture.has_legend:
         with rc_context(FIGURE_STYLE):
@@ -806,11 +812,11 @@ def _draw_orbit(
         )
 
     orbit = evaluate_orbit(np.linspace(0.0, solution.period, len(is_closed)))
-    axes.plot(*orbit, color=COLOURS_BY_NAME["blue"], lw=1.4, label="orbit")
+    axes.plot(*orbit, color=CURVE_COLOUR_CODE_BY_NAME["blue"], lw=1.4, label="orbit")
     if is_closed.any():
         axes.plot(
             *np.where(is_closed, orbit, np.nan),
-            color=COLOURS_BY_NAME["orange"],
+            color=CURVE_COLOUR_CODE_BY_NAME["orange"],
             lw=3.2,
             label=closed_label,
         )
@@ -821,7 +827,7 @@ def _draw_orbit(
     axes.margins(0.08)
 
 
-MAX_DRAWN_LOOPS = 4
+MAX_DRAWN_FRICTION_LOOPS = 4
 """Maximum number of drawn friction loops, for the pairs with the largest friction losses."""
 
 
@@ -866,7 +872,7 @@ def draw_friction_loops(
     is_pair_slipping = is_slipping(friction_coefficient, normal_forces, friction_forces)
     losses = friction_losses(tangential_gaps, friction_forces)
     [panel] = picture = Picture(size=(6.4, 4.6), comm=solution.structure.comm, **picture_options)
-    drawn_pairs = np.argsort(-losses, kind="stable")[: min(MAX_DRAWN_LOOPS, len(losses))]
+    drawn_pairs = np.argsort(-losses, kind="stable")[: min(MAX_DRAWN_FRICTION_LOOPS, len(losses))]
     for pair_index, colour in zip(
         drawn_pairs.tolist(), distinct_colours(len(drawn_pairs)), strict=True
     ):
@@ -944,7 +950,7 @@ def _draw_intensities_of_tips(intensity: StressIntensity, panel: Axes) -> None:
             panel.plot(
                 time,
                 np.where(is_closed, mode_one, np.nan),
-                color=COLOURS_BY_NAME["grey"],
+                color=CURVE_COLOUR_CODE_BY_NAME["grey"],
                 lw=4.0,
                 label=closed_label,
             )

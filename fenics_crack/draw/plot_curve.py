@@ -21,7 +21,7 @@ from fenics_crack.basics.tables import (
 from fenics_crack.curves.curve import ResponseCurve, axis_factor_name_and_unit, kind_in_words
 from fenics_crack.curves.peak import damping_by_half_power_width
 from fenics_crack.draw.figure import (
-    COLOURS_BY_NAME,
+    CURVE_COLOUR_CODE_BY_NAME,
     FIRST_IN_LEGEND_GID,
     Picture,
     PictureOptions,
@@ -30,7 +30,7 @@ from fenics_crack.draw.figure import (
 )
 from fenics_crack.numerics.fourier import to_complex
 
-BACKGROUND_COLOURS = ("#8f8f8f", "#cc8fb1", "#6fb59a")
+COMPARISON_CURVE_COLOURS = ("#8f8f8f", "#cc8fb1", "#6fb59a")
 """Colours of curves drawn behind for comparison (``behind`` of :func:`draw_curve`)."""
 MARKERS_BY_BIFURCATION_KIND = {
     "fold": "v",
@@ -102,7 +102,7 @@ def draw_curve(
     amplitudes = curve.amplitude(dof)
     unit_factor = axis_factor_name_and_unit(curve.parameter, in_hertz)[0]
     for (curve_label, (parameter_values, other_amplitudes)), grey_tone in zip(
-        (behind or {}).items(), cycle(BACKGROUND_COLOURS), strict=False
+        (behind or {}).items(), cycle(COMPARISON_CURVE_COLOURS), strict=False
     ):
         panel.plot(
             unit_factor * parameter_values,
@@ -111,7 +111,7 @@ def draw_curve(
             lw=0.9,
             label=curve_label,
         )
-    line_colour = COLOURS_BY_NAME.get(colour, colour)
+    line_colour = CURVE_COLOUR_CODE_BY_NAME.get(colour, colour)
     _draw_curve_parts(panel, curve, unit_factor * curve.values, amplitudes, line_colour, label)
     _mark_peak(panel, curve, dof, in_hertz, line_colour if label else "")
     _mark_bifurcations(panel, curve, dof, unit_factor, line_colour if label else "")
@@ -122,7 +122,7 @@ def draw_curve(
             unit_factor * parameter_values,
             other_amplitudes,
             marker,
-            color=COLOURS_BY_NAME["green"],
+            color=CURVE_COLOUR_CODE_BY_NAME["green"],
             ms=4.5,
             mfc="none",
             label=curve_label,
@@ -169,7 +169,7 @@ def _draw_curve_parts(
             # A segment between two points has the verdict and error of the first.
             part_values = np.where(is_in_part | np.append(False, is_in_part[:-1]), y, np.nan)
             axes.plot(x, part_values, style, color=line_colour, lw=1.4, **alpha_options)
-        style_colour = COLOURS_BY_NAME["grey"] if label else line_colour
+        style_colour = CURVE_COLOUR_CODE_BY_NAME["grey"] if label else line_colour
         if is_assessed or not label:
             legend_label = (
                 verdict if is_assessed else f"with contact, {STABILITY_NOT_EXAMINED_LABEL}"
@@ -218,7 +218,7 @@ def _mark_peak(
         amplitude,
         "o",
         label="" if curve_colour else label,
-        color=curve_colour or COLOURS_BY_NAME["blue"],
+        color=curve_colour or CURVE_COLOUR_CODE_BY_NAME["blue"],
         mfc="none",
         ms=7.0,
         mew=1.1,
@@ -264,7 +264,7 @@ def _mark_bifurcations(
         axes.plot(
             x[is_marked & is_of_kind],
             y[is_marked & is_of_kind],
-            color=curve_colour or COLOURS_BY_NAME["orange"],
+            color=curve_colour or CURVE_COLOUR_CODE_BY_NAME["orange"],
             **marker_options,
         )
         if not curve_colour:
@@ -275,7 +275,9 @@ def _mark_bifurcations(
         axes.plot(
             [],
             [],
-            color=COLOURS_BY_NAME["grey"] if curve_colour else COLOURS_BY_NAME["orange"],
+            color=CURVE_COLOUR_CODE_BY_NAME["grey"]
+            if curve_colour
+            else CURVE_COLOUR_CODE_BY_NAME["orange"],
             label=legend_label,
             **marker_options,
         )
@@ -342,7 +344,7 @@ def _mark_superharmonics(
             textcoords="offset points",
             ha="center",
             fontsize=8,
-            color=COLOURS_BY_NAME["grey"],
+            color=CURVE_COLOUR_CODE_BY_NAME["grey"],
         )
 
 
@@ -486,8 +488,8 @@ def draw_multipliers(
     is_undecided = curve.verdicts == "undecided"
     is_complex_pair = np.abs(multipliers.imag) > 1e-9 * moduli
     is_irregular = curve.verdicts == "irregular"
-    panel.axhline(1.0, color=COLOURS_BY_NAME["grey"], lw=0.9, label="limit of stability")
-    panel.plot(parameter_values, moduli, color=COLOURS_BY_NAME["grey"], lw=0.4, alpha=0.6)
+    panel.axhline(1.0, color=CURVE_COLOUR_CODE_BY_NAME["grey"], lw=0.9, label="limit of stability")
+    panel.plot(parameter_values, moduli, color=CURVE_COLOUR_CODE_BY_NAME["grey"], lw=0.4, alpha=0.6)
     is_real, is_positive = ~is_complex_pair & ~is_irregular, multipliers.real > 0.0
     for is_of_kind, label, colour in (
         (is_real & is_positive, "real, positive", "blue"),
@@ -502,7 +504,7 @@ def draw_multipliers(
                 moduli[is_drawn],
                 ".",
                 ms=4.0,
-                color=COLOURS_BY_NAME[colour],
+                color=CURVE_COLOUR_CODE_BY_NAME[colour],
                 label=label,
             )
     if is_undecided.any():
@@ -514,7 +516,7 @@ def draw_multipliers(
             undecided_moduli,
             "x",
             ms=4.0,
-            color=COLOURS_BY_NAME["pink"],
+            color=CURVE_COLOUR_CODE_BY_NAME["pink"],
             label=label,
         )
     if n_above := int(np.sum(moduli > 2.0)):  # a larger scale would flatten all other points

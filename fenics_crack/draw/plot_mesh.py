@@ -19,7 +19,7 @@ from matplotlib.patches import Patch
 
 from fenics_crack.basics.errors import InputError, check_count
 from fenics_crack.draw.figure import (
-    COLOURS_BY_NAME,
+    CURVE_COLOUR_CODE_BY_NAME,
     Picture,
     PictureOptions,
     label_axis,
@@ -77,8 +77,8 @@ def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -
     for edges, colour, line_width, label in (
         (mesh.edges, "#9a9a9a", 0.4, ""),
         (mesh.boundary_sides, "black", 1.2, ""),
-        (clamped_edges, COLOURS_BY_NAME["green"], 5.0, "clamped"),
-        (mesh.crack_face_sides, COLOURS_BY_NAME["orange"], 2.2, "crack faces"),
+        (clamped_edges, CURVE_COLOUR_CODE_BY_NAME["green"], 5.0, "clamped"),
+        (mesh.crack_face_sides, CURVE_COLOUR_CODE_BY_NAME["orange"], 2.2, "crack faces"),
     ):
         if len(edges):
             panel.add_collection(
@@ -92,19 +92,23 @@ def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -
             *pair_points.T,
             "o",
             label=f"contact pairs ({len(pair_points)})",
-            color=COLOURS_BY_NAME["blue"],
+            color=CURVE_COLOUR_CODE_BY_NAME["blue"],
             ms=3.0,
             zorder=3,
         )
     # Dozens of arrows at one node would hide each other.
-    if len(load_parts) > len(LOAD_PART_NAMES):
+    if len(load_parts) > len(LOAD_ARROW_LABELS):
         largest_part_index = 3 + int(np.argmax(np.linalg.norm(load_parts[3:], axis=(1, 2))))
         load_parts = load_parts[[0, 1, 2, largest_part_index]]
     acting_parts = np.flatnonzero(load_parts.any(axis=(1, 2)))
     has_several_parts = len(acting_parts) > 1
     for part_index in acting_parts:
-        legend_label = f"load, {LOAD_PART_NAMES[part_index]}" if has_several_parts else "load"
-        colour = LOAD_PART_COLOURS[part_index] if has_several_parts else COLOURS_BY_NAME["pink"]
+        legend_label = f"load, {LOAD_ARROW_LABELS[part_index]}" if has_several_parts else "load"
+        colour = (
+            LOAD_ARROW_COLOURS[part_index]
+            if has_several_parts
+            else CURVE_COLOUR_CODE_BY_NAME["pink"]
+        )
         _draw_load_arrows(panel, mesh, load_parts[part_index], legend_label, colour)
     panel.autoscale_view()
     panel.margins(0.06)
@@ -115,12 +119,12 @@ def draw_mesh(structure: Structure, **picture_options: Unpack[PictureOptions]) -
     return picture.finish()
 
 
-LOAD_PART_NAMES = ("mean", "cosine part", "sine part", "largest further harmonic")
+LOAD_ARROW_LABELS = ("mean", "cosine part", "sine part", "largest further harmonic")
 """Legend entries of the load's arrows: the rows of the load that are drawn."""
-LOAD_PART_COLOURS = (
-    COLOURS_BY_NAME["grey"],
-    COLOURS_BY_NAME["blue"],
-    COLOURS_BY_NAME["pink"],
+LOAD_ARROW_COLOURS = (
+    CURVE_COLOUR_CODE_BY_NAME["grey"],
+    CURVE_COLOUR_CODE_BY_NAME["blue"],
+    CURVE_COLOUR_CODE_BY_NAME["pink"],
     "black",
 )
 """Colours of the load's arrows, by part, if several parts of the load act."""
@@ -255,7 +259,7 @@ def draw_displaced_mesh(
         )
         fine_layers = [
             (mesh.edges, displaced_points, "#777777", 0.3),
-            (mesh.boundary_sides, mesh.points, COLOURS_BY_NAME["grey"], 0.6),
+            (mesh.boundary_sides, mesh.points, CURVE_COLOUR_CODE_BY_NAME["grey"], 0.6),
         ]
         boundary_layer = mesh.boundary_sides, displaced_points, "black", 0.7 if is_wheel else 1.2
         edge_layers = [boundary_layer] if is_wheel else [*fine_layers, boundary_layer]
@@ -311,7 +315,9 @@ def draw_numbered_faces(
     ):  # fmt: skip
         plotter, turned_corners = vtk.off_screen_plotter(), axis_signs * triangles.reshape(-1, 3)
         corner_rows = np.arange(len(turned_corners)).reshape(-1, 3)
-        for face_tag, colour in zip(face_tags, cycle(COLOURS_BY_NAME.values()), strict=False):
+        for face_tag, colour in zip(
+            face_tags, cycle(CURVE_COLOUR_CODE_BY_NAME.values()), strict=False
+        ):
             plotter.add_mesh(
                 vtk.make_surface(turned_corners, corner_rows[triangle_faces == face_tag]),
                 color=to_rgb(colour),
@@ -365,8 +371,10 @@ def _draw_solid(picture: Picture, mesh: NodalMesh, load_parts: np.ndarray) -> No
     ):
         if len(part_facets):
             part_surface = vtk.make_surface(points, part_facets)
-            plotter.add_mesh(part_surface, color=to_rgb(COLOURS_BY_NAME[colour]), lighting=False)
-            legend_patches.append(Patch(color=COLOURS_BY_NAME[colour], label=label))
+            plotter.add_mesh(
+                part_surface, color=to_rgb(CURVE_COLOUR_CODE_BY_NAME[colour]), lighting=False
+            )
+            legend_patches.append(Patch(color=CURVE_COLOUR_CODE_BY_NAME[colour], label=label))
     for nodal_forces in load_parts:
         total_force, force_sizes = nodal_forces.sum(axis=0), np.abs(nodal_forces).sum(axis=1)
         if np.linalg.norm(total_force) > 0.0:
@@ -380,9 +388,9 @@ def _draw_solid(picture: Picture, mesh: NodalMesh, load_parts: np.ndarray) -> No
                 shaft_radius=0.03,
                 tip_radius=0.08,
             )
-            plotter.add_mesh(arrow, color=to_rgb(COLOURS_BY_NAME["pink"]), lighting=False)
+            plotter.add_mesh(arrow, color=to_rgb(CURVE_COLOUR_CODE_BY_NAME["pink"]), lighting=False)
     if np.any(load_parts):
-        legend_patches.append(Patch(color=COLOURS_BY_NAME["pink"], label="load"))
+        legend_patches.append(Patch(color=CURVE_COLOUR_CODE_BY_NAME["pink"], label="load"))
     [axes] = picture
     axes.imshow(vtk.render_cropped_image(plotter, points), interpolation="antialiased")
     axes.axis("off")

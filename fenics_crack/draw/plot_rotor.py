@@ -19,7 +19,7 @@ from fenics_crack.basics.tables import (
     heading_with_unit,
 )
 from fenics_crack.draw.figure import (
-    COLOURS_BY_NAME,
+    CURVE_COLOUR_CODE_BY_NAME,
     Picture,
     PictureOptions,
     distinct_colours,
@@ -78,7 +78,7 @@ def draw_campbell(
     >>> diagram = fc.campbell(blade, [0.0, 150.0, 300.0], count=2)
     >>> figure = fc.draw_campbell(diagram, orders=[1, 2, 3], path="campbell.png")
     """
-    from fenics_crack.study.campbell import STATE_TEXT_BY_KIND  # loaded with the diagram
+    from fenics_crack.study.campbell import CRACK_STATE_BY_FREQUENCY_KIND  # loaded with the diagram
 
     for order in orders:
         check_count("orders", order, 1)
@@ -90,7 +90,7 @@ def draw_campbell(
     frequencies = frequencies[
         :, : max(1, int(np.sum(frequencies.min(axis=0) <= largest_order_frequency)))
     ]
-    colours = list(COLOURS_BY_NAME.values())[:-1]
+    colours = list(CURVE_COLOUR_CODE_BY_NAME.values())[:-1]
     for mode_index in range(frequencies.shape[1]):
         line_speeds, line_frequencies, line_states = zip(
             *diagram.real_line(mode_index + 1), strict=True
@@ -98,7 +98,10 @@ def draw_campbell(
         colour, label = colours[mode_index % len(colours)], f"mode {mode_index + 1}"
         if diagram.cracked:
             label = ", ".join(
-                [label, *dict.fromkeys(STATE_TEXT_BY_KIND[state] for state in line_states)]
+                [
+                    label,
+                    *dict.fromkeys(CRACK_STATE_BY_FREQUENCY_KIND[state] for state in line_states),
+                ]
             )
         panel.plot(
             speed_factor * np.array(line_speeds),
@@ -122,13 +125,13 @@ def draw_campbell(
             crossing_speeds,
             slope * crossing_speeds,
             "o",
-            color=COLOURS_BY_NAME["grey"],
+            color=CURVE_COLOUR_CODE_BY_NAME["grey"],
             mfc="none",
             ms=6,
         )
     if diagram.cracked:
         panel.fill_between(
-            [], [], [], color=COLOURS_BY_NAME["grey"], alpha=0.25, label="open to bonded"
+            [], [], [], color=CURVE_COLOUR_CODE_BY_NAME["grey"], alpha=0.25, label="open to bonded"
         )
     panel.set(
         xlabel=heading_with_unit(*speed_name_and_unit),
@@ -165,7 +168,7 @@ def _draw_engine_order(
     panel.plot(
         end_speeds,
         frequency_per_speed * end_speeds,
-        color=COLOURS_BY_NAME["grey"],
+        color=CURVE_COLOUR_CODE_BY_NAME["grey"],
         lw=0.8,
         ls="--",
         alpha=0.7,
@@ -204,7 +207,7 @@ def _write_engine_order(
         textcoords="offset points",
         annotation_clip=False,
         fontsize=8,
-        color=COLOURS_BY_NAME["grey"],
+        color=CURVE_COLOUR_CODE_BY_NAME["grey"],
         **text_options,
     )
 
@@ -313,7 +316,7 @@ def draw_tip_fit(
         arrival_periods,
         arrivals.displacement[has_arrived],
         "o",
-        color=COLOURS_BY_NAME["blue"],
+        color=CURVE_COLOUR_CODE_BY_NAME["blue"],
         ms=3.5,
         mew=0,
         alpha=0.4,
@@ -322,7 +325,7 @@ def draw_tip_fit(
     time_panel.plot(
         load_periods,
         fit.displacement(2.0 * np.pi * load_periods / fit.order),
-        color=COLOURS_BY_NAME["orange"],
+        color=CURVE_COLOUR_CODE_BY_NAME["orange"],
         lw=1.6,
         label=f"fit, order {fit.order:.6g}",
     )
@@ -356,14 +359,14 @@ def _draw_candidates(axes: Axes, candidates: Candidates, best_order: float) -> N
                 category_orders,
                 axis_bottom,
                 category_residuals,
-                color=COLOURS_BY_NAME[colour],
+                color=CURVE_COLOUR_CODE_BY_NAME[colour],
                 lw=1.0,
             )
             axes.plot(
                 category_orders,
                 category_residuals,
                 marker,
-                color=COLOURS_BY_NAME[colour],
+                color=CURVE_COLOUR_CODE_BY_NAME[colour],
                 ms=5.0,
                 label=label,
             )
@@ -399,7 +402,7 @@ def _draw_fitted_harmonics(axes: Axes, fit: TipFit) -> None:
         amplitudes,
         standard_errors,
         fmt="o",
-        color=COLOURS_BY_NAME["orange"],
+        color=CURVE_COLOUR_CODE_BY_NAME["orange"],
         ms=5.0,
         capsize=4.0,
         label="fit, with standard errors",
@@ -441,7 +444,7 @@ def draw_tip_track(
         track.multiples,
         track.amplitudes.T,
         track.amplitude_errors.T,
-        cycle(COLOURS_BY_NAME.values()),
+        cycle(CURVE_COLOUR_CODE_BY_NAME.values()),
         strict=False,
     ):
         panel.plot(
@@ -503,7 +506,7 @@ def draw_passages(
         rotor_speed = passage.speed / RAD_PER_S_PER_RPM
         record_panel.axvline(
             rotor_speed,
-            color=COLOURS_BY_NAME["grey"],
+            color=CURVE_COLOUR_CODE_BY_NAME["grey"],
             lw=0.7,
             ls="--",
             zorder=0,
@@ -540,7 +543,7 @@ def _draw_passage_fit(axes: Axes, passage: PassageFit, arrivals: ArrivalTimes) -
         )
     )
     for (speeds, measured_displacements, fitted_displacements), colour in zip(
-        measured_and_fitted_runs, cycle(COLOURS_BY_NAME.values()), strict=False
+        measured_and_fitted_runs, cycle(CURVE_COLOUR_CODE_BY_NAME.values()), strict=False
     ):
         direction = "up" if speeds[-1] > speeds[0] else "down"
         axes.plot(

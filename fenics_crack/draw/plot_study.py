@@ -14,12 +14,12 @@ from fenics_crack.basics.causes import ERROR_CAUSES
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
 from fenics_crack.basics.tables import (
-    MIN_REPORTED_ERROR,
+    MIN_REPORTED_RELATIVE_ERROR,
     choose_frequency_factor_name_unit,
     format_quantity,
 )
 from fenics_crack.draw.figure import (
-    COLOURS_BY_NAME,
+    CURVE_COLOUR_CODE_BY_NAME,
     MAX_LETTERS_PER_LINE,
     Picture,
     PictureOptions,
@@ -38,9 +38,9 @@ if TYPE_CHECKING:  # which load SciPy's interpolation, and DOLFINx
 
 CONTOUR_PROBABILITIES = (0.5, 0.95, 0.999)
 """Probabilities of the regions that a posterior's contours enclose."""
-MARKER_LETTERS = "osD^v<>ph*"
+QUANTITY_MARKERS = "osD^v<>ph*"
 """Matplotlib's markers for quantities in the picture of a verification, one letter each."""
-LABELS_BY_CAUSE = {"shift": "mesh, shift of the resonance"}
+LEGEND_LABEL_BY_ERROR_CAUSE = {"shift": "mesh, shift of the resonance"}
 """Legend entries of error causes whose names need more words; others are shown by name."""
 StylesByQuantity = dict[str, dict[str, Any]]
 """Matplotlib's options for a line (marker, colour, size), by the name of the quantity."""
@@ -294,7 +294,7 @@ def _draw_differences_from_extrapolation(
     scene's. If the cause is not the mesh, h_i is 1 / count, for example with the number of
     harmonics.
     """
-    relative_sizes, largest_difference = np.ones(1), 100.0 * MIN_REPORTED_ERROR
+    relative_sizes, largest_difference = np.ones(1), 100.0 * MIN_REPORTED_RELATIVE_ERROR
     for quantity_name, line_options in styles_by_quantity.items():
         convergence = verification.parts[cause][quantity_name]
         distances = np.abs(np.array(convergence.values) - convergence.extrapolated)
@@ -341,7 +341,9 @@ def _choose_line_styles(verification: Verification, cause: str) -> StylesByQuant
         and convergence.extrapolated not in convergence.values
     ]
     quantity_markers = zip(
-        drawn_quantities, product(MARKER_LETTERS, COLOURS_BY_NAME.values()), strict=False
+        drawn_quantities,
+        product(QUANTITY_MARKERS, CURVE_COLOUR_CODE_BY_NAME.values()),
+        strict=False,
     )
     return {
         quantity_name: {"marker": marker, "color": colour, "ms": 5}
@@ -364,7 +366,7 @@ def _draw_contributions(
         total_percent = 100.0 * verification.relative(
             quantity_name, verification.total(quantity_name)
         )
-        if total_percent > 100.0 * MIN_REPORTED_ERROR:
+        if total_percent > 100.0 * MIN_REPORTED_RELATIVE_ERROR:
             panel.plot(
                 2 * [total_percent],
                 [row_position - 0.32, row_position + 0.32],
@@ -376,7 +378,7 @@ def _draw_contributions(
                 verification.parts[cause][quantity_name].factor <= ASYMPTOTIC_SAFETY_FACTOR
             )
             error_percent = 100.0 * verification.relative(quantity_name, absolute_uncertainty)
-            if error_percent > 100.0 * MIN_REPORTED_ERROR:
+            if error_percent > 100.0 * MIN_REPORTED_RELATIVE_ERROR:
                 fill_colour = colours[cause] if has_small_factor else "none"
                 panel.plot(
                     error_percent, row_position, "o", ms=7, color=colours[cause], mfc=fill_colour
@@ -401,7 +403,14 @@ def _draw_contributions(
                 1.02, row_position, order_text, transform=axis_transform, va="center", fontsize=9
             )
     for cause in verification.causes:
-        panel.plot([], [], "o", ms=7, color=colours[cause], label=LABELS_BY_CAUSE.get(cause, cause))
+        panel.plot(
+            [],
+            [],
+            "o",
+            ms=7,
+            color=colours[cause],
+            label=LEGEND_LABEL_BY_ERROR_CAUSE.get(cause, cause),
+        )
     panel.plot([], [], "o", ms=7, color="grey", mfc="none", label="factor of safety 3")
     panel.plot([], [], color="black", lw=1.6, label="all causes together")
     if verification.causes:
@@ -496,7 +505,7 @@ def draw_growth(
                 found.cycles,
                 curve_values,
                 label=label,
-                color=COLOURS_BY_NAME.get(colour, colour),
+                color=CURVE_COLOUR_CODE_BY_NAME.get(colour, colour),
                 ls=style,
             )
     if found.depth is None:
@@ -505,7 +514,7 @@ def draw_growth(
             np.interp(solved_lengths, found.length, column)
             for column in (found.cycles, found.effective)
         )
-        dot_options = {"color": COLOURS_BY_NAME["blue"], "ms": 4.0}
+        dot_options = {"color": CURVE_COLOUR_CODE_BY_NAME["blue"], "ms": 4.0}
         length_panel.plot(solved_cycles, solved_lengths, "o", label="solved", **dot_options)
         intensity_panel.plot(solved_cycles, solved_ranges, "o", **dot_options)
     if found.effective.max() > 0.0:

@@ -703,7 +703,7 @@ def write_period(
             title=f"{colour_name} [{colour_unit}]",
             end=fields.colour_scale_end,
             mode=f"{fields.mesh.dimension}D",
-            camera=VIEW_COMMANDS_BY_DIMENSION[fields.mesh.dimension],
+            camera=PARAVIEW_VIEW_COMMANDS_BY_DIMENSION[fields.mesh.dimension],
             caption=f"displacement x {fields.magnification:.3g}",
             factor=fields.magnification,
         )
@@ -718,7 +718,7 @@ def write_period(
     return fields.magnification
 
 
-VIEW_COMMANDS_BY_DIMENSION = {
+PARAVIEW_VIEW_COMMANDS_BY_DIMENSION = {
     2: "view.ResetActiveCameraToNegativeZ()",
     3: "view.ApplyIsometricView()",
 }

@@ -36,7 +36,7 @@ from fenics_crack.balance.harmonic_balance import (
 )
 from fenics_crack.balance.problem import Problem, least_harmonics
 from fenics_crack.balance.solution import PeriodicSolution, Solver
-from fenics_crack.basics.causes import RUN_WORDS_BY_CAUSE
+from fenics_crack.basics.causes import VARIED_RUN_DESCRIPTION_BY_ERROR_CAUSE
 from fenics_crack.basics.errors import InputError
 from fenics_crack.errors.convergence import GridConvergence, PartOrReason
 from fenics_crack.errors.numbers import (
@@ -52,7 +52,7 @@ from fenics_crack.model.contact import CoulombFriction, friction_of
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, scene_contact_law
+from fenics_crack.study.prepare import SINGLE_COMPUTATION_FAILURES, Study, scene_contact_law
 
 MODE_COUNTS_FOR_FRICTION = 20, 10
 """Numbers of modes to compute the effect of friction.
@@ -60,7 +60,7 @@ MODE_COUNTS_FOR_FRICTION = 20, 10
 The second number gives a second result, to estimate the error of the effect. With 40 modes an orbit
 takes three times as long, and ten times if the search is hard.
 """
-TURNING_SAFETY_FACTOR = 2.0
+FRICTION_LINE_SAFETY_FACTOR = 2.0
 """Safety factor on the error r |f_0 - f| due to sliding across friction lines.
 
 A friction line is the direction along which a pair's friction acts. f is a quantity of the answer,
@@ -68,15 +68,15 @@ f_0 of the motion without friction; r is the ratio of sliding across the lines t
 them. Measured in seven cases, against time steps with Coulomb's cone: true errors were 0.03 to 1.2
 times the stated error.
 """
-SLIDING_STRESS_INTENSITY_NAMES = ("K_II_max", "K_III_max")
+INTENSITIES_WITHOUT_FRICTION_ERROR = ("K_II_max", "K_III_max")
 """Quantities without an estimated friction error: friction at the tip itself changes K_II, K_III.
 """
-N_START_HARMONICS = 10
+N_ORBIT_START_HARMONICS = 10
 """Number of harmonics per load period in solutions from which exact orbits are sought.
 
 The orbits, without and with friction, give the error due to neglected friction.
 """
-SINGLE_HARMONIC_REASON_TEXT = "without contact the motion has the harmonics of the load alone"
+HARMONICS_NOT_VARIED_REASON = "without contact the motion has the harmonics of the load alone"
 """Printed reason why harmonics are not varied without contact."""
 
 
@@ -213,13 +213,16 @@ class JudgedAnswer:
             for n_modes in MODE_COUNTS_FOR_FRICTION
         )
         if len(orbits) < 2:
-            return f"no exact orbit was found next to a solution with {N_START_HARMONICS} harmonics"
+            return (
+                "no exact orbit was found next to a solution with "
+                f"{N_ORBIT_START_HARMONICS} harmonics"
+            )
         if len(few_mode_orbits) < 2:
             values_of_few_mode_orbits = values_of_orbits
         change_by_name = measure_changes_by_name(study, *orbits)
         friction_coefficients, convergence_by_name = (0.0, float(friction_coefficient)), {}
         for quantity_name, value in self.answer_values_by_name.items():
-            if quantity_name in SLIDING_STRESS_INTENSITY_NAMES:
+            if quantity_name in INTENSITIES_WITHOUT_FRICTION_ERROR:
                 continue
             relative_change = _relative_change(quantity_name, *values_of_orbits)
             relative_error = abs(relative_change) + abs(
@@ -276,7 +279,7 @@ class JudgedAnswer:
                 reduced_structure,
                 answer.omega,
                 contact_law,
-                N_START_HARMONICS * n_periods,
+                N_ORBIT_START_HARMONICS * n_periods,
                 subharmonic=n_periods,
             )
             orbit = Solver(balance_problem).solve(answer).assessment.nearest_orbit
@@ -317,7 +320,7 @@ class JudgedAnswer:
                 (0.0, 1.0),
                 (value, value_with_turning),
                 "two coefficients",
-                factor=TURNING_SAFETY_FACTOR,
+                factor=FRICTION_LINE_SAFETY_FACTOR,
             )
         return (structure.n_modes, structure.n_modes), convergence_by_name
 
@@ -354,8 +357,8 @@ def add_error_parts(
     for cause, find_part_or_reason in part_function_by_cause.items():
         try:
             verification = verification.with_part(cause, find_part_or_reason())
-        except REFUSAL_EXCEPTIONS as error:
-            run_text = RUN_WORDS_BY_CAUSE.get(cause, f"a run with more {cause}")
+        except SINGLE_COMPUTATION_FAILURES as error:
+            run_text = VARIED_RUN_DESCRIPTION_BY_ERROR_CAUSE.get(cause, f"a run with more {cause}")
             verification = verification.with_unknown(cause, describe_failed_run(run_text, error))
             if cause == "mesh":
                 verification = replace(verification, failed_causes=(cause,))

@@ -43,12 +43,12 @@ ASYMPTOTIC_SAFETY_FACTOR, CAUTIOUS_SAFETY_FACTOR = 1.25, 3.0
 The first holds for three sizes with an observed order from 0.5 to the scheme's order, the second
 otherwise.
 """
-ROUNDING_SPREAD = 1e-9
+MAX_RELATIVE_ROUNDING_SPREAD = 1e-9
 """Largest spread due to rounding alone, relative to the largest absolute value."""
 TIP_CONVERGENCE_ORDER, CLAMP_CONVERGENCE_ORDER = 1.0, 1.5
 """Theoretical orders p of the error C h^p with element length h: at a crack tip, at a clamp's ends.
 """
-MIN_OBSERVED_ORDER = 0.5
+MIN_TRUSTED_CONVERGENCE_ORDER = 0.5
 """Minimum observed order with the smaller safety factor, and minimum order for extrapolation."""
 
 
@@ -222,7 +222,7 @@ def _find_behaviour_and_orders(
     float
         Order of the extrapolation; nan if nothing is extrapolated.
     """
-    if np.ptp(f) <= ROUNDING_SPREAD * np.abs(f).max():
+    if np.ptp(f) <= MAX_RELATIVE_ROUNDING_SPREAD * np.abs(f).max():
         return "unchanged", math.nan, math.nan
     if len(h) == 2:
         return "two sizes", math.nan, formal_order
@@ -232,9 +232,15 @@ def _find_behaviour_and_orders(
         return "irregular", observed_order, math.nan
     max_credible_order = scheme_order if math.isfinite(scheme_order) else 1.5 * formal_order
     behaviour = (
-        "asymptotic" if MIN_OBSERVED_ORDER <= observed_order <= max_credible_order else "outside"
+        "asymptotic"
+        if MIN_TRUSTED_CONVERGENCE_ORDER <= observed_order <= max_credible_order
+        else "outside"
     )
-    return behaviour, observed_order, min(max(observed_order, MIN_OBSERVED_ORDER), formal_order)
+    return (
+        behaviour,
+        observed_order,
+        min(max(observed_order, MIN_TRUSTED_CONVERGENCE_ORDER), formal_order),
+    )
 
 
 def _find_observed_order(h: np.ndarray, f: np.ndarray) -> float:

@@ -36,7 +36,7 @@ from fenics_crack.basics.observables import (
     observable_names,
 )
 from fenics_crack.basics.tables import choose_frequency_factor_name_unit
-from fenics_crack.errors.convergence import ROUNDING_SPREAD
+from fenics_crack.errors.convergence import MAX_RELATIVE_ROUNDING_SPREAD
 from fenics_crack.model.modes import FREQUENCY_KIND_NAMES, NEGLIGIBLE, bilinear_frequencies
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.motions import (
@@ -124,7 +124,7 @@ def compute_numbers(
         observable_place = OBSERVABLES_BY_NAME[observation.name].place
         value = float(observation.value)
         min_size = {
-            "1": ROUNDING_SPREAD,
+            "1": MAX_RELATIVE_ROUNDING_SPREAD,
             "m": rounding_size * (observable_place is Place.FACES),
         }.get(observation.unit, 0.0)
         if abs(value) > min_size or (observable_place.is_made_on_request and value == 0.0):

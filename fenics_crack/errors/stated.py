@@ -75,7 +75,7 @@ from fenics_crack.basics.observables import Place, observable_names
 from fenics_crack.basics.tables import choose_frequency_factor_name_unit
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors.case import (
-    SINGLE_HARMONIC_REASON_TEXT,
+    HARMONICS_NOT_VARIED_REASON,
     JudgedAnswer,
     add_error_parts,
     describe_failed_run,
@@ -83,7 +83,7 @@ from fenics_crack.errors.case import (
     solve_without_stability,
 )
 from fenics_crack.errors.convergence import (
-    ROUNDING_SPREAD,
+    MAX_RELATIVE_ROUNDING_SPREAD,
     TIP_CONVERGENCE_ORDER,
     GridConvergence,
     PartOrReason,
@@ -113,10 +113,10 @@ from fenics_crack.study.observer import (
     estimate_closed_front_and_mesh_errors,
     make_requested_rows_and_readers,
 )
-from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study, prepare, reduce_study
+from fenics_crack.study.prepare import SINGLE_COMPUTATION_FAILURES, Study, prepare, reduce_study
 from fenics_crack.study.resonance import UNSOUGHT_RESONANCE, LoadResonance, find_study_resonance
 
-STATED_CAUSES = (*REDUCED_STRUCTURE_ERROR_CAUSES, "friction")
+ERROR_CAUSES_OF_EACH_SOLUTION = (*REDUCED_STRUCTURE_ERROR_CAUSES, "friction")
 """Causes of error that a command estimates for each solution."""
 HARMONIC_COUNT_FACTORS = 2, 4
 """Factors on the answer's number of harmonics, for two runs to estimate the truncation error.
@@ -132,7 +132,7 @@ MAX_MODES_FOR_MESH_ERROR = 50
 With 120 modes the breathing plate's orbits take 14 times as long; the mesh error changes by less
 than the modal error.
 """
-CANCELLING_UNCERTAINTY_FRACTION = 0.1
+MESH_ERROR_CANCELLATION_FRACTION = 0.1
 """Fraction of the smaller error, shape or shift, added as uncertainty: both may cancel."""
 Motion = PeriodicOrbit | PeriodicSolution
 """Motion with quantities to compare: an exact orbit or a harmonic-balance solution."""
@@ -292,7 +292,7 @@ def estimate_solution_errors(
     answer: PeriodicSolution,
     *,
     is_peak: bool = False,
-    causes: Sequence[str] = STATED_CAUSES,
+    causes: Sequence[str] = ERROR_CAUSES_OF_EACH_SOLUTION,
 ) -> Verification:
     """Estimate the expected errors of a solution's quantities by cause (collective).
 
@@ -330,7 +330,7 @@ def estimate_solution_errors(
             balance_solution = solve_without_stability(
                 study, answer.omega, answer.harmonics, answer
             )
-        except REFUSAL_EXCEPTIONS as error:
+        except SINGLE_COMPUTATION_FAILURES as error:
             reason_text = describe_failed_run("harmonic balance from this solution", error)
             return verification.with_unknown("harmonics", reason_text)
         balance_numbers = compute_numbers(study, balance_solution, numbers.mode_number)
@@ -433,7 +433,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
             "modes",
             [*counts_and_values],
             self.study.scene,
-            size_ratio=max(size_ratio, ROUNDING_SPREAD),
+            size_ratio=max(size_ratio, MAX_RELATIVE_ROUNDING_SPREAD),
         )
         for quantity_name, min_change in min_change_by_name.items():
             error = (
@@ -514,7 +514,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def harmonics_error_part_or_reason(self) -> PartOrReason:
         """Result of :meth:`estimate_error_by_harmonics`, computed once (collective)."""
         if self.study.contact is None:
-            return SINGLE_HARMONIC_REASON_TEXT
+            return HARMONICS_NOT_VARIED_REASON
         if self.orbit_values_by_name is not None:
             return self.estimate_harmonics_error_by_orbit(self.orbit_values_by_name)
         n_harmonics = self.balance_solution.harmonics
@@ -673,7 +673,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
             smaller_error_part = np.minimum(np.abs(shape_errors), np.abs(shift_errors)).max()
             error = math.hypot(
                 np.abs(shape_errors + shift_errors).max(),
-                CANCELLING_UNCERTAINTY_FRACTION * smaller_error_part,
+                MESH_ERROR_CANCELLATION_FRACTION * smaller_error_part,
                 values_with_shifted_clearance.get(quantity_name, value) - value,
                 closed_front_error_by_name.get(quantity_name, 0.0),
                 relative_increase_by_name.get(quantity_name, 0.0) * value,
@@ -752,7 +752,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
             4.0
             * relative_shift_range
             * natural_omega
-            / max(damping_rates[mode_number - 1], ROUNDING_SPREAD * natural_omega)
+            / max(damping_rates[mode_number - 1], MAX_RELATIVE_ROUNDING_SPREAD * natural_omega)
         )
         return min(max(1 + n_steps, MIN_EXTRAPOLATED_RESONANCES), MAX_EXTRAPOLATED_RESONANCES)
 
@@ -776,9 +776,10 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         return (
             int(
                 np.argmax(
-                    (harmonic_amplitudes / np.maximum(resonance_distances, ROUNDING_SPREAD)).max(
-                        axis=1
-                    )
+                    (
+                        harmonic_amplitudes
+                        / np.maximum(resonance_distances, MAX_RELATIVE_ROUNDING_SPREAD)
+                    ).max(axis=1)
                 )
             )
             + 1

@@ -14,9 +14,9 @@ from typing import Any, ClassVar
 
 from fenics_crack.basics.causes import (
     MESH_ERROR_CAUSES,
-    MISSING_PART_REASON_BY_CAUSE,
     OPTIONAL_ERROR_CAUSES,
     REQUIRED_ERROR_CAUSES,
+    UNKNOWN_ERROR_REASON_BY_CAUSE,
 )
 from fenics_crack.basics.errors import DEFAULT_ERROR_TOLERANCE, check_choice
 from fenics_crack.basics.observables import OBSERVABLES_BY_NAME
@@ -35,7 +35,7 @@ from fenics_crack.files.codec import Datasets, dataclass_from_json, to_json_text
 from fenics_crack.files.store import SavedResult, StoredFile
 from fenics_crack.scene.scene import Scene
 
-DOUBT_TEXT_BY_BEHAVIOUR = {
+CONVERGENCE_DOUBT_BY_BEHAVIOUR = {
     "outside": "the runs converge with another order than theory, so the error has a safety factor "
     "of 3; refine further for a smaller one",
     "two sizes": "two runs cannot show the order of convergence, so the error has the order of "
@@ -43,14 +43,14 @@ DOUBT_TEXT_BY_BEHAVIOUR = {
     "irregular": "the runs do not converge, so 3 times their spread is the error; refine further",
 }
 """Clause for each doubtful behaviour in :class:`GridConvergence`, printed in warnings."""
-REMEDY_BY_CAUSE = {
+LARGE_ERROR_REMEDY_BY_CAUSE = {
     "mesh": "; use a finer mesh",
     "modes": "; use more modes",
     "harmonics": "; use more harmonics",
     "samples": "; use more samples",
 }
 """Clause by cause: remedy for an error as large as the value."""
-ORDER_TEXT_BY_BEHAVIOUR = {
+ERROR_SOURCE_BY_BEHAVIOUR = {
     "two sizes": "by the order of theory",
     "two coefficients": "by runs with and without friction",
     "carried": "by runs at shifted frequencies",
@@ -197,7 +197,7 @@ class Verification(SavedResult):
         A cause is missing if runs varied the cause, but gave no error for this quantity.
         """
         return {
-            cause: MISSING_PART_REASON_BY_CAUSE.get(
+            cause: UNKNOWN_ERROR_REASON_BY_CAUSE.get(
                 cause, "the run for comparison does not have this number"
             )
             for cause, convergence_by_quantity in self.parts.items()
@@ -299,7 +299,7 @@ class Verification(SavedResult):
                 return self.unknown[cause]
         error, cause = self.stated(quantity)
         if math.isinf(error):
-            remedy_text = REMEDY_BY_CAUSE.get(cause, "")
+            remedy_text = LARGE_ERROR_REMEDY_BY_CAUSE.get(cause, "")
             return f"the estimate is as large as the value, mostly due to the {cause}{remedy_text}"
         return ""
 
@@ -502,7 +502,7 @@ class Verification(SavedResult):
             for run_name, verdict in self.verdicts.items()
         ]
         for cause, convergence_by_quantity in self.parts.items():
-            for behaviour, doubt_text in DOUBT_TEXT_BY_BEHAVIOUR.items():
+            for behaviour, doubt_text in CONVERGENCE_DOUBT_BY_BEHAVIOUR.items():
                 doubted_names = [
                     quantity_name
                     for quantity_name in convergence_by_quantity
@@ -596,7 +596,7 @@ class Verification(SavedResult):
         order_text = (
             f"observed order {largest_convergence.order:.2g}"
             if math.isfinite(largest_convergence.order)
-            else ORDER_TEXT_BY_BEHAVIOUR.get(largest_convergence.behaviour, "no observed order")
+            else ERROR_SOURCE_BY_BEHAVIOUR.get(largest_convergence.behaviour, "no observed order")
         )
         return (
             f"{error_text} +- {total_text} (sum of all: {sum_text}), mostly due to the "

@@ -31,10 +31,10 @@ from typing import Any
 from mpi4py import MPI
 
 from fenics_crack.balance.contact_integrals import default_instants_per_period
-from fenics_crack.basics.errors import MAX_SAMPLES_PER_PERIOD, ConvergenceError
+from fenics_crack.basics.errors import MAX_CONTACT_SAMPLES_PER_PERIOD, ConvergenceError
 from fenics_crack.basics.progress import prefix_stages
 from fenics_crack.errors.case import (
-    SINGLE_HARMONIC_REASON_TEXT,
+    HARMONICS_NOT_VARIED_REASON,
     JudgedAnswer,
     add_error_parts,
     solve_without_stability,
@@ -57,7 +57,7 @@ from fenics_crack.model.contact import is_unilateral
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.meshes import count_elements, has_similar_finer_mesh, refine_scene_or_none
 from fenics_crack.study.prepare import (
-    REFUSAL_EXCEPTIONS,
+    SINGLE_COMPUTATION_FAILURES,
     Study,
     modal_reduction_or_none,
     prepare,
@@ -265,7 +265,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
             with prefix_stages(run_name):
                 try:
                     run = self._solve_finer_scene(scene, shared_study)
-                except REFUSAL_EXCEPTIONS as error:
+                except SINGLE_COMPUTATION_FAILURES as error:
                     self.failure_texts.append(f"{run_name}: {error}")
                     continue
             count_and_values = (
@@ -502,7 +502,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
         scene = self.unreduced_study.scene
         balance_table = scene.harmonic_balance
         if self.study.contact is None:
-            return SINGLE_HARMONIC_REASON_TEXT
+            return HARMONICS_NOT_VARIED_REASON
         if balance_table.samples is not None:  # enough for all of them
             min_n_samples = 4 * REFINED_COUNT_FACTORS[-1] * balance_table.harmonics + 1
             n_samples = max(balance_table.samples, min_n_samples)
@@ -516,7 +516,7 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
             scene,
             harmonics_key,
             balance_table.harmonics,
-            MAX_SAMPLES_PER_PERIOD,
+            MAX_CONTACT_SAMPLES_PER_PERIOD,
             TIP_CONVERGENCE_ORDER,
         )
 
@@ -539,6 +539,6 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
             scene,
             samples_key,
             n_samples,
-            MAX_SAMPLES_PER_PERIOD,
+            MAX_CONTACT_SAMPLES_PER_PERIOD,
             SAMPLING_CONVERGENCE_ORDER,
         )

@@ -23,7 +23,11 @@ import numpy as np
 from fenics_crack.basics.errors import ConvergenceError
 from fenics_crack.basics.observables import Place, observable_names
 from fenics_crack.basics.tables import format_count
-from fenics_crack.fatigue.lengths import SWEEP_COLUMN_NAMES, GrowthEnd, find_nearest_mode_number
+from fenics_crack.fatigue.lengths import (
+    GROWTH_SWEEP_COLUMN_NAMES,
+    GrowthEnd,
+    find_nearest_mode_number,
+)
 from fenics_crack.scene.result_tables import Growth as Law
 from fenics_crack.sweep.result import SweepResult
 
@@ -33,7 +37,7 @@ N_ELLIPSE_SIZES_PER_AXIS = 5
 Neighbours have equal ratios. With five, the cycles are right to 0.8 % for the K of Newman and Raju;
 in equal steps, to 6 % (tests/fatigue/test_ellipse.py).
 """
-N_PATH_ROWS = 200
+N_ELLIPSE_PATH_SIZES = 200
 """Number of sizes in an :class:`EllipseSizePath`; a crack without growth has one."""
 THRESHOLD_RAMP_FRACTION = 0.01
 """Relative excess over the threshold at which growth has its full rate.
@@ -248,7 +252,7 @@ def integrate_ellipse_growth(
     growth_sum_bound = np.ptp(ellipse_table.depths) + np.ptp(ellipse_table.lengths)
     ode_solution = solve_ivp(
         compute_state_slope, (0.0, growth_sum_bound), start_depth_length_cycles, "LSODA",
-        rtol=1e-8, atol=1e-12, max_step=growth_sum_bound / N_PATH_ROWS,
+        rtol=1e-8, atol=1e-12, max_step=growth_sum_bound / N_ELLIPSE_PATH_SIZES,
         events=list(event_function_by_reason.values()), dense_output=True,
     )  # fmt: skip
     end_reason: GrowthEnd = next(
@@ -268,7 +272,7 @@ def integrate_ellipse_growth(
             ode_solution.t[-1] if compute_growth_rates(start_depth_length_cycles).any() else 0.0
         )
     depths, lengths, cycles = ode_solution.sol(
-        np.linspace(0.0, last_growth_sum, N_PATH_ROWS if last_growth_sum else 1)
+        np.linspace(0.0, last_growth_sum, N_ELLIPSE_PATH_SIZES if last_growth_sum else 1)
     )
     growth_per_cycle = compute_growth_per_cycle(ellipse_table, law, n_surface_ends, depths, lengths)
     return EllipseSizePath(depths, lengths, cycles, growth_per_cycle, end_reason)
@@ -318,7 +322,7 @@ def tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
     }
     column_by_name = {
         column_name: sweep_result[sweep_name_by_column.get(column_name, column_name)].copy()
-        for column_name in (*SWEEP_COLUMN_NAMES, *observable_names(Place.ELLIPSE))
+        for column_name in (*GROWTH_SWEEP_COLUMN_NAMES, *observable_names(Place.ELLIPSE))
     }
     column_by_name["response"] = np.nan_to_num(column_by_name["response"])  # nan if nothing moves
     log_size_grid = np.stack(np.meshgrid(np.log(depths), np.log(lengths), indexing="ij"), axis=-1)

@@ -28,7 +28,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.observables import ObservableFlag, Place, observable_names
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.tables import (
-    N_SELECTED_ROWS,
+    N_PRINTED_ROWS_OF_LONG_RESULT,
     RAD_PER_TURN,
     Conclusion,
     Report,
@@ -38,7 +38,7 @@ from fenics_crack.basics.tables import (
     format_quantity,
     hertz_property,
 )
-from fenics_crack.errors.stated import STATED_CAUSES, estimate_solution_errors
+from fenics_crack.errors.stated import ERROR_CAUSES_OF_EACH_SOLUTION, estimate_solution_errors
 from fenics_crack.fatigue.ellipse import (
     EQUIVALENT_RANGE_COLUMN_NAMES,
     N_ELLIPSE_SIZES_PER_AXIS,
@@ -50,8 +50,8 @@ from fenics_crack.fatigue.ellipse import (
     tabulate_ellipses,
 )
 from fenics_crack.fatigue.lengths import (
-    LINEAR_COLUMN_NAMES,
-    LOGARITHMIC_COLUMN_NAMES,
+    LOG_INTERPOLATED_COLUMN_NAMES,
+    VALUE_INTERPOLATED_COLUMN_NAMES,
     GrowthEnd,
     LengthPath,
     list_failed_lengths_and_reasons,
@@ -66,11 +66,15 @@ from fenics_crack.runs.solve import solve
 from fenics_crack.scene.result_tables import Growth as Law
 from fenics_crack.scene.scene import Scene, reason_without_stress_intensity, refuse_for_reason
 from fenics_crack.study.plausibility import remarks_on_scene
-from fenics_crack.sweep.result import SCENES_WITHOUT_PEAK_TEXT, SweepResult, can_seek_resonance
+from fenics_crack.sweep.result import (
+    SCENES_WITHOUT_PEAK_DESCRIPTION,
+    SweepResult,
+    can_seek_resonance,
+)
 
 # --- the result, and its file ---------------------------------------------------------------------
 
-END_TEXT_BY_REASON: dict[GrowthEnd, str] = {
+TEXT_BY_GROWTH_END: dict[GrowthEnd, str] = {
     "reached": "growth.until is reached",
     "arrested": "growth stops, since the effective range is below growth.threshold, or the "
     "crack does not open",
@@ -215,7 +219,7 @@ class Growth(SavedResult):
         """Return the parts of the sentence that closes the output of ``grow``."""
         start_size, end_size = (self._size_in_words(row_index) for row_index in (0, -1))
         if len(self.length) == 1:
-            return Conclusion(f"the crack stays at {start_size}: {END_TEXT_BY_REASON[self.end]}")
+            return Conclusion(f"the crack stays at {start_size}: {TEXT_BY_GROWTH_END[self.end]}")
         life_text = f"{self.life:.4g} cycles ({self.time[-1] / 3600.0:.4g} h)"
         growth_text = f"from {start_size} to {end_size} in {life_text}"
         if self.repeats is not None:
@@ -231,7 +235,7 @@ class Growth(SavedResult):
         if cause_texts:
             certainty_text += f" (standard deviations of its logarithm: {', '.join(cause_texts)})"
         return Conclusion(
-            f"the crack grows {growth_text}: {END_TEXT_BY_REASON[self.end]}",
+            f"the crack grows {growth_text}: {TEXT_BY_GROWTH_END[self.end]}",
             certainty_text,
             further_clauses=[
                 f"the breathing crack's natural frequency falls by {self.frequency_drop[-1]:.2%}"
@@ -256,11 +260,12 @@ class Growth(SavedResult):
 def report_of_growth(growth: Growth) -> Report:
     """Return the report of ``fenics-crack grow``: table, life and its uncertainty.
 
-    The printed table has at most :data:`N_SELECTED_ROWS` rows, equally spaced; files have all rows.
+    The printed table has at most :data:`N_PRINTED_ROWS_OF_LONG_RESULT` rows, equally spaced; files
+    have all rows.
     """
     growth_table, n_rows = growth.table(), len(growth.length)
     shown_row_indices = sorted(
-        {*np.linspace(0, n_rows - 1, N_SELECTED_ROWS).round().astype(int).tolist()}
+        {*np.linspace(0, n_rows - 1, N_PRINTED_ROWS_OF_LONG_RESULT).round().astype(int).tolist()}
     )
     return Report(
         growth_table,
@@ -276,12 +281,12 @@ def report_of_growth(growth: Growth) -> Report:
 
 # --- the growth -----------------------------------------------------------------------------------
 
-NOT_STABLE_TEXT = (
+NOT_STABLE_REMARK_END = (
     "the vibration is unstable or irregular, or its stability is undecided: the growth there is "
     "doubtful; fenics-crack curve shows other vibrations"
 )
 """End of a remark on lengths or shapes without a vibration known to be stable."""
-UNKNOWN_VIBRATION_TEXT = (
+UNKNOWN_K_ERROR_REMARK = (
     "the error of the vibration is unknown, and so is the uncertainty of the life"
 )
 """Remark on a range of K_I without an error estimate."""
@@ -385,9 +390,9 @@ def grow(
     )
     values_by_column = {
         column_name: length_path.interpolate_column(column_name, lengths)
-        for column_name in (*LOGARITHMIC_COLUMN_NAMES, *LINEAR_COLUMN_NAMES)
+        for column_name in (*LOG_INTERPOLATED_COLUMN_NAMES, *VALUE_INTERPOLATED_COLUMN_NAMES)
     }
-    for column_name in LOGARITHMIC_COLUMN_NAMES:
+    for column_name in LOG_INTERPOLATED_COLUMN_NAMES:
         values_by_column[column_name][values_by_column[column_name] <= SMALLEST_NORMAL] = 0.0
     growth_rates[-1] *= end_reason != "arrested"
     growth_remarks = _collect_growth_remarks(
@@ -500,7 +505,7 @@ def _validate_growth_scene(scene: Scene) -> Scene:
     law.require(
         law.drive != "resonance" or can_seek_resonance(scene),
         "drive",
-        f"'frequency' {SCENES_WITHOUT_PEAK_TEXT}, where no resonance is sought",
+        f"'frequency' {SCENES_WITHOUT_PEAK_DESCRIPTION}, where no resonance is sought",
     )
     size_key, limit_key = ("depth", "thickness") if crack.is_elliptical else ("length", "width")
     start_size = crack.given(
@@ -575,7 +580,7 @@ def _grow_ellipse(
     remark_texts = _collect_ellipse_remarks(
         sweep_result, ellipse_table, ellipse_path, values_by_column, law
     )
-    remark_texts += [] if math.isfinite(vibration_error) else [UNKNOWN_VIBRATION_TEXT]
+    remark_texts += [] if math.isfinite(vibration_error) else [UNKNOWN_K_ERROR_REMARK]
     depth_length_grid = np.stack(
         np.meshgrid(ellipse_table.depths, ellipse_table.lengths, indexing="ij"), axis=-1
     )
@@ -622,7 +627,7 @@ def _collect_ellipse_remarks(
     n_not_stable_shapes = int((sweep_result.not_stable & sweep_result.converged).sum())
     remark_texts = list_failed_ellipse_remarks(sweep_result, ellipse_table, ellipse_path)
     remark_texts += (
-        [f"at {format_count(n_not_stable_shapes, 'shape')} {NOT_STABLE_TEXT}"]
+        [f"at {format_count(n_not_stable_shapes, 'shape')} {NOT_STABLE_REMARK_END}"]
         if n_not_stable_shapes
         else []
     )
@@ -704,7 +709,9 @@ def _estimate_range_error_and_remarks(
         A remark on causes without an estimate; empty if all have one.
     """
     solved_run = solve(_make_scene_with_crack_size(scene, omega, length, depth), MPI.COMM_SELF)
-    cause_names = [cause_name for cause_name in STATED_CAUSES if cause_name != "friction"]
+    cause_names = [
+        cause_name for cause_name in ERROR_CAUSES_OF_EACH_SOLUTION if cause_name != "friction"
+    ]
     is_at_peak = scene.given("growth").drive == "resonance"
     error_statement = estimate_solution_errors(
         solved_run, solved_run.result, is_peak=is_at_peak, causes=cause_names
@@ -750,7 +757,7 @@ def _collect_growth_remarks(
     )
     if not_stable_lengths:
         count_text = format_count(len(not_stable_lengths), "length")
-        remark_texts.append(f"at {count_text} {NOT_STABLE_TEXT}")
+        remark_texts.append(f"at {count_text} {NOT_STABLE_REMARK_END}")
     if jump_lengths:
         remark_texts.append(
             f"near a length of {jump_lengths[0]:.4g} m the stress intensity jumps: several "
@@ -776,7 +783,7 @@ def _collect_growth_remarks(
             "the crack may grow there, or stop"
         )
     if not math.isfinite(vibration_error):
-        remark_texts.append(UNKNOWN_VIBRATION_TEXT)
+        remark_texts.append(UNKNOWN_K_ERROR_REMARK)
     return remark_texts
 
 

@@ -22,7 +22,7 @@ from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.numerics.equations import SMALLEST_NORMAL
 from fenics_crack.scene.result_tables import Growth as Law
 from fenics_crack.scene.scene import Scene
-from fenics_crack.sweep.file import KEPT_MODE_NUMBERS
+from fenics_crack.sweep.file import STORED_MODE_NUMBERS
 from fenics_crack.sweep.result import SweepResult, run_sweep
 
 GrowthEnd = Literal["reached", "arrested", "broken", "side"]
@@ -34,19 +34,19 @@ MAX_ALLOWED_LOG_RANGE_ERROR = 0.05
 delta K is the range of K_I for the growth law. Intervals with larger errors are halved, even if few
 cycles pass there, to find resonances inside.
 """
-LOGARITHMIC_COLUMN_NAMES = ("driving", "K_max", "delta_K_effective", "response")
+LOG_INTERPOLATED_COLUMN_NAMES = ("driving", "K_max", "delta_K_effective", "response")
 """Columns with a spline of the logarithm, which is smooth through resonances.
 
 "driving" is the constant range of K_I with the same growth as all loads.
 """
-LINEAR_COLUMN_NAMES = ("omega", "omega_open", "omega_bilinear", "K_min", "K_II_max")
+VALUE_INTERPOLATED_COLUMN_NAMES = ("omega", "omega_open", "omega_bilinear", "K_min", "K_II_max")
 """Columns with a spline of the values themselves."""
-SWEEP_COLUMN_NAMES = (
+GROWTH_SWEEP_COLUMN_NAMES = (
     "K_max",
     "delta_K_effective",
     "delta_K_equivalent",
     "response",
-    *LINEAR_COLUMN_NAMES,
+    *VALUE_INTERPOLATED_COLUMN_NAMES,
 )
 """Columns of a sweep over crack sizes from which growth is computed."""
 
@@ -60,7 +60,7 @@ class LengthPath:
     lengths : (k,) [m]
         Solved lengths in ascending order.
     column_by_name : dict of str to (k,)
-        Columns :data:`LOGARITHMIC_COLUMN_NAMES` and :data:`LINEAR_COLUMN_NAMES`.
+        Columns :data:`LOG_INTERPOLATED_COLUMN_NAMES` and :data:`VALUE_INTERPOLATED_COLUMN_NAMES`.
     sweep_results : sequence of SweepResult
         Sweeps with the solutions.
     leading_omega : (k,) [rad/s]
@@ -110,7 +110,9 @@ class LengthPath:
             ]
             return np.concatenate(values_of_sweeps)[length_order]
 
-        level_values_by_column = {name: get_level_values(name) for name in SWEEP_COLUMN_NAMES}
+        level_values_by_column = {
+            name: get_level_values(name) for name in GROWTH_SWEEP_COLUMN_NAMES
+        }
         level_values_by_column["response"] = np.nan_to_num(
             level_values_by_column["response"]
         )  # nan if nothing moves
@@ -142,13 +144,13 @@ class LengthPath:
         """Interpolate a column by a cubic spline at lengths [m]: an array of the same shape.
 
         Lengths must lie between the first and last solved ones. For
-        :data:`LOGARITHMIC_COLUMN_NAMES`, the spline goes through logarithms, with values of at
+        :data:`LOG_INTERPOLATED_COLUMN_NAMES`, the spline goes through logarithms, with values of at
         least 1e-4 times the largest.
         """
         from scipy.interpolate import CubicSpline  # takes a while, and is needed here alone
 
         column = self.column_by_name[column_name]
-        if column_name not in LOGARITHMIC_COLUMN_NAMES:
+        if column_name not in LOG_INTERPOLATED_COLUMN_NAMES:
             return np.asarray(CubicSpline(self.lengths, column)(lengths))
         column_floor = 1e-4 * max(float(column.max()), SMALLEST_NORMAL)  # closed cracks
         column_spline = CubicSpline(self.lengths, np.log(np.maximum(column, column_floor)))
@@ -244,9 +246,12 @@ def find_nearest_mode_number(sweep_result: SweepResult, omega: float) -> int:
     Bilinear frequencies in the first case of the sweep are compared with ``omega`` [rad/s].
     """
     bilinear_omega_of_modes = np.array(
-        [sweep_result[f"omega_bilinear_{mode_number}"].flat[0] for mode_number in KEPT_MODE_NUMBERS]
+        [
+            sweep_result[f"omega_bilinear_{mode_number}"].flat[0]
+            for mode_number in STORED_MODE_NUMBERS
+        ]
     )
-    return KEPT_MODE_NUMBERS[int(np.nanargmin(np.abs(bilinear_omega_of_modes - omega)))]
+    return STORED_MODE_NUMBERS[int(np.nanargmin(np.abs(bilinear_omega_of_modes - omega)))]
 
 
 def list_failed_lengths_and_reasons(

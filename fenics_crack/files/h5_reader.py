@@ -13,13 +13,17 @@ from typing import Any
 import h5py
 import numpy as np
 
-MAX_ENTRIES = 10_000
+MAX_ENTRIES_IN_FILE = 10_000
 """Maximum number for each: datasets, attributes, and words in a list."""
-SWEEP_KIND = "sweep"
+SWEEP_FILE_KIND = "sweep"
 """Kind in a sweep's file, whose numbers are read later, while cases are added."""
-ALLOWED_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
+ALLOWED_COMPRESSION_FILTERS = {
+    h5py.h5z.FILTER_DEFLATE,
+    h5py.h5z.FILTER_SHUFFLE,
+    h5py.h5z.FILTER_FLETCHER32,
+}
 """Allowed compression filters: HDF5's own."""
-ALLOWED_LAYOUTS = {h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS, h5py.h5d.CHUNKED}
+ALLOWED_DATASET_LAYOUTS = {h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS, h5py.h5d.CHUNKED}
 """Allowed dataset layouts: data in the file itself."""
 
 
@@ -53,8 +57,8 @@ def read_contents_and_arrays(
     arrays : list of array
         The arrays with numbers; empty for a sweep.
     """
-    if max(len(file), len(file.attrs)) > MAX_ENTRIES:
-        raise ValueError(f"it has more than {MAX_ENTRIES} datasets or attributes")
+    if max(len(file), len(file.attrs)) > MAX_ENTRIES_IN_FILE:
+        raise ValueError(f"it has more than {MAX_ENTRIES_IN_FILE} datasets or attributes")
     text_by_attribute = read_text_attributes(file)
     dataset_by_name = {
         name: open_checked_dataset(file, name, file_size, max_bytes) for name in file
@@ -70,7 +74,7 @@ def read_contents_and_arrays(
         "arrays": [],
         "columns": {},
     }
-    if text_by_attribute.get("kind") == SWEEP_KIND:
+    if text_by_attribute.get("kind") == SWEEP_FILE_KIND:
         for name, dataset in dataset_by_name.items():
             offset = dataset.id.get_offset()
             if offset is None or offset + stated_bytes(dataset) > file_size:
@@ -118,14 +122,14 @@ def open_checked_dataset(
         raise ValueError(f"{name!r} is not a dataset")
     creation_properties = dataset.id.get_create_plist()
     if (
-        creation_properties.get_layout() not in ALLOWED_LAYOUTS
+        creation_properties.get_layout() not in ALLOWED_DATASET_LAYOUTS
         or creation_properties.get_external_count()
     ):
         raise ValueError(f"{name!r} is stored in another file")
     if {
         creation_properties.get_filter(filter_index)[0]
         for filter_index in range(creation_properties.get_nfilters())
-    } - ALLOWED_FILTERS:
+    } - ALLOWED_COMPRESSION_FILTERS:
         raise ValueError(f"{name!r} is compressed by an unknown filter")
     string_type = h5py.check_string_dtype(dataset.dtype)
     if (
@@ -153,7 +157,7 @@ def read_words(dataset: h5py.Dataset, max_characters: int) -> str | list[str]:
     ValueError for more than one dimension, more than 10,000 words, or more than ``max_characters``
     characters.
     """
-    if dataset.ndim > 1 or dataset.size > MAX_ENTRIES:
+    if dataset.ndim > 1 or dataset.size > MAX_ENTRIES_IN_FILE:
         raise ValueError(f"{dataset.name!r} is not a list of words")
     word_or_words = dataset.asstr()[()]
     word_list = (

@@ -40,7 +40,7 @@ from fenics_crack.time.march import TimeHistory
 Result = Modes | PeriodicSolution | ResponseCurve | TimeHistory
 OptionalLaw = ContactLaw | None
 ShapeByName = dict[str, tuple[int, ...]]
-ORIGINAL_STRUCTURE_TEXT = (
+ORIGINAL_STRUCTURE_REQUIREMENT = (
     "the structure with which the file was computed; fc.load_run builds it from the file's scene"
 )
 """Requirement on a structure that does not fit a result file, for an error message."""
@@ -423,7 +423,9 @@ def _check_gap_coefficients(
     closing_coefficients[0] -= structure.clearance
     difference_norm = np.linalg.norm(closing_coefficients - gap_coefficients)
     if not difference_norm <= difference_tolerance:  # nan neither
-        raise InputError("structure", "another load, mesh or material", ORIGINAL_STRUCTURE_TEXT)
+        raise InputError(
+            "structure", "another load, mesh or material", ORIGINAL_STRUCTURE_REQUIREMENT
+        )
 
 
 # --- curves ---------------------------------------------------------------------------------------
@@ -577,7 +579,9 @@ def _unpack_exact_points(
     )
     curve = replace(curve, points=states)
     if not curve.orbit(0).residual <= 1e-4:  # nan neither
-        raise InputError("structure", "another load, mesh or material", ORIGINAL_STRUCTURE_TEXT)
+        raise InputError(
+            "structure", "another load, mesh or material", ORIGINAL_STRUCTURE_REQUIREMENT
+        )
     return curve, special_states
 
 
@@ -727,19 +731,19 @@ def _find_dof_signs(structure: Structure, stored_rows: np.ndarray) -> np.ndarray
     dof_signs = np.where((stored_rows * structure_rows).sum(axis=0) < 0.0, -1.0, 1.0)
     row_maxima = np.abs(stored_rows).max(axis=1, initial=0.0, keepdims=True)
     if np.any(np.abs(stored_rows - structure_rows * dof_signs) > 1e-6 * row_maxima):
-        raise InputError("structure", "other load or pairs", ORIGINAL_STRUCTURE_TEXT)
+        raise InputError("structure", "other load or pairs", ORIGINAL_STRUCTURE_REQUIREMENT)
     return dof_signs
 
 
-LAW_GAPS = np.concatenate([sign * np.logspace(-12, 1, 27) for sign in (-1.0, 1.0)])
+LAW_COMPARISON_GAPS = np.concatenate([sign * np.logspace(-12, 1, 27) for sign in (-1.0, 1.0)])
 """Gaps for comparing a user's law with a file [m]: 1e-12 to 10, both signs."""
 
 
 def _law_datasets(contact: OptionalLaw, structure: Structure) -> Datasets:
     """Return datasets that identify a contact law: name and parameters.
 
-    A user's law has no known parameters. Its forces at :data:`LAW_GAPS`, summed over the pairs, are
-    stored instead.
+    A user's law has no known parameters. Its forces at :data:`LAW_COMPARISON_GAPS`, summed over the
+    pairs, are stored instead.
     """
     attribute_names = (
         "stiffness", "sharpness", "layer_depth", "layer_share", "coefficient",
@@ -752,7 +756,9 @@ def _law_datasets(contact: OptionalLaw, structure: Structure) -> Datasets:
     }
     if contact is not None and "law_sharpness" not in datasets and not is_unilateral(contact):
         with np.errstate(all="ignore"):  # gaps far from the structure's
-            summed_force = contact.force(np.outer(LAW_GAPS, np.ones(structure.n_pairs))).sum(axis=1)
+            summed_force = contact.force(
+                np.outer(LAW_COMPARISON_GAPS, np.ones(structure.n_pairs))
+            ).sum(axis=1)
         datasets["law_force"] = np.nan_to_num(summed_force, posinf=MAX_ALLOWED_MAGNITUDE).clip(
             -MAX_ALLOWED_MAGNITUDE, MAX_ALLOWED_MAGNITUDE
         )

@@ -31,7 +31,7 @@ from fenics_crack.basics.atomic_files import write_file_whole
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import on_root
 from fenics_crack.basics.suggestions import check_calls
-from fenics_crack.basics.tables import UNIT_BY_NAME, Tabular
+from fenics_crack.basics.tables import UNIT_BY_DICT_ENTRY_NAME, Tabular
 from fenics_crack.basics.untrusted_files import (
     file_sha256,
     read_first_bytes,
@@ -53,11 +53,11 @@ if TYPE_CHECKING:
     import h5py
 
 
-IDENTIFICATION_KIND = "identification"
+IDENTIFICATION_FILE_KIND = "identification"
 """Kind in files from ``identify``."""
 PROGRAM_NAME = "fenics_crack"
 """Value for the attribute ``program`` in every result file."""
-MISSING_FILE_DIGEST = "missing"
+UNREADABLE_FILE_DIGEST = "missing"
 """Text in place of a digest for a scene's file that cannot be read."""
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 """First bytes in an HDF5 file."""
@@ -317,7 +317,9 @@ class StoredFile:
             key_path_pairs, self._stored_scene_file_digests, strict=False
         ):
             file_digest = _file_digest(path)
-            if file_digest != stored_digest and (is_required or file_digest != MISSING_FILE_DIGEST):
+            if file_digest != stored_digest and (
+                is_required or file_digest != UNREADABLE_FILE_DIGEST
+            ):
                 requirement_text = (
                     f"unchanged since {self.path} was computed; restore it, "
                     "or compute the result again"
@@ -517,17 +519,17 @@ def _list_scene_files(scene: Scene) -> list[tuple[str, str]]:
 def list_scene_file_digests(scene: Scene) -> list[str]:
     """Return SHA-256 digests for all files that a scene reads.
 
-    :data:`MISSING_FILE_DIGEST` for a file that cannot be read.
+    :data:`UNREADABLE_FILE_DIGEST` for a file that cannot be read.
     """
     return [_file_digest(path) for _, path in _list_scene_files(scene)]
 
 
 def _file_digest(path: str) -> str:
-    """Return a file's SHA-256 digest, or :data:`MISSING_FILE_DIGEST`."""
+    """Return a file's SHA-256 digest, or :data:`UNREADABLE_FILE_DIGEST`."""
     try:
         return file_sha256(path)
     except OSError:
-        return MISSING_FILE_DIGEST
+        return UNREADABLE_FILE_DIGEST
 
 
 # --- results that need no structure ---------------------------------------------------------------
@@ -590,20 +592,28 @@ class SavedResult(Tabular):
 
 # --- units ----------------------------------------------------------------------------------------
 
-COEFFICIENT_ROWS_TEXT = (
+FOURIER_COEFFICIENT_ROWS_MEANING = (
     "rows a0, a1, b1, ..., aH, bH of a0 + sum_k a_k cos(k w t) + b_k sin(k w t), "
     "w = omega / subharmonic"
 )
-GAP_ROWS_TEXT = f"{COEFFICIENT_ROWS_TEXT}; a column for each pair; positive: penetration"
-UNIT_AND_MEANING_BY_NAME: dict[str, tuple[str, str]] = {
+GAP_COEFFICIENT_ROWS_MEANING = (
+    f"{FOURIER_COEFFICIENT_ROWS_MEANING}; a column for each pair; positive: penetration"
+)
+UNIT_AND_MEANING_BY_DATASET_NAME: dict[str, tuple[str, str]] = {
     "omega": ("rad/s", "load frequency, or natural frequency"),
-    "gap_coefficients": ("m", GAP_ROWS_TEXT),
-    "force_coefficients": ("N", f"{COEFFICIENT_ROWS_TEXT}; a column for each pair"),
-    "tangential_gap_coefficients": ("m", f"{COEFFICIENT_ROWS_TEXT}; a column for each pair"),
-    "tangential_force_coefficients": ("N", f"{COEFFICIENT_ROWS_TEXT}; a column for each pair"),
+    "gap_coefficients": ("m", GAP_COEFFICIENT_ROWS_MEANING),
+    "force_coefficients": ("N", f"{FOURIER_COEFFICIENT_ROWS_MEANING}; a column for each pair"),
+    "tangential_gap_coefficients": (
+        "m",
+        f"{FOURIER_COEFFICIENT_ROWS_MEANING}; a column for each pair",
+    ),
+    "tangential_force_coefficients": (
+        "N",
+        f"{FOURIER_COEFFICIENT_ROWS_MEANING}; a column for each pair",
+    ),
     "watched_coefficients": (
         "m",
-        f"{COEFFICIENT_ROWS_TEXT}; along a curve points before rows; last: 'watched'",
+        f"{FOURIER_COEFFICIENT_ROWS_MEANING}; along a curve points before rows; last: 'watched'",
     ),
     "watched_displacement": ("m", "instants; 'watched'"),
     "multipliers": ("1", "Floquet multipliers; of a curve, the largest of each point"),
@@ -619,7 +629,10 @@ UNIT_AND_MEANING_BY_NAME: dict[str, tuple[str, str]] = {
     "law_turning": ("1", "sliding across these lines over sliding along them"),
     "law_tangential_stiffness": ("N/m", "of all pairs, or of each"),
     "law_force": ("N", "of a user's law, sum of all pairs, at gaps of 1e-12 to 10 m"),
-    "unknowns": ("m", f"points; {GAP_ROWS_TEXT}; gaps, or slow gaps where static_above is there"),
+    "unknowns": (
+        "m",
+        f"points; {GAP_COEFFICIENT_ROWS_MEANING}; gaps, or slow gaps where static_above is there",
+    ),
     "states": ("m, m/s", "points; displacement and velocity at phase zero of the load; dofs"),
     "places": ("m", "points; tangential gaps at which pairs stick at phase zero; pairs"),
     "bifurcation_places": ("m", "bifurcations; pairs"),
@@ -673,17 +686,20 @@ def dataset_attribute_texts(name: str, datasets: Mapping[str, Any]) -> dict[str,
     if name in ("values", "bifurcation_values") and "parameter" in datasets:
         parameter_name = str(datasets["parameter"])  # most are factors
         unit_and_meaning = (
-            UNIT_BY_NAME.get(parameter_name, "1"),
+            UNIT_BY_DICT_ENTRY_NAME.get(parameter_name, "1"),
             f"of the parameter {parameter_name}",
         )
     elif name.startswith("error_"):
         unit_and_meaning = "1", "estimated, relative to the gap"
     elif name.removeprefix("bifurcation_").isdigit():
-        unit_and_meaning = UNIT_AND_MEANING_BY_NAME["unknowns"][0], GAP_ROWS_TEXT
+        unit_and_meaning = (
+            UNIT_AND_MEANING_BY_DATASET_NAME["unknowns"][0],
+            GAP_COEFFICIENT_ROWS_MEANING,
+        )
     else:  # of a dataclass in others its last part
         last_name_part = name.rpartition(".")[2]
-        unit_and_meaning = UNIT_AND_MEANING_BY_NAME.get(
-            last_name_part, (UNIT_BY_NAME.get(last_name_part, ""), "")
+        unit_and_meaning = UNIT_AND_MEANING_BY_DATASET_NAME.get(
+            last_name_part, (UNIT_BY_DICT_ENTRY_NAME.get(last_name_part, ""), "")
         )
     return {
         key: attribute_text

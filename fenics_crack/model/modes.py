@@ -25,7 +25,12 @@ import scipy.sparse as sparse
 from petsc4py import PETSc
 from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
-from fenics_crack.basics.errors import N_LOWEST_MODES, ConvergenceError, InputError, check_choice
+from fenics_crack.basics.errors import (
+    N_FREQUENCIES_PER_CRACK_STATE,
+    ConvergenceError,
+    InputError,
+    check_choice,
+)
 from fenics_crack.basics.progress import begin_stage
 from fenics_crack.basics.ranks import gather_rows, import_slepc
 from fenics_crack.basics.tables import Tabular, add_frequency_entries, format_count, hertz_property
@@ -914,7 +919,7 @@ def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
 
 def _compute_bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
     """Compute the frequencies of :func:`bilinear_frequencies` (collective)."""
-    n_modes = min(N_LOWEST_MODES, structure.n_modes)
+    n_modes = min(N_FREQUENCIES_PER_CRACK_STATE, structure.n_modes)
     open_modes = solve_modes(structure, n_modes)
     bonded_modes = solve_bonded_modes(structure, n_modes)
     return BilinearFrequencies(

@@ -11,7 +11,7 @@ import numpy as np
 from fenics_crack.arrivals.arrival_times import ArrivalTimes, find_probe_angles_by_blade
 from fenics_crack.arrivals.fit_frequency import fit_frequency
 from fenics_crack.arrivals.fit_order import fit_order
-from fenics_crack.arrivals.harmonics import ORDERS, TipFit
+from fenics_crack.arrivals.harmonics import DEFAULT_TRIAL_ORDERS, TipFit
 from fenics_crack.arrivals.passages import find_passages
 from fenics_crack.arrivals.resonance import PassageFit
 from fenics_crack.arrivals.track_order import TipTrack, track_order
@@ -37,9 +37,9 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Rotation
 from fenics_crack.scene.words import describe_differences
 from fenics_crack.study.campbell import Campbell, campbell
-from fenics_crack.study.plausibility import MAX_PLAUSIBLE_TIP_SPEED, TIP_SPEED_TEXT_TEMPLATE
+from fenics_crack.study.plausibility import FAST_TIP_REMARK_TEMPLATE, MAX_PLAUSIBLE_TIP_SPEED
 
-IGNORED_SCENE_TABLE_NAMES = (*RESULT_TABLE_NAMES, "reduction")
+TABLES_ALLOWED_TO_DIFFER_FROM_RESULT = (*RESULT_TABLE_NAMES, "reduction")
 """Tables of a scene that may differ from the scene of a result.
 
 ``[reduction]`` is one of them, because a run chooses its missing keys. The other tables choose
@@ -50,11 +50,11 @@ MIN_PLAUSIBLE_TIP_SPEED = 1.0
 
 A lower speed indicates a wrong unit: times in ms that are read as s turn 200 m/s into 0.2 m/s.
 """
-SLOW_TIP_TEXT_FORMAT = (
+SLOW_TIP_REMARK_FORMAT = (
     "the blade tip moves at {:.3g} m/s, but tips of rotors with probes move at 1 to 700 m/s"
 )
 """Beginning of a remark on blade tips below :data:`MIN_PLAUSIBLE_TIP_SPEED`."""
-MAX_ALLOWED_RELATIVE_MODE_DISTANCE = 0.1
+MAX_RELATIVE_DISTANCE_OF_RESONANCE_TO_MODE = 0.1
 """Maximum distance from a measured resonance to a mode that explains it.
 
 The distance is relative to the resonance frequency.
@@ -216,10 +216,11 @@ def describe_run_up_end_or_empty(scene: Scene, run: Run[Any]) -> str:
 def describe_scene_difference_or_empty(scene: Scene, run: Run[Any]) -> str:
     """Describe how the scene of a run differs from a given scene (collective).
 
-    The tables in :data:`IGNORED_SCENE_TABLE_NAMES` are not compared. Return "" if nothing differs.
+    The tables in :data:`TABLES_ALLOWED_TO_DIFFER_FROM_RESULT` are not compared. Return "" if
+    nothing differs.
     """
     compared_scenes = [
-        scene_with_full_paths(scene).replace(dict.fromkeys(IGNORED_SCENE_TABLE_NAMES))
+        scene_with_full_paths(scene).replace(dict.fromkeys(TABLES_ALLOWED_TO_DIFFER_FROM_RESULT))
         for scene in (with_crack_length(scene, run.structure.comm), run.scene)
     ]
     scene_text, result_text = describe_differences(compared_scenes)
@@ -243,7 +244,9 @@ def list_arrival_remarks(arrivals: ArrivalTimes) -> list[str]:
     remark_texts, tip_speed = [], arrivals.mean_speed * arrivals.tip_radius
     if not MIN_PLAUSIBLE_TIP_SPEED < tip_speed < MAX_PLAUSIBLE_TIP_SPEED:
         speed_remark_format = (
-            TIP_SPEED_TEXT_TEMPLATE if tip_speed > MIN_PLAUSIBLE_TIP_SPEED else SLOW_TIP_TEXT_FORMAT
+            FAST_TIP_REMARK_TEMPLATE
+            if tip_speed > MIN_PLAUSIBLE_TIP_SPEED
+            else SLOW_TIP_REMARK_FORMAT
         )
         question_text = "are the speed or times, and tip_radius, in the units of their headings?"
         remark_texts.append(f"{speed_remark_format.format(tip_speed)}: {question_text}")
@@ -345,7 +348,7 @@ def fit_vibration_or_passages(
             2.0 * np.pi * frequency for frequency in timing_table.frequencies
         )
         return fit_frequency(arrivals, lower_omega, upper_omega, **fit_argument_by_name)
-    fitted_orders = timing_table.orders or ([load_order] if load_order else ORDERS)
+    fitted_orders = timing_table.orders or ([load_order] if load_order else DEFAULT_TRIAL_ORDERS)
     return fit_order(
         arrivals, fitted_orders, **fit_argument_by_name, subharmonic=timing_table.subharmonic
     )
@@ -423,22 +426,24 @@ def match_mode_or_give_reason(passage_fit: PassageFit, diagram: Campbell) -> tup
         f"{omega_tied[mode_index] / RAD_PER_TURN:.6g} Hz at this speed"
         for mode_index in mode_indices_nearest_first[:2]
     ]
-    if mode_distances[mode_indices_nearest_first[0]] > MAX_ALLOWED_RELATIVE_MODE_DISTANCE:
+    if mode_distances[mode_indices_nearest_first[0]] > MAX_RELATIVE_DISTANCE_OF_RESONANCE_TO_MODE:
         return (
             0,
-            f"no mode of the blade is within {MAX_ALLOWED_RELATIVE_MODE_DISTANCE:.0%} of this "
+            "no mode of the blade is within "
+            f"{MAX_RELATIVE_DISTANCE_OF_RESONANCE_TO_MODE:.0%} of this "
             f"frequency; {range_texts[0]}",
         )
     if (
         len(mode_distances) > 1
-        and mode_distances[mode_indices_nearest_first[1]] < 0.5 * MAX_ALLOWED_RELATIVE_MODE_DISTANCE
+        and mode_distances[mode_indices_nearest_first[1]]
+        < 0.5 * MAX_RELATIVE_DISTANCE_OF_RESONANCE_TO_MODE
     ):
         return 0, f"two modes are near this frequency: {'; '.join(range_texts)}"
     other_order_texts = [
         f"{ambiguous_order:g}"
         for ambiguous_order in passage_fit.ambiguous
         if min(compute_relative_mode_distances(ambiguous_order * passage_fit.speed))
-        <= MAX_ALLOWED_RELATIVE_MODE_DISTANCE
+        <= MAX_RELATIVE_DISTANCE_OF_RESONANCE_TO_MODE
     ]
     if other_order_texts:
         reason_text = (
@@ -464,7 +469,9 @@ def _fit_passages(
     stiffening_or_function: float | StiffeningFunction = timing_table.stiffening or 0.0
     if timing_table.stiffening is None and diagram_or_none is not None:
         stiffening_or_function = diagram_or_none.stiffening
-    return find_passages(arrivals, timing_table.orders or ORDERS, stiffening=stiffening_or_function)
+    return find_passages(
+        arrivals, timing_table.orders or DEFAULT_TRIAL_ORDERS, stiffening=stiffening_or_function
+    )
 
 
 def _compute_campbell_diagram(scene: Scene, arrivals: ArrivalTimes) -> Campbell:

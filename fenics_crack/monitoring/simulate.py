@@ -23,7 +23,7 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 
 from fenics_crack.arrivals.arrival_times import (
-    MAX_ALLOWED_PASSAGES,
+    MAX_TIP_PASSAGES_IN_RECORD,
     ArrivalTimes,
     check_probe_angles,
 )
@@ -33,7 +33,7 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.model.matrices import floats_or_nan
 from fenics_crack.numerics.fourier import from_complex, sample_period, to_complex
 
-MAX_ALLOWED_RELATIVE_FOLD_DISTANCE = 1e-3
+MAX_RELATIVE_JUMP_DISTANCE_BEFORE_FOLD = 1e-3
 """Maximum distance before a fold at which a run-up may jump off the curve.
 
 The distance is in load frequency, relative to the frequency at the fold.
@@ -121,12 +121,12 @@ def tip_timing(
         check_number(f"tip[{dof!r}]", factor)
     check_number("tip_radius", tip_radius, 0.0, excludes_bound=True)
     check_count("revolutions", revolutions, 1)
-    if revolutions * len(probe_angles) > MAX_ALLOWED_PASSAGES:
+    if revolutions * len(probe_angles) > MAX_TIP_PASSAGES_IN_RECORD:
         raise InputError(
             "revolutions",
             revolutions,
-            f"at most {MAX_ALLOWED_PASSAGES // len(probe_angles)}, since "
-            f"{MAX_ALLOWED_PASSAGES:.0e} passages of probes are the limit",
+            f"at most {MAX_TIP_PASSAGES_IN_RECORD // len(probe_angles)}, since "
+            f"{MAX_TIP_PASSAGES_IN_RECORD:.0e} passages of probes are the limit",
         )
     check_number("noise", noise, 0.0)
     check_number("clock", clock, 0.0)
@@ -358,7 +358,7 @@ def _mark_jumped_points(
     for fold_index in np.flatnonzero(is_passed[:-1] & ~is_passed[1:]):
         fold_distances = signed_omega[fold_index] - signed_omega[: fold_index + 1]
         can_jump_before = is_doubtful[: fold_index + 1] & (
-            fold_distances < MAX_ALLOWED_RELATIVE_FOLD_DISTANCE * abs(signed_omega[fold_index])
+            fold_distances < MAX_RELATIVE_JUMP_DISTANCE_BEFORE_FOLD * abs(signed_omega[fold_index])
         )
         is_jumped[: fold_index + 1] |= np.logical_and.accumulate(can_jump_before[::-1])[::-1]
     return is_jumped

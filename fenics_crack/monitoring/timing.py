@@ -16,7 +16,7 @@ from fenics_crack.arrivals.track_order import TipTrack
 from fenics_crack.basics.tables import (
     RAD_PER_S_PER_RPM,
     RAD_PER_TURN,
-    UNIT_BY_NAME,
+    UNIT_BY_DICT_ENTRY_NAME,
     Conclusion,
     Report,
     Table,
@@ -26,36 +26,41 @@ from fenics_crack.basics.tables import (
 from fenics_crack.files.store import SavedResult
 from fenics_crack.scene.scene import Scene
 
-EMPTY_COLUMN_BY_NAME: dict[str, list[Any]] = {"blade": [], "rpm": [], "order": [], "frequency": []}
+EMPTY_RESONANCE_COLUMN_BY_NAME: dict[str, list[Any]] = {
+    "blade": [],
+    "rpm": [],
+    "order": [],
+    "frequency": [],
+}
 """Columns of the table of ``timing`` if a run-up has no resonance."""
-MISSING_HARMONICS_TEXT = (
+UNFITTED_HARMONICS_DOUBT = (
     "the vibration has more harmonics than are fitted (raise tip_timing.fitted_harmonics)"
 )
-NO_SPARE_PROBE_TEXT = (
+NO_SPARE_PROBE_DOUBT = (
     "there are as many unknowns as probes, which cannot test the order and the harmonics: use "
     "more probes, or fit fewer harmonics (tip_timing.fitted_harmonics)"
 )
-FOLDED_HARMONICS_TEXT = (
+ALIASED_HARMONICS_DOUBT = (
     "harmonics that are not fitted may be aliased onto the fitted ones: raise "
     "tip_timing.fitted_harmonics, or use more probes"
 )
-UNCLEAR_HARMONIC_FORMAT = (
+UNCLEAR_HARMONIC_DOUBT_FORMAT = (
     "its amplitude exceeds its error at no speed, and is at most {}; more fitted revolutions give "
     "a smaller error (tip_timing.fitted_revolutions)"
 )
-UNTESTED_ORDER_FORMAT = (
+UNTESTED_ORDER_DOUBT_FORMAT = (
     "cannot test an order: order {:g} fits, but others may fit as well; give the possible ones "
     "as tip_timing.orders"
 )
-BLIND_PROBE_TEXT = (
+EXCLUDED_PROBE_REASON = (
     "excluded, since it does not measure the vibration that the other probes measure: check that "
     "its pulses are of this blade"
 )
-HIDDEN_ORDERS_TEXT = (
+UNMEASURABLE_ORDERS_REMARK_END = (
     "probes at these angles cannot measure (if these are possible, use other angles)"
 )
-OTHER_ORDERS_TEXT = "explain the arrivals equally well (more probes distinguish them)"
-CONSTANT_FREQUENCY_TEXT = (
+EQUALLY_GOOD_ORDERS_REMARK_END = "explain the arrivals equally well (more probes distinguish them)"
+CONSTANT_FREQUENCY_ASSUMPTION_REMARK = (
     "natural frequencies are assumed constant; if they change with the speed, damping is wrong, "
     "and frequencies are too high in a fast run-up, too low in a run-down: give "
     "tip_timing.stiffening"
@@ -118,7 +123,7 @@ class Timing(SavedResult):
             ]
         return {
             column_name: [table_row[column_name] for table_row in table_rows]
-            for column_name in (table_rows or [EMPTY_COLUMN_BY_NAME])[0]
+            for column_name in (table_rows or [EMPTY_RESONANCE_COLUMN_BY_NAME])[0]
             if column_name != "speed"
         }
 
@@ -130,7 +135,7 @@ class Timing(SavedResult):
     def _unit_by_name(self) -> Mapping[str, str]:
         is_single_fit = len(self.fits) == 1 and not self.of_resonances
         unit_by_column: Mapping[str, str] = (
-            self._first_fit._unit_by_name() if is_single_fit else UNIT_BY_NAME
+            self._first_fit._unit_by_name() if is_single_fit else UNIT_BY_DICT_ENTRY_NAME
         )
         return unit_by_column
 
@@ -230,19 +235,19 @@ def _conclude_from_passages(
         (blade, fits[0]) for blade, fits in passages_by_blade.items() if fits
     ]
     warning_texts += [
-        f"blade {blade}, probe at {np.degrees(probe_angle):.5g} degrees: {BLIND_PROBE_TEXT}"
+        f"blade {blade}, probe at {np.degrees(probe_angle):.5g} degrees: {EXCLUDED_PROBE_REASON}"
         for blade, fit in blades_and_clearest_fits
         for probe_angle in fit.blind
     ]
     for blade, fit in blades_and_resonances:
         untested_text = (
-            f"{format_count(fit.probes, 'probe')} {UNTESTED_ORDER_FORMAT.format(fit.order)}"
+            f"{format_count(fit.probes, 'probe')} {UNTESTED_ORDER_DOUBT_FORMAT.format(fit.order)}"
         )
         doubts_and_texts = (
             (fit.untested, untested_text),
             (
                 fit.ambiguous and not fit.untested,
-                _describe_orders(OTHER_ORDERS_TEXT, fit.ambiguous),
+                _describe_orders(EQUALLY_GOOD_ORDERS_REMARK_END, fit.ambiguous),
             ),
             (fit.disagree, fit.disagreement_in_words),
             (
@@ -256,7 +261,7 @@ def _conclude_from_passages(
             for is_doubtful, doubt_text in doubts_and_texts
             if is_doubtful
         ]
-    note_texts = [CONSTANT_FREQUENCY_TEXT] * any(
+    note_texts = [CONSTANT_FREQUENCY_ASSUMPTION_REMARK] * any(
         fit.stiffening == 0.0 for _, fit in blades_and_resonances[:1]
     )
     note_texts += [
@@ -363,7 +368,7 @@ def _conclude_from_track(track: TipTrack) -> tuple[Conclusion, Table, list[str],
                 conclusion = Conclusion("run-up tracked", answer_text)
         elif not np.all(np.isnan(amplitudes)):
             upper_bounds = amplitudes + CONFIDENCE_LEVELS.allowed_standard_errors * amplitude_errors
-            unclear_harmonic_text = UNCLEAR_HARMONIC_FORMAT.format(
+            unclear_harmonic_text = UNCLEAR_HARMONIC_DOUBT_FORMAT.format(
                 format_quantity(float(np.nanmax(upper_bounds)), "m")
             )
             note_texts.append(f"harmonic {harmonic_multiple:g}: {unclear_harmonic_text}")
@@ -372,15 +377,16 @@ def _conclude_from_track(track: TipTrack) -> tuple[Conclusion, Table, list[str],
         *(track_table.columns[column_index] for column_index in kept_column_indices),
     ]
     peak_table = Table([*peak_column_names, "amplitude [m]", "amplitude_error [m]"], peak_rows)
-    doubt_texts = [NO_SPARE_PROBE_TEXT] if np.isnan(track.misfit) else []
+    doubt_texts = [NO_SPARE_PROBE_DOUBT] if np.isnan(track.misfit) else []
     if track.does_not_fit:
         doubt_texts.append(
-            f"the residuals repeat in all revolutions: {MISSING_HARMONICS_TEXT}, it changes within "
+            f"the residuals repeat in all revolutions: {UNFITTED_HARMONICS_DOUBT}, it "
+            "changes within "
             "the revolutions that are fitted together (lower tip_timing.fitted_revolutions), or it "
             f"is not of order {track.order:g}"
         )
     elif track.in_doubt and not doubt_texts:
-        doubt_texts.append(FOLDED_HARMONICS_TEXT)
+        doubt_texts.append(ALIASED_HARMONICS_DOUBT)
     return conclusion, peak_table, note_texts, doubt_texts
 
 
@@ -450,20 +456,20 @@ def _list_fit_notes_and_doubts(fit: TipFit) -> tuple[list[str], list[str]]:
         )
     misfit_text = (
         "residuals differ between the probes by more than their scatter: "
-        f"{MISSING_HARMONICS_TEXT}, probes are misplaced (tip_timing.angle_deviation), or its "
+        f"{UNFITTED_HARMONICS_DOUBT}, probes are misplaced (tip_timing.angle_deviation), or its "
         "order is not among tip_timing.orders"
     )
     has_spare_probes = fit.spare > 0
     doubts_and_texts = (
         (fit.does_not_fit, misfit_text),
-        (fit.may_be_folded and has_spare_probes and not fit.does_not_fit, FOLDED_HARMONICS_TEXT),
-        (not has_spare_probes, NO_SPARE_PROBE_TEXT),
+        (fit.may_be_folded and has_spare_probes and not fit.does_not_fit, ALIASED_HARMONICS_DOUBT),
+        (not has_spare_probes, NO_SPARE_PROBE_DOUBT),
         (
             fit.seen_once and has_spare_probes,
             "each probe measures the vibration only once, which cannot test the fit and its "
             "standard errors: record more revolutions",
         ),
-        (fit.ambiguous, _describe_orders(OTHER_ORDERS_TEXT, fit.ambiguous)),
-        (fit.hidden, _describe_orders(HIDDEN_ORDERS_TEXT, fit.hidden)),
+        (fit.ambiguous, _describe_orders(EQUALLY_GOOD_ORDERS_REMARK_END, fit.ambiguous)),
+        (fit.hidden, _describe_orders(UNMEASURABLE_ORDERS_REMARK_END, fit.hidden)),
     )
     return note_texts, [doubt_text for is_doubtful, doubt_text in doubts_and_texts if is_doubtful]

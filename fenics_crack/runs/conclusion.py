@@ -34,7 +34,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import word_for_crack_faces
 from fenics_crack.study.key_figures import find_key_figures
 from fenics_crack.study.plausibility import Remark, remarks_on_scene
-from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS, Study
+from fenics_crack.study.prepare import SINGLE_COMPUTATION_FAILURES, Study
 from fenics_crack.time.march import TimeHistory
 
 
@@ -68,7 +68,9 @@ class StudyWithResult(Study):
         """
         try:
             key_figures = find_key_figures(self)
-        except REFUSAL_EXCEPTIONS:  # figures that cannot be found are no reason to lose the result
+        except (
+            SINGLE_COMPUTATION_FAILURES
+        ):  # figures that cannot be found are no reason to lose the result
             key_figures = None
         return tuple(remarks_on_scene(self.scene, self.structure.whole, key_figures))
 
@@ -78,7 +80,7 @@ class StudyWithResult(Study):
         return self.watched[0].dof
 
 
-MIN_REPORTED_FRICTION_CHANGE = 0.01
+MIN_REPORTED_AMPLITUDE_CHANGE_BY_FRICTION = 0.01
 """Smallest relative change of the watched amplitude by friction that a closing sentence states, if
 the scene leaves friction out. A larger tolerance of harmonic balance replaces this limit."""
 LINEAR_VIBRATION_TEXT = "no contact pair opens and closes: the vibration is linear"
@@ -268,7 +270,9 @@ def _list_crack_and_verdict_sentences(
     if (
         friction_error_estimate is not None
         and friction_error_estimate.gci
-        > max(run.scene.harmonic_balance.tolerance or 0.0, MIN_REPORTED_FRICTION_CHANGE)
+        > max(
+            run.scene.harmonic_balance.tolerance or 0.0, MIN_REPORTED_AMPLITUDE_CHANGE_BY_FRICTION
+        )
         and not run.scene.has_friction
     ):
         sentences.append(

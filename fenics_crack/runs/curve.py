@@ -26,7 +26,7 @@ from fenics_crack.runs.run import Run
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.observer import make_requested_rows_and_readers
 from fenics_crack.study.prepare import (
-    REFUSAL_EXCEPTIONS,
+    SINGLE_COMPUTATION_FAILURES,
     Study,
     estimate_and_check_memory,
     modal_reduction_or_none,
@@ -236,7 +236,7 @@ def _find_study_with_enough_modes(
         resonance_omega = _lowest_bilinear_omega(study, start_omega, stop_omega)
         problem = Problem(study.structure, resonance_omega, law, balance_table.harmonics)
         mode_error = 0.0
-        with suppress(*REFUSAL_EXCEPTIONS):  # the curve itself will report the failure
+        with suppress(*SINGLE_COMPUTATION_FAILURES):  # the curve itself will report the failure
             mode_error = find_largest_modal_error(
                 study, solve_from_neighbour(problem, None, balance_table.tolerance)
             )

@@ -46,9 +46,15 @@ EXCLUDED_TABLES_BY_CONDITION: Mapping[str, tuple[str, ...]] = {
 
 :func:`condition_holds` explains conditions such as "[disk]": the scene has this table.
 """
-_FILE_CRACK_KEYS = (*kinds.BOX_CRACK_KEYS, "length", "depth", "front", *kinds.PLANE_CRACK_KEYS)
+_CRACK_KEYS_SET_BY_MESH_FILE = (
+    *kinds.PLATE_OR_BOX_CRACK_KEYS,
+    "length",
+    "depth",
+    "front",
+    *kinds.ARBITRARY_PLANE_CRACK_KEYS,
+)
 """Keys for a crack's position and shape; with a mesh file the mesh determines both."""
-RULES_BY_TABLE: Mapping[str, tuple[Rule, ...]] = {
+KEY_RULES_BY_TABLE: Mapping[str, tuple[Rule, ...]] = {
     "geometry": (Rule("mesh.layout = 'file'", ("width", "height")),),
     "mesh": (
         Rule("geometry.file", ("layout",), choices=("graded",)),
@@ -65,9 +71,9 @@ RULES_BY_TABLE: Mapping[str, tuple[Rule, ...]] = {
     ),
     "contact": (Rule("[structure]", ("pairs",), choices=("all",)),),
     "crack": (
-        Rule("geometry.kind = 'plate'", kinds.PLANE_CRACK_KEYS),
-        Rule("mesh.layout = 'file'", _FILE_CRACK_KEYS),
-        Rule("crack.point", kinds.BOX_CRACK_KEYS),
+        Rule("geometry.kind = 'plate'", kinds.ARBITRARY_PLANE_CRACK_KEYS),
+        Rule("mesh.layout = 'file'", _CRACK_KEYS_SET_BY_MESH_FILE),
+        Rule("crack.point", kinds.PLATE_OR_BOX_CRACK_KEYS),
         Rule("crack.center", ("edge",)),
         Rule("[disk]", ("first_omega", "first_frequency"), ": give crack.length"),
     ),
@@ -89,9 +95,9 @@ RULES_BY_TABLE: Mapping[str, tuple[Rule, ...]] = {
 
 Rules of the table "crack" are checked for each crack; "crack" in a condition is then this crack.
 """
-MAX_ALLOWED_SIDE_RATIO = 1e4
+MAX_BOX_SIDE_RATIO = 1e4
 """Maximum ratio of width or thickness to the height, or of the height to either side."""
-MIN_ALLOWED_RELATIVE_DISTANCE = 1e-4
+MIN_RELATIVE_DISTANCE_FROM_CRACK = 1e-4
 """Minimum distance between cracks, tips and edges, relative to the side along the distance."""
 
 
@@ -104,7 +110,9 @@ def check_tables(scene: SceneTables) -> None:
     for name, table in scene.table_by_name.items():
         table_name = table.full_key()
         with use_table_name_in_errors(name):
-            table.check_rules(RULES_BY_TABLE.get(table_name, ()), vars(scene) | {table_name: table})
+            table.check_rules(
+                KEY_RULES_BY_TABLE.get(table_name, ()), vars(scene) | {table_name: table}
+            )
     if scene.rotation is not None and scene.disk is None and scene.rotation.center is None:
         scene.rotation.given("hub_radius", "given: a finite number >= 0 [m]")
     if scene.excitation.order is not None and (scene.disk is None or scene.speed > 0.0):
@@ -326,7 +334,7 @@ def _check_disk(scene: SceneTables, disk: kinds.Disk) -> None:
     blade_width = scene.geometry.circumferential_width
     foot_spacing = 2.0 * outer_radius * math.sin(math.pi / disk.sectors)
     disk.require(
-        blade_width < foot_spacing * (1.0 - MIN_ALLOWED_RELATIVE_DISTANCE),
+        blade_width < foot_spacing * (1.0 - MIN_RELATIVE_DISTANCE_FROM_CRACK),
         "outer_radius",
         f"larger, as blades {blade_width:g} m wide would overlap: "
         f"their roots are {foot_spacing:g} m apart",
@@ -344,9 +352,9 @@ def _check_sides(geometry: kinds.Geometry) -> None:
     width, height = geometry.given("width"), geometry.given("height")
     for side_key, side in zip(("width", "thickness"), (width, *geometry.sides[2:]), strict=False):
         geometry.require(
-            height / MAX_ALLOWED_SIDE_RATIO <= side <= height * MAX_ALLOWED_SIDE_RATIO,
+            height / MAX_BOX_SIDE_RATIO <= side <= height * MAX_BOX_SIDE_RATIO,
             side_key,
-            f"within a factor {MAX_ALLOWED_SIDE_RATIO:g} of geometry.height = {height:g} m",
+            f"within a factor {MAX_BOX_SIDE_RATIO:g} of geometry.height = {height:g} m",
         )
 
 
@@ -401,7 +409,7 @@ def _check_plane_crack(crack: kinds.Crack) -> None:
 def _check_box_crack(crack: kinds.Crack, scene: SceneTables) -> None:
     """Raise InputError if a crack in a plate or box has contradicting keys, or leaves the plate."""
     geometry = scene.geometry
-    crack.forbid_keys(kinds.PLANE_CRACK_KEYS, "without crack.point")
+    crack.forbid_keys(kinds.ARBITRARY_PLANE_CRACK_KEYS, "without crack.point")
     crack.require(
         crack.front != "through", "front", "'straight' or 'elliptical' without crack.point"
     )
@@ -421,7 +429,7 @@ def _check_box_crack(crack: kinds.Crack, scene: SceneTables) -> None:
             _is_inside_with_margin(crack.depth, thickness),
             "depth",
             f"less than geometry.thickness = {thickness:g} m, by at least "
-            f"{MIN_ALLOWED_RELATIVE_DISTANCE:g} of it; or left out for a crack through it",
+            f"{MIN_RELATIVE_DISTANCE_FROM_CRACK:g} of it; or left out for a crack through it",
         )
     if scene.mesh.layout == "grid":
         _check_crack_on_grid(crack, geometry, scene.mesh)
@@ -430,7 +438,7 @@ def _check_box_crack(crack: kinds.Crack, scene: SceneTables) -> None:
 def _check_crack_position(crack: kinds.Crack, geometry: kinds.Geometry) -> None:
     """Raise InputError if a crack's position or length is missing, or leaves the plate."""
     (width, height, *_), geometry_kind = geometry.sides, geometry.kind
-    margin_text = f"and at least {MIN_ALLOWED_RELATIVE_DISTANCE:g} of this length from both"
+    margin_text = f"and at least {MIN_RELATIVE_DISTANCE_FROM_CRACK:g} of this length from both"
     if crack.center is None:
         crack.given(
             "edge", f"given: 'left' or 'right'; or center, for a crack inside the {geometry_kind}"
@@ -503,16 +511,16 @@ def _check_crack_distance(scene: SceneTables, first_name: str, second_name: str)
     )
     width, height, *_ = scene.geometry.sides
     height_distance = abs(first_crack.given("height") - second_crack.given("height"))
-    if height_distance >= MIN_ALLOWED_RELATIVE_DISTANCE * height:
+    if height_distance >= MIN_RELATIVE_DISTANCE_FROM_CRACK * height:
         return
     has_same_height = height_distance <= 1e-9 * height
     spans = sorted(crack.span(width) for crack in (first_crack, second_crack))
     ligament = spans[1][0] - spans[0][1]
-    if not has_same_height or ligament < MIN_ALLOWED_RELATIVE_DISTANCE * width:
-        min_distance_text = f"{MIN_ALLOWED_RELATIVE_DISTANCE * height:g} m above or below"
+    if not has_same_height or ligament < MIN_RELATIVE_DISTANCE_FROM_CRACK * width:
+        min_distance_text = f"{MIN_RELATIVE_DISTANCE_FROM_CRACK * height:g} m above or below"
         if has_same_height:
             min_distance_text += (
-                f", or with {MIN_ALLOWED_RELATIVE_DISTANCE * width:g} m between the tips"
+                f", or with {MIN_RELATIVE_DISTANCE_FROM_CRACK * width:g} m between the tips"
             )
         raise InputError(
             f"{second_name}.height",
@@ -528,7 +536,7 @@ def _is_inside_with_margin(coordinate: float, extent: float) -> bool:
     The distance to both ends must be at least 1e-4 of the extent.
     """
     return (
-        MIN_ALLOWED_RELATIVE_DISTANCE * extent
+        MIN_RELATIVE_DISTANCE_FROM_CRACK * extent
         <= coordinate
-        <= (1.0 - MIN_ALLOWED_RELATIVE_DISTANCE) * extent
+        <= (1.0 - MIN_RELATIVE_DISTANCE_FROM_CRACK) * extent
     )

@@ -615,9 +615,9 @@ class Table:
 
     FIRST_TABLE_NAME: ClassVar[str | None] = None
     """Name of the first table, "loads.1", if all tables of the class stand in a list."""
-    SHORTHAND_KEY: ClassVar[str | None] = None
+    KEY_OF_BARE_VALUE: ClassVar[str | None] = None
     """Key whose value may replace the whole table: ``reduction = "off"``; None if not allowed."""
-    _RULES: ClassVar[tuple[Rule, ...]] = ()
+    _KEY_RULES: ClassVar[tuple[Rule, ...]] = ()
     """Rules for keys, with conditions on other keys in the table."""
     _ADVICE_TEXT_BY_MISTAKE: ClassVar[Mapping[str, str]] = {}
     """Advice for errors, by an unknown key, "name", or by a wrong value, "edge = top"."""
@@ -659,7 +659,7 @@ class Table:
                 if getattr(self, si_key) != si_value:
                     self.forbid_both_twins(vars(self))
                 object.__setattr__(self, si_key, si_value)
-        self.check_rules(self._RULES, {self.full_key(): self, **vars(self)})
+        self.check_rules(self._KEY_RULES, {self.full_key(): self, **vars(self)})
 
     def check_rules(self, rules: Iterable[Rule], table_by_name: Mapping[str, Any]) -> None:
         """Raise InputError if keys break a rule.
@@ -749,8 +749,8 @@ class Table:
         }
         return (
             table_schema
-            if cls.SHORTHAND_KEY is None
-            else {"anyOf": [table_schema, schema_by_key[cls.SHORTHAND_KEY]]}
+            if cls.KEY_OF_BARE_VALUE is None
+            else {"anyOf": [table_schema, schema_by_key[cls.KEY_OF_BARE_VALUE]]}
         )
 
     @classmethod
@@ -929,8 +929,8 @@ class Table:
         Raises InputError for an unknown, missing or wrong key.
         """
         field_by_key = cls.field_by_key()
-        if cls.SHORTHAND_KEY is not None and isinstance(raw_table, str):
-            raw_table = {cls.SHORTHAND_KEY: raw_table}
+        if cls.KEY_OF_BARE_VALUE is not None and isinstance(raw_table, str):
+            raw_table = {cls.KEY_OF_BARE_VALUE: raw_table}
         if not isinstance(raw_table, Mapping):
             keys_text = ", ".join(field_by_key)
             raise InputError(cls.full_key(), raw_table, f"a table with the keys {keys_text}")

@@ -243,8 +243,8 @@ def _split_changed_key(full_key: str, value: object) -> tuple[str, int | None, s
     table_class = TABLE_CLASS_BY_NAME.get(table_name)
     if table_class is None:
         raise InputError(full_key, value, _unknown_table_text(full_key))
-    if not key_in_table and table_class.SHORTHAND_KEY is not None and isinstance(value, str):
-        return table_name, None, table_class.SHORTHAND_KEY
+    if not key_in_table and table_class.KEY_OF_BARE_VALUE is not None and isinstance(value, str):
+        return table_name, None, table_class.KEY_OF_BARE_VALUE
     if not key_in_table:
         if (
             value is not None
@@ -320,8 +320,8 @@ def _merge_table_changes(table_name: str, table: Any, value_by_key: dict[str, ob
             key: getattr(table, key)
             for key in table_class.field_by_key().keys() - table.derived_keys
         }
-    if table_class.SHORTHAND_KEY is not None and isinstance(table, str):
-        table = {table_class.SHORTHAND_KEY: table}
+    if table_class.KEY_OF_BARE_VALUE is not None and isinstance(table, str):
+        table = {table_class.KEY_OF_BARE_VALUE: table}
     if table is None:
         return value_by_key
     if not isinstance(table, Mapping):  # refused when it is made

@@ -107,7 +107,7 @@ class Integration(Table):
     Integration starts at rest, at the end of an earlier motion, or at a static deflection.
     """
 
-    _RULES = (Rule("integration.initial", ("deflection",)),)
+    _KEY_RULES = (Rule("integration.initial", ("deflection",)),)
 
     method: str | None = choice_field("exponential", "central_difference", "events", default=None)
     """Method: "exponential" or "central_difference" with time steps, or "events".
@@ -187,7 +187,7 @@ class Growth(Table):
     R = max(K_min, 0) / K_max (Paris and Erdogan 1963; Walker 1970).
     """
 
-    _RULES = (
+    _KEY_RULES = (
         Rule("growth.drive = 'frequency'", ("frequencies", "cycles")),
         Rule("growth.drive = 'resonance'", ("frequencies", "cycles")),
     )
@@ -537,7 +537,7 @@ class TipTiming(Table):
     tip_radius = 0.45
     """
 
-    _RULES = (
+    _KEY_RULES = (
         Rule("tip_timing.frequencies", ("subharmonic",), choices=(1,)),
         Rule("tip_timing.frequencies", ("orders",)),
     )

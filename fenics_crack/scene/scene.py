@@ -383,8 +383,8 @@ def _reason_without_observable(scene: Scene, observable: Observable) -> str:
     ):
         return "without geometry.kind = 'solid'"
     return (
-        _REASON_FUNCTION_BY_PLACE[observable.place](scene)
-        if observable.place in _REASON_FUNCTION_BY_PLACE
+        _EXCLUSION_REASON_FUNCTION_BY_PLACE[observable.place](scene)
+        if observable.place in _EXCLUSION_REASON_FUNCTION_BY_PLACE
         else ""
     )
 
@@ -412,7 +412,7 @@ _NO_CLAMP_FORCES_REASON_BY_CONDITION: Mapping[str, str] = {
     "[rotation]": "clamp forces are computed without rotation only",
 }
 """Conditions that exclude forces on the clamp, with reasons."""
-_REASON_FUNCTION_BY_PLACE: dict[Place, Callable[[Scene], str]] = {
+_EXCLUSION_REASON_FUNCTION_BY_PLACE: dict[Place, Callable[[Scene], str]] = {
     Place.TIPS: reason_without_stress_intensity,
     Place.ELLIPSE: reason_without_elliptical_growth,
     Place.CLAMP: reason_without_clamp_forces,

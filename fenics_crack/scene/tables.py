@@ -13,7 +13,7 @@ import numpy as np
 
 from fenics_crack.basics.errors import (
     DEFAULT_ERROR_TOLERANCE,
-    MAX_SAMPLES_PER_PERIOD,
+    MAX_CONTACT_SAMPLES_PER_PERIOD,
     check_rayleigh_damping_ratios,
 )
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM
@@ -50,7 +50,7 @@ KEYS_BY_LOAD_KIND = {
 FORCE_KEYS = KEYS_BY_LOAD_KIND["force"]
 EDGE_LOAD_KEYS = KEYS_BY_LOAD_KIND["pressure"] + KEYS_BY_LOAD_KIND["traction"]
 """Keys for loads on an edge."""
-MAX_ALLOWED_FACE_POINTS = 200
+MAX_GEOMETRY_FACE_POINTS = 200
 """Maximum number of points in ``[geometry.faces]``."""
 
 
@@ -62,7 +62,7 @@ class Geometry(Table):
     CAD file. A mesh file has its own shape.
     """
 
-    _RULES = (
+    _KEY_RULES = (
         Rule("without geometry.file", ("unit", "faces")),
         Rule("geometry.file", ("kind",), choices=("solid",)),
         Rule("geometry.file", ("width", "height", "thickness")),
@@ -85,8 +85,8 @@ class Geometry(Table):
     """Length unit of a .brep file, which does not state the unit."""
     faces: tuple[FacePoints, ...] = value_field(
         "a table of face names, each with a list of points [x, y, z] in m on faces of the part; "
-        f"at most {MAX_ALLOWED_FACE_POINTS} points",
-        lambda faces: sum(len(face.values) for face in faces) <= MAX_ALLOWED_FACE_POINTS,
+        f"at most {MAX_GEOMETRY_FACE_POINTS} points",
+        lambda faces: sum(len(face.values) for face in faces) <= MAX_GEOMETRY_FACE_POINTS,
         (),
     )
     """Names of a part's faces, each with points [m] on the face or near it."""
@@ -125,10 +125,10 @@ class Geometry(Table):
         return self.sides[0 if self.dimension == 2 else 2]
 
 
-BOX_CRACK_KEYS = ("edge", "center", "height", "first_frequency", "first_omega")
+PLATE_OR_BOX_CRACK_KEYS = ("edge", "center", "height", "first_frequency", "first_omega")
 """Keys of a crack in a plate, or in the plane y = height of a box; length and depth are further
 keys."""
-PLANE_CRACK_KEYS = ("point", "normal", "direction", "radii")
+ARBITRARY_PLANE_CRACK_KEYS = ("point", "normal", "direction", "radii")
 """Keys of a crack in an arbitrary plane of a solid."""
 
 
@@ -356,7 +356,7 @@ class Excitation(Table, PeriodicLoad):
     With an engine order n the frequency is n times ``rotation.speed``.
     """
 
-    _RULES = (Rule("without excitation.wave", ("wave_harmonics",)),)
+    _KEY_RULES = (Rule("without excitation.wave", ("wave_harmonics",)),)
 
     omega: float = positive_field(None, unit="rad/s")
     """Angular frequency; with an engine order it follows from the speed."""
@@ -460,7 +460,7 @@ class Load(Table, PeriodicLoad):
     """
 
     FIRST_TABLE_NAME = "loads.1"
-    _RULES = (
+    _KEY_RULES = (
         Rule("point", ("edge",), ": a load acts on an edge or at a point"),
         Rule("point", EDGE_LOAD_KEYS, ": pressures and tractions need edge"),
         Rule("edge", FORCE_KEYS, ": a force needs point"),
@@ -602,7 +602,7 @@ class Rotation(Table):
     -hub_radius, 0).
     """
 
-    _RULES = (Rule("rotation.center", ("hub_radius",), ", which places the axis"),)
+    _KEY_RULES = (Rule("rotation.center", ("hub_radius",), ", which places the axis"),)
 
     hub_radius: float | None = nonnegative_field(None, unit="m")
     """Radius at y = 0, the clamp: the axis is at y = -hub_radius."""
@@ -647,7 +647,7 @@ class Disk(Table):
     mesh file of one sector names the sides ``left`` and ``right``, whose nodes match.
     """
 
-    _RULES = (Rule("disk.mistuning", ("deviation", "seed")),)
+    _KEY_RULES = (Rule("disk.mistuning", ("deviation", "seed")),)
 
     sectors: int = value_field("a whole number from 3 to 1000", lambda count: 3 <= count <= 1000)
     cracked: tuple[int, ...] = value_field(
@@ -715,7 +715,7 @@ class Disk(Table):
 class Contact(Table):
     """Settings for contact between the crack faces, at pairs of opposite nodes."""
 
-    _RULES = (
+    _KEY_RULES = (
         Rule(
             "contact.law = 'unilateral'",
             ("stiffness", "stiffness_per_area", "sharpness", "layer_depth", "layer_share"),
@@ -802,7 +802,7 @@ class Contact(Table):
 class HarmonicBalance(Table):
     """Settings for harmonic balance: harmonics, contact sampling and tolerance."""
 
-    _RULES = (
+    _KEY_RULES = (
         Rule("harmonic_balance.form = 'block'", ("tolerance",)),
         Rule("harmonic_balance.tolerance", ("samples",)),
     )
@@ -846,10 +846,10 @@ class HarmonicBalance(Table):
         )
         min_samples = 4 * self.harmonics + 1
         self.require(
-            self.samples is None or min_samples <= self.samples <= MAX_SAMPLES_PER_PERIOD,
+            self.samples is None or min_samples <= self.samples <= MAX_CONTACT_SAMPLES_PER_PERIOD,
             "samples",
             f"a whole number from {min_samples} (4 times harmonics + 1) to "
-            f"{MAX_SAMPLES_PER_PERIOD}, or left out",
+            f"{MAX_CONTACT_SAMPLES_PER_PERIOD}, or left out",
         )
 
     def with_load_harmonics(self, highest_order: int) -> HarmonicBalance:
@@ -888,13 +888,13 @@ class Mesh(Table):
     ``clamp`` and ``crack``.
     """
 
-    _GRID_KEYS: ClassVar = ("columns", "rows")
-    _GRADED_KEYS: ClassVar = ("size", "lip_elements", "grading", "per_turn")
-    _FILE_KEYS: ClassVar = ("file", "coarser")
-    _RULES = (
-        Rule("mesh.layout = 'grid'", (*_GRADED_KEYS, *_FILE_KEYS)),
-        Rule("mesh.layout = 'graded'", (*_GRID_KEYS, *_FILE_KEYS)),
-        Rule("mesh.layout = 'file'", (*_GRID_KEYS, *_GRADED_KEYS)),
+    _GRID_LAYOUT_KEYS: ClassVar = ("columns", "rows")
+    _GRADED_LAYOUT_KEYS: ClassVar = ("size", "lip_elements", "grading", "per_turn")
+    _FILE_LAYOUT_KEYS: ClassVar = ("file", "coarser")
+    _KEY_RULES = (
+        Rule("mesh.layout = 'grid'", (*_GRADED_LAYOUT_KEYS, *_FILE_LAYOUT_KEYS)),
+        Rule("mesh.layout = 'graded'", (*_GRID_LAYOUT_KEYS, *_FILE_LAYOUT_KEYS)),
+        Rule("mesh.layout = 'file'", (*_GRID_LAYOUT_KEYS, *_GRADED_LAYOUT_KEYS)),
         Rule("mesh.layout = 'file'", ("cells",), ": the mesh file has the cells"),
     )
 
@@ -930,7 +930,7 @@ class Mesh(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        required_keys = {"grid": self._GRID_KEYS, "graded": ("size",), "file": ("file",)}
+        required_keys = {"grid": self._GRID_LAYOUT_KEYS, "graded": ("size",), "file": ("file",)}
         for key in required_keys[self.layout]:  # an uncracked plate has no lip_elements
             allowed_text = self.field_by_key()[key].metadata["allowed"]
             self.given(key, f"given: {allowed_text}, with layout = {self.layout!r}")
@@ -1018,7 +1018,7 @@ class Reduction(Table):
     with the default basis. ``reduction = "off"`` is short for ``reduction.method = "off"``.
     """
 
-    SHORTHAND_KEY = "method"
+    KEY_OF_BARE_VALUE = "method"
 
     method: str | None = choice_field("massless", "free_interface", "off", default=None)
     """Default with contact: "massless", modes and crack faces without mass.

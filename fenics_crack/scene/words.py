@@ -10,7 +10,7 @@ from fenics_crack.basics.tables import format_quantity
 from fenics_crack.scene.keys import RESULT_TABLE_NAMES, unit_of_key
 from fenics_crack.scene.scene import Scene
 
-LABEL_BY_KEY = {
+AXIS_LABEL_BY_SCENE_KEY = {
     "excitation.omega": "load frequency",
     "excitation.frequency": "load frequency",
     "excitation.order": "engine order",
@@ -34,13 +34,13 @@ LABEL_BY_KEY = {
     "mesh.size": "element size",
 }
 """Labels for axes and titles, by full key; a key without a label is shown by its own words."""
-UNITS_WITHOUT_PREFIX = ("rad/s", "rpm", "Hz", "kg/m^3", "N/m^3", "1/m", "1/s", "s", "degrees")
+SCENE_UNITS_WITHOUT_PREFIX = ("rad/s", "rpm", "Hz", "kg/m^3", "N/m^3", "1/m", "1/s", "s", "degrees")
 """Units printed without an SI prefix such as milli or kilo."""
 
 
 def key_in_words(key: str) -> str:
     """Return the label for a full key on an axis: "crack length" for "crack.length"."""
-    return LABEL_BY_KEY.get(key, key.replace(".", " ").replace("_", " "))
+    return AXIS_LABEL_BY_SCENE_KEY.get(key, key.replace(".", " ").replace("_", " "))
 
 
 def value_in_words(key: str, value: Any) -> str:
@@ -57,7 +57,7 @@ def value_in_words(key: str, value: Any) -> str:
         return " ".join(filter(None, (str(list(value)), unit)))
     if isinstance(value, bool) or not isinstance(value, float | int):
         return "none" if value is None else str(value)
-    if unit in ("", *UNITS_WITHOUT_PREFIX) or value == 0:
+    if unit in ("", *SCENE_UNITS_WITHOUT_PREFIX) or value == 0:
         return f"{value:g} {unit}".rstrip()
     return format_quantity(float(value), unit)
 

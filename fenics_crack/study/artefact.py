@@ -58,14 +58,14 @@ from fenics_crack.study.solve import (
     reduce_to_modes,
 )
 
-FILE_KIND = "prepared structure"
-CHANGEABLE_KEYS_TEXT = (
+PREPARED_FILE_KIND = "prepared structure"
+CHANGEABLE_KEYS_OF_PREPARED_FILE = (
     "only load frequency, force_mean, force_cos, force_sin, damping, clearance, contact law, "
     "friction, harmonics, tolerance and [curve] can change in a prepared structure; "
     "for other changes solve the scene"
 )
 """Keys that may change for a prepared file, in words for an error message."""
-NODE_ARRAY_NAMES = ("points", "dofs", "cells")
+SPREAD_NODE_FIELDS = ("points", "dofs", "cells")
 """Fields of :class:`Nodes` with a row for each node or cell, spread over the ranks."""
 
 
@@ -181,7 +181,7 @@ class PreparedStructure:
             watched=None if watched_row is None else gather_rows(comm, watched_row),
             nodes=nodes and replace(
                 nodes, mesh_dofs=None, vtk_type=vtk_type,
-                **{name: gather_rows(comm, getattr(nodes, name)) for name in NODE_ARRAY_NAMES},
+                **{name: gather_rows(comm, getattr(nodes, name)) for name in SPREAD_NODE_FIELDS},
             ),
             pairs=replace(pairs, pressure_matrix=None, tangential_gap_matrix=None),
             clamp=clamp and replace(clamp, inertia=gather_rows(comm, clamp.inertia.T).T),
@@ -239,7 +239,7 @@ class PreparedStructure:
             damping=damping_rule_of(scene.given("damping")),
             tangential=local_matrix(self.tangential, n_pairs),
             nodes=nodes and replace(
-                nodes, **{name: getattr(nodes, name)[local_slice] for name in NODE_ARRAY_NAMES}
+                nodes, **{name: getattr(nodes, name)[local_slice] for name in SPREAD_NODE_FIELDS}
             ),
             pairs=pairs,
             watched=None if watched_row is None else watched_row[local_slice],
@@ -424,7 +424,7 @@ def save_prepared(prepared: Study, path: str | Path) -> None:
     dataset_by_name = pack_dataclass(
         PreparedFileContent(*map(_gather_prepared_structure, study_and_coarser_study))
     )
-    write_result_file(dataset_by_name, path, FILE_KIND, scene, structure.whole.comm)
+    write_result_file(dataset_by_name, path, PREPARED_FILE_KIND, scene, structure.whole.comm)
 
 
 def _gather_prepared_structure(study: Study) -> PreparedStructure:
@@ -495,7 +495,7 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
         The file is of another kind or has no scene, a changed key needs a mesh, or a requested
         quantity needs matrices (crack tips, clamp).
     """
-    stored_file.check_kind(FILE_KIND)
+    stored_file.check_kind(PREPARED_FILE_KIND)
     file_scene = stored_file.scene()
     if file_scene is None:
         raise stored_file.refusal("a prepared structure with its scene; compute it again")
@@ -518,7 +518,9 @@ def _scene_of_file_with_changes(stored_file: StoredFile, changes: Mapping[str, o
                 if needs_mesh(file_scene.replace({changed_key: value_of_key})):
                     break
         raise InputError(
-            changed_key, value_of_key, f"as in {stored_file.path}: {CHANGEABLE_KEYS_TEXT}"
+            changed_key,
+            value_of_key,
+            f"as in {stored_file.path}: {CHANGEABLE_KEYS_OF_PREPARED_FILE}",
         )
     unavailable_quantities = [
         quantity_name
@@ -601,7 +603,8 @@ def weight_matrix_of_load_rows(file_load_rows: np.ndarray, scene: Scene) -> np.n
     )
     if is_no_combination_of_file_rows or (scene.has_other_loads and not has_same_load_rows):
         requirement_text = (
-            f"in the direction of the file's force, without other loads: {CHANGEABLE_KEYS_TEXT}"
+            "in the direction of the file's force, without other loads: "
+            f"{CHANGEABLE_KEYS_OF_PREPARED_FILE}"
         )
         raise InputError("excitation.force_sin", scene.excitation.force_sin, requirement_text)
     return weight_matrix

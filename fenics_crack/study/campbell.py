@@ -69,25 +69,31 @@ from fenics_crack.study.key_figures import list_modal_damping_ratios
 from fenics_crack.study.plausibility import describe_coriolis, remarks_on_scene
 from fenics_crack.study.prepare import scene_contact_law
 from fenics_crack.study.resonance import (
-    N_SEARCH_MODES,
+    N_RESONANCE_SEARCH_MODES,
     UNSOUGHT_RESONANCE,
     LoadResonance,
     find_load_resonance,
 )
 from fenics_crack.study.sharing import assemble_or_reuse_structure
 
-HELD_FREQUENCY_KINDS = (*FREQUENCY_KIND_NAMES[:2], "partly")
+FREQUENCY_KINDS_OF_HELD_CRACK = (*FREQUENCY_KIND_NAMES[:2], "partly")
 """Kinds of natural frequencies for a crack that rotation or mean load holds in a state: "open",
 "tied" (held shut), "partly" (some pairs shut, the others open)."""
-STATE_TEXT_BY_KIND = {
-    **dict(zip(HELD_FREQUENCY_KINDS, ("held open", "held shut", "held partly open"), strict=True)),
+CRACK_STATE_BY_FREQUENCY_KIND = {
+    **dict(
+        zip(
+            FREQUENCY_KINDS_OF_HELD_CRACK,
+            ("held open", "held shut", "held partly open"),
+            strict=True,
+        )
+    ),
     "bilinear": "breathing",
 }
 """State of the crack in words, by kind of frequency ("open", "tied", "partly", "bilinear")."""
-RELATIVE_SPEED_TOLERANCE = 1e-4
+SPEED_SEARCH_RELATIVE_TOLERANCE = 1e-4
 """Relative tolerance of rotor speeds at which the crack's state changes, or an engine order meets a
 mode."""
-MAX_REPORTED_ORDER = 8
+MAX_REPORTED_ENGINE_ORDER = 8
 """Highest engine order that a diagram shows, and that is reported for a load without engine
 order."""
 FrequenciesAndMarginsFunction = Callable[[float], tuple[np.ndarray, np.ndarray]]
@@ -202,8 +208,8 @@ class Campbell(SavedResult):
         ``kinds`` are "open", "tied", "partly" or "bilinear", as in :attr:`kind`: (n, m) for n
         speeds and m modes, or (m,) for all speeds.
         """
-        omega_of_kinds = [getattr(self, f"omega_{kind}") for kind in STATE_TEXT_BY_KIND]
-        return np.select([kinds == kind for kind in STATE_TEXT_BY_KIND], omega_of_kinds)
+        omega_of_kinds = [getattr(self, f"omega_{kind}") for kind in CRACK_STATE_BY_FREQUENCY_KIND]
+        return np.select([kinds == kind for kind in CRACK_STATE_BY_FREQUENCY_KIND], omega_of_kinds)
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -244,7 +250,7 @@ class Campbell(SavedResult):
             An argument cannot be used.
         """
         check_count("order", order, 1)
-        check_choice("kind", kind, (*STATE_TEXT_BY_KIND, "real"))
+        check_choice("kind", kind, (*CRACK_STATE_BY_FREQUENCY_KIND, "real"))
         if kind == "real":
             return self._crossings_in_actual_state(order)
 
@@ -258,7 +264,10 @@ class Campbell(SavedResult):
             speed_interval = self.speed[speed_index : speed_index + 2].tolist()
             mode = mode_index + 1
             speed = brentq(
-                omega_minus_order_line, *speed_interval, (mode,), rtol=RELATIVE_SPEED_TOLERANCE
+                omega_minus_order_line,
+                *speed_interval,
+                (mode,),
+                rtol=SPEED_SEARCH_RELATIVE_TOLERANCE,
             )
             crossings.append((mode, speed))
         return np.array(sorted(crossings)).reshape(-1, 2)
@@ -316,7 +325,7 @@ class Campbell(SavedResult):
         omega_of_kinds = self._frequencies_and_margins_function(speed)[0][:, mode - 1]
         if kind == "bilinear":
             return float(BilinearFrequencies(omega_of_kinds[0], omega_of_kinds[1]).omega_bilinear)
-        return float(omega_of_kinds[HELD_FREQUENCY_KINDS.index(kind)])
+        return float(omega_of_kinds[FREQUENCY_KINDS_OF_HELD_CRACK.index(kind)])
 
     def real_line(self, mode: int) -> list[tuple[float, float, str]]:
         """Return a mode's frequency over the speed, for the crack's actual state.
@@ -379,13 +388,13 @@ class Campbell(SavedResult):
                 kinds_at_crossing = [*dict.fromkeys(self._kinds_before_and_after(mode, speed))]
                 other_state_texts = [
                     f"{_speed_in_words(other_state_speed)} with the crack "
-                    f"{STATE_TEXT_BY_KIND[kind]}"
+                    f"{CRACK_STATE_BY_FREQUENCY_KIND[kind]}"
                     for kind in FREQUENCY_KIND_NAMES
                     if kind != kinds_at_crossing[-1] or len(kinds_at_crossing) > 1
                     for crossing_mode, other_state_speed in self.crossings(order, kind)
                     if crossing_mode == mode
                 ]
-                state_texts = [STATE_TEXT_BY_KIND[kind] for kind in kinds_at_crossing]
+                state_texts = [CRACK_STATE_BY_FREQUENCY_KIND[kind] for kind in kinds_at_crossing]
                 crossing_text += f" with the crack {' before and '.join(state_texts)}"
                 crossing_text += " after" if len(kinds_at_crossing) > 1 else ""
                 crossing_text += " (bilinear estimate)" if "bilinear" in kinds_at_crossing else ""
@@ -480,7 +489,9 @@ class Campbell(SavedResult):
             "mode": np.tile(np.arange(1, n_modes + 1), n_speeds).tolist(),
         }
         if self.cracked:
-            values_by_column["crack"] = [STATE_TEXT_BY_KIND[kind] for kind in self.kind.ravel()]
+            values_by_column["crack"] = [
+                CRACK_STATE_BY_FREQUENCY_KIND[kind] for kind in self.kind.ravel()
+            ]
         for kind in self.kinds:
             for column_name in (f"omega_{kind}", f"frequency_{kind}"):
                 values_by_column[column_name] = getattr(self, column_name).ravel().tolist()
@@ -644,7 +655,7 @@ def _find_modes_and_load_resonances(
     if engine_order is None or law is None:
         return ()
     search_projection = replace(
-        projection, n_modes_with_mass=max(projection.n_modes_with_mass, N_SEARCH_MODES)
+        projection, n_modes_with_mass=max(projection.n_modes_with_mass, N_RESONANCE_SEARCH_MODES)
     )
 
     return tuple(
@@ -661,19 +672,22 @@ def _find_modes_and_load_resonances(
 def report_of_campbell(diagram: Campbell) -> Report:
     """Return a diagram's report: frequency table, and crossings of engine orders.
 
-    Without an engine order of the load, orders 1 to 8 (:data:`MAX_REPORTED_ORDER`) are reported.
+    Without an engine order of the load, orders 1 to 8 (:data:`MAX_REPORTED_ENGINE_ORDER`) are
+    reported.
     """
     scene = diagram.scene
     load_engine_order = scene.excitation.order
     frequency_prefix = (
         "frequency" if scene.is_frequency_in_hertz or scene.is_speed_in_rpm else "omega"
     )
-    orders = [load_engine_order] if load_engine_order else [*range(1, MAX_REPORTED_ORDER + 1)]
+    orders = (
+        [load_engine_order] if load_engine_order else [*range(1, MAX_REPORTED_ENGINE_ORDER + 1)]
+    )
     notes = [
         crossing_text for order in orders for crossing_text in diagram.yield_crossing_texts(order)
     ]
     if not notes and load_engine_order is None:
-        notes = [f"engine orders 1 to {MAX_REPORTED_ORDER} meet no mode at these speeds"]
+        notes = [f"engine orders 1 to {MAX_REPORTED_ENGINE_ORDER} meet no mode at these speeds"]
     if coriolis_text := describe_coriolis(diagram.coriolis):
         speed_axis = choose_speed_factor_name_unit(scene.is_speed_in_rpm)
         notes.append(f"at {format_in_unit(speed_axis, diagram.speed[-1])} {coriolis_text}")
@@ -703,7 +717,7 @@ def _frequency_kinds_from_margins(hold_margins: np.ndarray) -> np.ndarray:
     hold_margins : (3, n_modes)
         Margins for the states "open", "tied" and "partly".
     """
-    return np.select([*(hold_margins > 0.0)], HELD_FREQUENCY_KINDS, "bilinear")
+    return np.select([*(hold_margins > 0.0)], FREQUENCY_KINDS_OF_HELD_CRACK, "bilinear")
 
 
 def _yield_state_changes(
@@ -717,7 +731,7 @@ def _yield_state_changes(
     A crack is held open, shut or partly open, or breathes. Between a held and a breathing crack,
     the state changes where the margin of the held state is zero. If the crack is held at both ends,
     but in different states, the range is halved. This ends if a breathing crack is found, or if the
-    range is shorter than :data:`RELATIVE_SPEED_TOLERANCE`.
+    range is shorter than :data:`SPEED_SEARCH_RELATIVE_TOLERANCE`.
 
     Parameters
     ----------
@@ -740,15 +754,15 @@ def _yield_state_changes(
     )
     held_kinds = {lower_kind, upper_kind} - {"bilinear"}
     if lower_kind != upper_kind and len(held_kinds) == 1:
-        [kind_index] = map(HELD_FREQUENCY_KINDS.index, held_kinds)
+        [kind_index] = map(FREQUENCY_KINDS_OF_HELD_CRACK.index, held_kinds)
         change_speed = brentq(
             lambda speed: find_frequencies_and_margins(speed)[1][kind_index, mode_index],
-            lower_speed, upper_speed, rtol=RELATIVE_SPEED_TOLERANCE,
+            lower_speed, upper_speed, rtol=SPEED_SEARCH_RELATIVE_TOLERANCE,
         )  # fmt: skip
         yield change_speed, upper_kind
     elif (
         lower_kind != upper_kind
-        and upper_speed - lower_speed <= RELATIVE_SPEED_TOLERANCE * upper_speed
+        and upper_speed - lower_speed <= SPEED_SEARCH_RELATIVE_TOLERANCE * upper_speed
     ):
         yield upper_speed, upper_kind
     elif lower_kind != upper_kind:

@@ -42,7 +42,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import Study, modal_reduction_or_none
 from fenics_crack.study.resonance import (
     FACTOR_AND_UNIT_BY_CURVE_PARAMETER,
-    N_SEARCH_MODES,
+    N_RESONANCE_SEARCH_MODES,
     UNSOUGHT_RESONANCE,
     LoadResonance,
     curve_parameter_at_crossing,
@@ -201,7 +201,7 @@ def _solve_modes_and_static_responses(
     Returns
     -------
     search_modes : Modes
-        Lowest modes with open crack: 10 (N_SEARCH_MODES), or all if there are fewer.
+        Lowest modes with open crack: 10 (N_RESONANCE_SEARCH_MODES), or all if there are fewer.
     modes, bonded_modes : Modes
         At most 4 modes with open and with bonded crack, for the key figures.
     static_displacements : (2N+1, n_local) [m]
@@ -215,7 +215,7 @@ def _solve_modes_and_static_responses(
         structure.n_dofs if known_omega_and_shapes is None else len(known_omega_and_shapes[0])
     )
     n_modes = min(N_KEY_FIGURE_MODES, n_available_modes)
-    n_search_modes = min(N_SEARCH_MODES, n_available_modes)
+    n_search_modes = min(N_RESONANCE_SEARCH_MODES, n_available_modes)
     with Factor(structure.stiffness, definite=True) as stiffness_factor:
         search_modes = solve_modes_with_factor(stiffness_factor, structure, n_search_modes)
         modes = Modes(search_modes.omega[:n_modes], search_modes.shapes[:, :n_modes], structure)

@@ -47,17 +47,17 @@ MAX_SMALL_ROTATION = 0.1
 terms of about its square, 1 %."""
 
 
-MAX_PLAUSIBLE_SIDE = 20.0
+MAX_PLAUSIBLE_LENGTH = 20.0
 """Maximum plausible side of a plate, radius or extent [m]; larger values get a remark."""
 MAX_PLAUSIBLE_TIP_SPEED = 1000.0
 """Maximum plausible speed of a blade tip [m/s]; the longest blades have 700."""
-TIP_SPEED_TEXT_TEMPLATE = "the blade tip moves at {:.3g} m/s; the fastest blades reach 700 m/s"
+FAST_TIP_REMARK_TEMPLATE = "the blade tip moves at {:.3g} m/s; the fastest blades reach 700 m/s"
 MAX_PLAUSIBLE_DAMPING = 0.05
 """Maximum plausible ratio of critical damping; larger values get a remark."""
 MIN_REPORTED_CORIOLIS_CHANGE = 0.01
 """Minimum relative change of a frequency by the Coriolis force that gets a remark. Errors of usual
 meshes are as large."""
-CORIOLIS_TEXT_TEMPLATE = (
+CORIOLIS_REMARK_TEMPLATE = (
     "the Coriolis force, left out, would change one of the first natural frequencies by {:.2%}"
 )
 SCENE_KEY_PREFIXES_OF_KEY_FIGURES = (
@@ -306,7 +306,7 @@ def _blade_tip_speed(speed_value: float, scene: Scene, structure: Structure) -> 
         rotation_table is None
         or structure.nodes is None
         or speed_value != (rotation_table.rpm or rotation_table.speed)
-        or (rotation_table.hub_radius or 0.0) > MAX_PLAUSIBLE_SIDE
+        or (rotation_table.hub_radius or 0.0) > MAX_PLAUSIBLE_LENGTH
     ):
         return None
     axis_point, axis_direction = (
@@ -408,7 +408,7 @@ def describe_coriolis(relative_changes: np.ndarray) -> str:
     return (
         ""
         if largest_change <= MIN_REPORTED_CORIOLIS_CHANGE
-        else CORIOLIS_TEXT_TEMPLATE.format(largest_change)
+        else CORIOLIS_REMARK_TEMPLATE.format(largest_change)
     )
 
 
@@ -556,12 +556,12 @@ def _linear_gap_motion_and_verb(
 
 # --- tables of remarks ----------------------------------------------------------------------------
 
-FACTOR_BY_MILLIMETRE_UNIT = MappingProxyType({"mm": 1e-3})
-ROTOR_SIZE_TEXT = "in m, this is larger than any rotor"
-METAL_DAMPING_TEXT = "metals have 0.0001 to 0.01 of critical damping"
-FORCE_KEYS_TEXT = "excitation.force_sin excitation.force_cos"
-STIFFNESS_KEYS_TEXT = "contact.stiffness contact.stiffness_per_area"
-FIRST_FREQUENCY_TEXT_TEMPLATE = (
+METRES_BY_MISTAKEN_UNIT = MappingProxyType({"mm": 1e-3})
+LARGE_ROTOR_REMARK = "in m, this is larger than any rotor"
+USUAL_METAL_DAMPING_REMARK = "metals have 0.0001 to 0.01 of critical damping"
+JOINED_FORCE_AMPLITUDE_KEYS = "excitation.force_sin excitation.force_cos"
+JOINED_CONTACT_STIFFNESS_KEYS = "contact.stiffness contact.stiffness_per_area"
+FIRST_FREQUENCY_REMARK_TEMPLATE = (
     "{:.2g} times the first natural frequency, {:.4g} Hz = {:.4g} rad/s; is it in "
 )
 SCENE_REMARK_RULES = (
@@ -584,10 +584,10 @@ SCENE_REMARK_RULES = (
         RemarkRule(
             f"geometry.{side}",
             0.0,
-            MAX_PLAUSIBLE_SIDE,
+            MAX_PLAUSIBLE_LENGTH,
             "lengths are in m: the longest side of the {kind} is {:g} m",
             _longest_side_or_none,
-            FACTOR_BY_MILLIMETRE_UNIT,
+            METRES_BY_MISTAKEN_UNIT,
         )
         for side in ("width", "height")
     ),
@@ -597,7 +597,7 @@ SCENE_REMARK_RULES = (
         1.0,
         "thicker than the {kind} is wide or high",
         _thickness_over_shorter_side,
-        FACTOR_BY_MILLIMETRE_UNIT,
+        METRES_BY_MISTAKEN_UNIT,
     ),
     RemarkRule(
         "crack.length",
@@ -619,21 +619,21 @@ SCENE_REMARK_RULES = (
         1.0,
         "elements are longer than the {kind}'s shorter side",
         lambda size, scene: size / _shorter_side(scene),
-        FACTOR_BY_MILLIMETRE_UNIT,
+        METRES_BY_MISTAKEN_UNIT,
     ),
     RemarkRule(
         "rotation.hub_radius",
         0.0,
-        MAX_PLAUSIBLE_SIDE,
-        ROTOR_SIZE_TEXT,
-        factor_by_unit=FACTOR_BY_MILLIMETRE_UNIT,
+        MAX_PLAUSIBLE_LENGTH,
+        LARGE_ROTOR_REMARK,
+        factor_by_unit=METRES_BY_MISTAKEN_UNIT,
     ),
     RemarkRule(
         "tip_timing.tip_radius",
         0.0,
-        MAX_PLAUSIBLE_SIDE,
-        ROTOR_SIZE_TEXT,
-        factor_by_unit=FACTOR_BY_MILLIMETRE_UNIT,
+        MAX_PLAUSIBLE_LENGTH,
+        LARGE_ROTOR_REMARK,
+        factor_by_unit=METRES_BY_MISTAKEN_UNIT,
     ),
     RemarkRule(
         "tip_timing.probes",
@@ -646,7 +646,7 @@ SCENE_REMARK_RULES = (
         "damping.ratio damping.ratios",
         0.0,
         MAX_PLAUSIBLE_DAMPING,
-        METAL_DAMPING_TEXT,
+        USUAL_METAL_DAMPING_REMARK,
         factor_by_unit={"%": 1e-2},
     ),
     RemarkRule(
@@ -668,7 +668,7 @@ SCENE_REMARK_RULES = (
         ),
     ),
     RemarkRule(
-        FORCE_KEYS_TEXT,
+        JOINED_FORCE_AMPLITUDE_KEYS,
         1.0,
         1.0,
         "no force acts: excitation.force_sin, force_cos and force_mean are zero; give one of them",
@@ -679,7 +679,7 @@ STRUCTURE_REMARK_RULES = (
     RemarkRule(
         "structure.model mesh.file",
         0.0,
-        MAX_PLAUSIBLE_SIDE,
+        MAX_PLAUSIBLE_LENGTH,
         "the structure measures {1:.3g} m x {0:.3g} m; is the mesh in mm? lengths are in m",
         lambda _, __, structure: (max(e := mesh_extents(structure)), min(e)),
     ),
@@ -694,12 +694,12 @@ STRUCTURE_REMARK_RULES = (
         "rotation.speed",
         0.0,
         MAX_PLAUSIBLE_TIP_SPEED,
-        TIP_SPEED_TEXT_TEMPLATE,
+        FAST_TIP_REMARK_TEMPLATE,
         _blade_tip_speed,
         {"rpm": RAD_PER_S_PER_RPM},
     ),
     RemarkRule(
-        "rotation.rpm", 0.0, MAX_PLAUSIBLE_TIP_SPEED, TIP_SPEED_TEXT_TEMPLATE, _blade_tip_speed
+        "rotation.rpm", 0.0, MAX_PLAUSIBLE_TIP_SPEED, FAST_TIP_REMARK_TEMPLATE, _blade_tip_speed
     ),
     RemarkRule(
         "rotation.hub_radius",
@@ -723,14 +723,14 @@ KEY_FIGURE_REMARK_RULES = (
         "excitation.omega",
         1.0,
         0.0,
-        FIRST_FREQUENCY_TEXT_TEMPLATE + "Hz? then use excitation.frequency",
+        FIRST_FREQUENCY_REMARK_TEMPLATE + "Hz? then use excitation.frequency",
         partial(_compare_frequency_in_other_unit, RAD_PER_TURN),
     ),
     RemarkRule(
         "excitation.frequency",
         1.0,
         0.0,
-        FIRST_FREQUENCY_TEXT_TEMPLATE + "rad/s? then use excitation.omega",
+        FIRST_FREQUENCY_REMARK_TEMPLATE + "rad/s? then use excitation.omega",
         partial(_compare_frequency_in_other_unit, 1.0 / RAD_PER_TURN),
     ),
     RemarkRule(
@@ -741,7 +741,7 @@ KEY_FIGURE_REMARK_RULES = (
         _missed_first_omega_and_text,
     ),
     RemarkRule(
-        FORCE_KEYS_TEXT,
+        JOINED_FORCE_AMPLITUDE_KEYS,
         0.0,
         MAX_SMALL_ROTATION,
         "with an open crack this force moves the {kind} by {1:.2g} m, or {0:.2g} "
@@ -756,7 +756,7 @@ KEY_FIGURE_REMARK_RULES = (
         _n_face_elements_or_none,
     ),
     RemarkRule(
-        STIFFNESS_KEYS_TEXT,
+        JOINED_CONTACT_STIFFNESS_KEYS,
         1.0,
         math.inf,
         "at most {:.2g} times the {faces}' static stiffness, so that they penetrate each other; "
@@ -764,7 +764,7 @@ KEY_FIGURE_REMARK_RULES = (
         lambda _, __, figures: np.max(figures.contact_stiffness_ratio),
     ),
     RemarkRule(
-        STIFFNESS_KEYS_TEXT,
+        JOINED_CONTACT_STIFFNESS_KEYS,
         0.0,
         1e6,
         "at least {:.2g} times the {faces}' static stiffness: numerically "
@@ -791,7 +791,7 @@ KEY_FIGURE_REMARK_RULES = (
         "damping.mass damping.stiffness",
         0.0,
         MAX_PLAUSIBLE_DAMPING,
-        "the damping ratio at the first natural frequency is {:.3g}; " + METAL_DAMPING_TEXT,
+        "the damping ratio at the first natural frequency is {:.3g}; " + USUAL_METAL_DAMPING_REMARK,
         lambda _, __, figures: float(figures.damping_ratios[0]),
     ),
     RemarkRule(
@@ -812,7 +812,7 @@ METHOD_REMARK_RULES = (
         "rotation.rpm rotation.speed",
         0.0,
         MIN_REPORTED_CORIOLIS_CHANGE,
-        CORIOLIS_TEXT_TEMPLATE,
+        CORIOLIS_REMARK_TEMPLATE,
         _largest_coriolis_change,
     ),
     RemarkRule(

@@ -35,11 +35,15 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.keys import RESULT_TABLE_NAMES
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Contact, Reduction
-from fenics_crack.study.sharing import LAST_STRUCTURES, SharedStructure, assemble_or_reuse_structure
+from fenics_crack.study.sharing import (
+    LAST_STRUCTURE_OR_EMPTY_LIST,
+    SharedStructure,
+    assemble_or_reuse_structure,
+)
 
-REFUSAL_EXCEPTIONS = (InputError, ConvergenceError, np.linalg.LinAlgError)
+SINGLE_COMPUTATION_FAILURES = (InputError, ConvergenceError, np.linalg.LinAlgError)
 """Exceptions by which one computation fails while others, such as a sweep's cases, continue."""
-MAX_UNREDUCED_DOFS = 100
+MAX_DOFS_UNREDUCED_BY_DEFAULT = 100
 """Maximum dofs of a structure that is not reduced by default, on one rank. A table ``[reduction]``
 requests a reduction."""
 
@@ -106,7 +110,7 @@ def prepare(
     whole: bool = False,
     like: Study | None = None,
     judged: bool = True,
-    last: list[SharedStructure] = LAST_STRUCTURES,
+    last: list[SharedStructure] = LAST_STRUCTURE_OR_EMPTY_LIST,
 ) -> Study:
     """Prepare a scene: build and reduce its structure, and make its law (collective).
 
@@ -299,7 +303,7 @@ def modal_reduction_or_none(scene: Scene, structure: Structure) -> ModalReductio
         n_modes = scene.disk.families * scene.disk.sectors + scene.disk.modes
         return ModalReduction("massless" if structure.n_pairs else "free_interface", n_modes)
     if reduction_table is None:
-        is_small = structure.n_dofs <= MAX_UNREDUCED_DOFS
+        is_small = structure.n_dofs <= MAX_DOFS_UNREDUCED_BY_DEFAULT
         if is_small and structure.comm.size == 1:
             return None
         reduction_table = Reduction("free_interface" if is_small else None)

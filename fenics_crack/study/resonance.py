@@ -38,17 +38,17 @@ from fenics_crack.model.rotation import RitzProjection, RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import (
-    REFUSAL_EXCEPTIONS,
+    SINGLE_COMPUTATION_FAILURES,
     Study,
     modal_reduction_or_none,
     reduce_study,
 )
 
-N_SEARCH_MODES = 10
+N_RESONANCE_SEARCH_MODES = 10
 """Number of modes kept in the reduced structure in which a resonance is sought."""
-RELATIVE_AMPLITUDE_TOLERANCE = 0.1
+MAX_RESONANCE_TRUNCATION_ERROR = 0.1
 """Maximum relative error, by truncated harmonics, of a stated resonance amplitude."""
-SEVERAL_MODES_TEXT = "several modes answer together: follow the curve for the amplitude"
+SEVERAL_MODES_REASON = "several modes answer together: follow the curve for the amplitude"
 
 
 @dataclass(frozen=True)
@@ -243,7 +243,7 @@ def _make_search_structure(study: Study, crossing_speed: float | None) -> Struct
     whole_structure = study.structure
     reduction = modal_reduction_or_none(study.scene, whole_structure)
     n_modes = min(
-        N_SEARCH_MODES, whole_structure.n_dofs if reduction is None else reduction.n_modes
+        N_RESONANCE_SEARCH_MODES, whole_structure.n_dofs if reduction is None else reduction.n_modes
     )
     if crossing_speed is not None:
         projection = RitzProjection.of_range(
@@ -301,7 +301,7 @@ def find_load_resonance(
             structure, start_omega, law, balance_table.harmonics, balance_table.samples
         )
         resonance = resonance_at(
-            problem, parameter=parameter, tolerance=RELATIVE_AMPLITUDE_TOLERANCE
+            problem, parameter=parameter, tolerance=MAX_RESONANCE_TRUNCATION_ERROR
         )
         if with_small_load_resonance:
             small_load_value = resonance.value
@@ -310,14 +310,14 @@ def find_load_resonance(
             if is_held or is_layered(law):
                 small_problem = problem_at_small_load(problem)
                 small_load_value = resonance_at(small_problem, resonance.omega, parameter).value
-    except REFUSAL_EXCEPTIONS as error:
+    except SINGLE_COMPUTATION_FAILURES as error:
         return LoadResonance(unknown=str(error))
     if resonance.several:
         return LoadResonance(
-            resonance.value, resonance.width, small_load_value, unknown=SEVERAL_MODES_TEXT
+            resonance.value, resonance.width, small_load_value, unknown=SEVERAL_MODES_REASON
         )
     solution, verdict = resonance.solution, "undecided"
-    with suppress(*REFUSAL_EXCEPTIONS):
+    with suppress(*SINGLE_COMPUTATION_FAILURES):
         verdict = floquet(solution.structure, solution).verdict
     return LoadResonance(
         resonance.value, resonance.width, small_load_value, solution.amplitude(),

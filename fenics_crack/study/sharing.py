@@ -41,7 +41,7 @@ class SharedStructure(NamedTuple):
     dependencies: tuple[Any, Any, Any]
 
 
-LAST_STRUCTURES: list[SharedStructure] = []
+LAST_STRUCTURE_OR_EMPTY_LIST: list[SharedStructure] = []
 """The structure made last in this process, for the next scene to use: at most one entry."""
 
 
@@ -53,13 +53,15 @@ def make_empty_coarser_structure_list(structure: Structure) -> list[SharedStruct
     return []
 
 
-STRUCTURE_FILES: list[Any] = []
+CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST: list[Any] = []
 """The file in which a command keeps its structure for later commands
 (:class:`fenics_crack.study.shelf.StructureFile`): at most one entry."""
 
 
 def assemble_or_reuse_structure(
-    scene: Scene, comm: MPI.Comm, last_shared_structures: list[SharedStructure] = LAST_STRUCTURES
+    scene: Scene,
+    comm: MPI.Comm,
+    last_shared_structures: list[SharedStructure] = LAST_STRUCTURE_OR_EMPTY_LIST,
 ) -> Structure:
     """Return a scene's structure, an existing one if possible (collective).
 
@@ -87,12 +89,12 @@ def assemble_or_reuse_structure(
         scene.speed > 0.0 or scene.disk is not None or scene.structure is not None
     )
     structure_files = [] if (  # what is integrated over a mesh of DOLFINx needs one
-        needs_equal_dependencies or last_shared_structures is not LAST_STRUCTURES
+        needs_equal_dependencies or last_shared_structures is not LAST_STRUCTURE_OR_EMPTY_LIST
         or scene.geometry.file is not None
         or any(
             OBSERVABLES_BY_NAME[name].place.is_made_on_request for name in scene.quantities or ()
         )
-    ) else STRUCTURE_FILES  # fmt: skip
+    ) else CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST  # fmt: skip
     if not comm.allreduce(
         bool(last_shared_structures)
         and _can_reuse(last_shared_structures[0], dependencies, comm, needs_equal_dependencies),
@@ -143,7 +145,7 @@ def _can_reuse(
 
     Mesh and ranks must be the same. If the structure is from a file, without a mesh of DOLFINx, the
     loads must be the same, too. A structure with matrices but without a mesh serves only a command
-    that keeps a structure file (:data:`STRUCTURE_FILES`).
+    that keeps a structure file (:data:`CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST`).
 
     Parameters
     ----------
@@ -160,7 +162,9 @@ def _can_reuse(
     has_mesh = getattr(shared_structure.structure.nodes, "mesh_dofs", None) is not None
     has_same_ranks = MPI.Comm.Compare(shared_structure.comm, comm) in (MPI.IDENT, MPI.CONGRUENT)
     has_usable_matrices = (
-        has_mesh or bool(STRUCTURE_FILES) or not shared_structure.structure.has_matrices
+        has_mesh
+        or bool(CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST)
+        or not shared_structure.structure.has_matrices
     )
     has_same_mesh_and_loads = (
         shared_structure.dependencies[0] == dependencies[0]

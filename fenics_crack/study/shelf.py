@@ -34,7 +34,7 @@ from fenics_crack.study.sharing import (
     make_empty_coarser_structure_list,
 )
 
-FILE_KIND = "structure of a command"
+STRUCTURE_FILE_KIND = "structure of a command"
 MAX_DATASET_BYTES = 500 * 10**6
 """Maximum size of all arrays in a structure file [byte]; a larger structure is not kept."""
 
@@ -76,7 +76,7 @@ class StructureFile:
         try:
             if not self._cached_prepared_files:
                 stored_file = read_result_file(self._path, comm)
-                stored_file.check_kind(FILE_KIND)
+                stored_file.check_kind(STRUCTURE_FILE_KIND)
                 with stored_file.yield_checked_datasets() as datasets:
                     self._cached_prepared_files.append(
                         unpack_dataclass(PreparedFileContent, datasets)
@@ -151,7 +151,7 @@ class StructureFile:
                 write_result_file(
                     dataset_by_name,
                     self._path,
-                    FILE_KIND,
+                    STRUCTURE_FILE_KIND,
                     scene,
                     shared_structure.comm,
                     is_compressed=False,

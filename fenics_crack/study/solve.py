@@ -30,7 +30,7 @@ from fenics_crack.scene.keys import missing_table_error
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.observer import make_requested_rows_and_readers
 from fenics_crack.study.prepare import (
-    MAX_UNREDUCED_DOFS,
+    MAX_DOFS_UNREDUCED_BY_DEFAULT,
     Study,
     modal_reduction_or_none,
     prepare,
@@ -96,7 +96,9 @@ def solve_study(
         reduced_study, solution = _solve_to_tolerance(study)
     structure = reduced_study.structure
     # The verdict of other structures takes minutes.
-    is_stability_quick = is_piecewise_linear(law) or structure.n_dofs <= MAX_UNREDUCED_DOFS
+    is_stability_quick = (
+        is_piecewise_linear(law) or structure.n_dofs <= MAX_DOFS_UNREDUCED_BY_DEFAULT
+    )
     if is_rigid(law):
         is_stability_quick = structure.light_lips
     if solution.converged and is_stability_quick and is_small(structure) and balance_table.error:

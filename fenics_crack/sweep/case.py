@@ -36,7 +36,7 @@ from fenics_crack.scene.tables import FORCE_KEYS
 from fenics_crack.study.key_figures import list_modal_damping_ratios
 from fenics_crack.study.observer import make_requested_rows_and_readers
 from fenics_crack.study.prepare import (
-    REFUSAL_EXCEPTIONS,
+    SINGLE_COMPUTATION_FAILURES,
     Study,
     prepare,
     reduce_study,
@@ -48,10 +48,10 @@ from fenics_crack.study.solve import (
     reduce_to_modes,
 )
 from fenics_crack.sweep.file import (
-    CONTRADICTION_PREFIX,
-    UNDECIDED_PREFIX,
+    CONTRADICTION_STATUS_PREFIX,
+    UNDECIDED_STATUS_PREFIX,
     UNIT_BY_HARMONIC_PART,
-    UNIT_BY_POINT_QUANTITY,
+    UNIT_BY_OUTPUT_POINT_QUANTITY,
     column_name_at_load,
 )
 from fenics_crack.sweep.plan import Chunk
@@ -353,7 +353,7 @@ def solve_chunk(
                 value_by_column["status"] = FREQUENCIES_ONLY_STATUS
             else:
                 value_by_column |= solver.solve_and_observe(case, case_options)
-        except REFUSAL_EXCEPTIONS as error:
+        except SINGLE_COMPUTATION_FAILURES as error:
             solver.forget_last_case()
             value_by_column["status"] = str(error)
         chunk_case_values.append(value_by_column | {"seconds": time.perf_counter() - start_time})
@@ -413,7 +413,7 @@ class CaseSolver:
         """Solve a case at its own load frequency.
 
         Without contact the solution is linear. If the computation fails, an exception from
-        :data:`REFUSAL_EXCEPTIONS` is raised: InputError, ConvergenceError or LinAlgError.
+        :data:`SINGLE_COMPUTATION_FAILURES` is raised: InputError, ConvergenceError or LinAlgError.
         """
         omega, balance_table = case.excitation.omega, case.harmonic_balance
         self._set_structure_and_law(case)
@@ -516,16 +516,20 @@ class CaseSolver:
             return {}
         try:
             stability = floquet(structure, solution)
-        except REFUSAL_EXCEPTIONS:
+        except SINGLE_COMPUTATION_FAILURES:
             return {
                 "verdict": "undecided",
-                "remark": f"; {UNDECIDED_PREFIX}the Floquet multipliers could not be computed",
+                "remark": (
+                    f"; {UNDECIDED_STATUS_PREFIX}the Floquet multipliers could not be computed"
+                ),
             }
         if stability.reason:
             remark_text = f"; {stability.verdict}: {stability.reason}"
         elif structure.light_lips and (more_modes_assessment := solution.assessment.more_modes):
             contradiction_text = more_modes_assessment.describe_contradiction(stability.verdict)
-            remark_text = CONTRADICTION_PREFIX + contradiction_text if contradiction_text else ""
+            remark_text = (
+                CONTRADICTION_STATUS_PREFIX + contradiction_text if contradiction_text else ""
+            )
         return {
             "verdict": stability.verdict,
             "multiplier": abs(stability.multipliers[0]),
@@ -578,7 +582,7 @@ def _observe_value_by_column(
     for point_name, observed_displacement in zip(row_by_name, observed_displacements, strict=True):
         value_by_quantity = {
             quantity: getattr(observed_displacement.indicators, quantity)
-            for quantity in UNIT_BY_POINT_QUANTITY
+            for quantity in UNIT_BY_OUTPUT_POINT_QUANTITY
         }
         value_by_quantity |= zip(
             UNIT_BY_HARMONIC_PART,

@@ -32,15 +32,15 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from fenics_crack.basics.atomic_files import partial_file, report_write_errors, write_bytes_at
-from fenics_crack.basics.errors import N_LOWEST_MODES, WriteError
+from fenics_crack.basics.errors import N_FREQUENCIES_PER_CRACK_STATE, WriteError
 from fenics_crack.basics.observables import (
     OBSERVABLES_BY_NAME,
     REQUIRES_FRICTION,
     Place,
     observable_names,
 )
-from fenics_crack.basics.tables import UNIT_BY_NAME
-from fenics_crack.basics.untrusted_files import MAX_FILE_BYTES, regular_file_size
+from fenics_crack.basics.tables import UNIT_BY_DICT_ENTRY_NAME
+from fenics_crack.basics.untrusted_files import MAX_INPUT_FILE_BYTES, regular_file_size
 from fenics_crack.files import store
 from fenics_crack.files.store import dataset_attribute_texts
 from fenics_crack.scene.keys import RESULT_TABLE_NAMES
@@ -63,9 +63,9 @@ class CaseState(IntEnum):
     FAILED = 2
 
 
-UNDECIDED_PREFIX = "undecided: "
+UNDECIDED_STATUS_PREFIX = "undecided: "
 """Text in the column ``status`` before the reason why a case's stability is undecided."""
-CONTRADICTION_PREFIX = "; yet "
+CONTRADICTION_STATUS_PREFIX = "; yet "
 """Text in the column ``status`` before a remark that more modes contradict the verdict on
 stability."""
 
@@ -78,7 +78,7 @@ def column_name_at_load(quantity: str) -> str:
     return "response" if quantity == "amplitude" else quantity
 
 
-KEPT_MODE_NUMBERS = range(1, N_LOWEST_MODES + 1)
+STORED_MODE_NUMBERS = range(1, N_FREQUENCIES_PER_CRACK_STATE + 1)
 """Numbers of the modes, 1 to 6, whose natural frequencies are stored for each case."""
 LABEL_AND_UNIT_BY_FREQUENCY_COLUMN = {
     f"omega_{lips}_{mode}": (words.format(mode), "rad/s")
@@ -87,33 +87,35 @@ LABEL_AND_UNIT_BY_FREQUENCY_COLUMN = {
         ("tied", "natural frequency {}, crack bonded"),
         ("bilinear", "bilinear frequency of open mode {}"),
     )
-    for mode in KEPT_MODE_NUMBERS
+    for mode in STORED_MODE_NUMBERS
 }
 """Label and unit of the columns with natural frequencies, by column name ("omega_open_1")."""
-UNIT_BY_POINT_QUANTITY = {
-    name: UNIT_BY_NAME[name] for name in observable_names(Place.POINT) if name != "ratio_half_1"
+UNIT_BY_OUTPUT_POINT_QUANTITY = {
+    name: UNIT_BY_DICT_ENTRY_NAME[name]
+    for name in observable_names(Place.POINT)
+    if name != "ratio_half_1"
 }
 """Units of the quantities stored for each point and direction, by quantity name.
 
 ``ratio_half_1`` (subharmonic amplitude ratio) is left out: no case has a period longer than the
 load's.
 """
-KEPT_HARMONIC_ORDERS = (1, 2, 3, 4, 5, 6)
+STORED_HARMONIC_ORDERS = (1, 2, 3, 4, 5, 6)
 """Orders of the displacement's harmonics that are stored, with cosine and sine part."""
 UNIT_BY_HARMONIC_PART = {
-    f"{part}_{order}": "m" for order in KEPT_HARMONIC_ORDERS for part in ("cosine", "sine")
+    f"{part}_{order}": "m" for order in STORED_HARMONIC_ORDERS for part in ("cosine", "sine")
 }
 """Units of the stored harmonics' parts, by column name ("cosine_1", "sine_1").
 
 ``harmonic_1`` to ``harmonic_3`` are the amplitudes sqrt(cosine^2 + sine^2).
 """
-UNIT_AND_TYPE_BY_COLUMN: dict[str, tuple[str, str]] = {
+UNIT_AND_NUMPY_TYPE_BY_COLUMN: dict[str, tuple[str, str]] = {
     **{
         column_name_at_load(name): (unit, "f8")
-        for name, unit in (UNIT_BY_POINT_QUANTITY | UNIT_BY_HARMONIC_PART).items()
+        for name, unit in (UNIT_BY_OUTPUT_POINT_QUANTITY | UNIT_BY_HARMONIC_PART).items()
     },
     **{
-        name: (UNIT_BY_NAME[name], "f8")
+        name: (UNIT_BY_DICT_ENTRY_NAME[name], "f8")
         for name in observable_names(
             Place.FACES, Place.NEAREST_MODE, excluded_flags=REQUIRES_FRICTION
         )
@@ -139,19 +141,19 @@ CHANGES_REMOVING_UNUSED_TABLES = dict.fromkeys(
     name for name in RESULT_TABLE_NAMES if name not in ("sweep", "output", "growth")
 )
 """Changes for ``Scene.replace`` that remove the tables without effect on any sweep case."""
-UNIT_BY_WAVE = {"gap": "m", "force": "N"}
+UNIT_BY_FOURIER_COEFFICIENT_DATASET = {"gap": "m", "force": "N"}
 """Units of the Fourier coefficients ("waves") stored for converged cases, by dataset name."""
 WAVES_CHECKSUM_COLUMN_NAME, CASE_CHECKSUM_COLUMN_NAME = "waves_checksum", "checksum"
 """Names of two columns with checksums (CRC-32): for a case's gap and force coefficients, and for
 all columns with the state (never 0)."""
-REQUIRED_COLUMN_NAMES = {
+REQUIRED_SWEEP_COLUMN_NAMES = {
     "state",
     WAVES_CHECKSUM_COLUMN_NAME,
     CASE_CHECKSUM_COLUMN_NAME,
     "harmonics",
 }
 """Columns that each sweep file must have; files from earlier versions may lack other columns."""
-COLUMNS_REQUIREMENT_TEXT = (
+SWEEP_COLUMNS_REQUIREMENT = (
     "a sweep with all columns; this file is damaged or older: compute it again in a new folder"
 )
 """Requirement on a sweep's file, for an error message."""
@@ -173,12 +175,12 @@ def unit_and_type_by_column(scene: Scene) -> dict[str, tuple[str, str]]:
     unit_and_type_by_point_column = {
         f"{point_name}.{column_name}": (unit, "f8")
         for point_name in scene.label_by_point_name
-        for column_name, unit in (UNIT_BY_POINT_QUANTITY | UNIT_BY_HARMONIC_PART).items()
+        for column_name, unit in (UNIT_BY_OUTPUT_POINT_QUANTITY | UNIT_BY_HARMONIC_PART).items()
     }
     return (
-        UNIT_AND_TYPE_BY_COLUMN
+        UNIT_AND_NUMPY_TYPE_BY_COLUMN
         | {
-            column_name: (UNIT_BY_NAME[column_name], "f8")
+            column_name: (UNIT_BY_DICT_ENTRY_NAME[column_name], "f8")
             for column_name in requested_quantity_names
         }
         | unit_and_type_by_point_column
@@ -302,7 +304,7 @@ class SweepFile:
             wave_name: [
                 case_values.get(wave_name, np.zeros((0, 0))) for case_values in values_of_cases
             ]
-            for wave_name in UNIT_BY_WAVE
+            for wave_name in UNIT_BY_FOURIER_COEFFICIENT_DATASET
         }
         column_by_name = {
             column_name: _encode_column(
@@ -436,7 +438,8 @@ def _make_file_and_header_or_none(
     if n_gap_rows_upper_bound:
         wave_shape = (*axes_shape, 2 * n_harmonics_upper_bound + 1, n_gap_rows_upper_bound)
         unit_type_shape_by_dataset |= {
-            dataset_name: (unit, "f8", wave_shape) for dataset_name, unit in UNIT_BY_WAVE.items()
+            dataset_name: (unit, "f8", wave_shape)
+            for dataset_name, unit in UNIT_BY_FOURIER_COEFFICIENT_DATASET.items()
         }
     with contextlib.suppress(FileExistsError):
         with (
@@ -524,7 +527,7 @@ def _copy_written_parts(memory_descriptor: int, target_descriptor: int) -> None:
 
 def _describe_column(column_name: str) -> str:
     """Return a column's description for the file; empty if unknown."""
-    if column_name in UNIT_BY_WAVE:
+    if column_name in UNIT_BY_FOURIER_COEFFICIENT_DATASET:
         return (
             "axes of the sweep; "
             f"{dataset_attribute_texts(f'{column_name}_coefficients', {})['about']}"
@@ -597,7 +600,7 @@ def _read_matching_header(path: Path, scene: Scene) -> store.StoredFile:
         )
     sweep_header.check_files(stored_scene)
     if not _unit_and_type_by_dataset(scene).keys() <= sweep_header.columns.keys():
-        raise sweep_header.refusal(COLUMNS_REQUIREMENT_TEXT)
+        raise sweep_header.refusal(SWEEP_COLUMNS_REQUIREMENT)
     scene_of_sweep(sweep_header)
     return sweep_header
 
@@ -646,7 +649,7 @@ def scene_of_sweep(sweep_header: store.StoredFile) -> Scene:
     scene = sweep_header.scene()
     if scene is None or scene.sweep is None:
         raise sweep_header.refusal("a sweep with its scene; compute it again in a new folder")
-    if column_name := min(REQUIRED_COLUMN_NAMES - sweep_header.columns.keys(), default=""):
+    if column_name := min(REQUIRED_SWEEP_COLUMN_NAMES - sweep_header.columns.keys(), default=""):
         requirement_text = (
             f"a sweep with the column {column_name!r}; this one is of an older version"
         )
@@ -655,11 +658,12 @@ def scene_of_sweep(sweep_header: store.StoredFile) -> Scene:
     for column_name, (_, type_name) in _unit_and_type_by_dataset(scene).items():
         if (stored_column := sweep_header.columns.get(column_name)) is not None:
             if stored_column.shape != axes_shape or stored_column.dtype != np.dtype(type_name):
-                raise sweep_header.refusal(COLUMNS_REQUIREMENT_TEXT)
+                raise sweep_header.refusal(SWEEP_COLUMNS_REQUIREMENT)
             n_column_bytes += stored_column.n_bytes
-    if n_column_bytes > MAX_FILE_BYTES:
+    if n_column_bytes > MAX_INPUT_FILE_BYTES:
         raise sweep_header.refusal(
-            f"a sweep with at most {MAX_FILE_BYTES / 2**30:g} GiB of columns; sweep fewer values"
+            f"a sweep with at most {MAX_INPUT_FILE_BYTES / 2**30:g} GiB of columns; sweep "
+            "fewer values"
         )
     return scene
 
@@ -700,7 +704,7 @@ def _read_columns_and_find_damage_once(
             if column_name in sweep_header.columns
         }
     except (OSError, ValueError):
-        raise sweep_header.refusal(COLUMNS_REQUIREMENT_TEXT) from None
+        raise sweep_header.refusal(SWEEP_COLUMNS_REQUIREMENT) from None
     stored_states, stored_checksums = map(column_by_name.pop, ("state", CASE_CHECKSUM_COLUMN_NAME))
     written_case_numbers = np.flatnonzero(stored_checksums)
     case_states = np.full(len(stored_states), CaseState.PENDING, stored_states.dtype)
@@ -817,7 +821,7 @@ def _read_intact_coefficients(
         stored_checksum = stored_column_by_name[WAVES_CHECKSUM_COLUMN_NAME].read_numbers(
             file_path, case_number, 1
         )[0]
-        for wave_name in UNIT_BY_WAVE:
+        for wave_name in UNIT_BY_FOURIER_COEFFICIENT_DATASET:
             n_stored_coefficients, n_gap_rows = (
                 stored_column_by_name[wave_name].shape[-2:]
                 if wave_name in stored_column_by_name

@@ -23,7 +23,7 @@ from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.ranks import StopRequest, collect_garbage, wait_until
 from fenics_crack.files.store import StoredFile
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.prepare import REFUSAL_EXCEPTIONS
+from fenics_crack.study.prepare import SINGLE_COMPUTATION_FAILURES
 from fenics_crack.sweep.case import (
     FREQUENCIES_ONLY_STATUS,
     CaseValues,
@@ -138,7 +138,7 @@ class Worker:
             self._geometry_or_error = build_sweep_geometry(
                 scene, MPI.COMM_SELF, self._case_options, last_geometry
             )
-        except REFUSAL_EXCEPTIONS as error:
+        except SINGLE_COMPUTATION_FAILURES as error:
             self._geometry_or_error = error
         self._geometry_number = geometry_number
 

@@ -22,10 +22,10 @@ from fenics_crack.scene.tables import FORCE_KEYS, Contact
 
 LOAD_FREQUENCY_KEYS = ("excitation.omega", "excitation.frequency")
 """Scene keys that set the load frequency directly."""
-FULL_FORCE_KEYS = {f"excitation.{name}" for name in FORCE_KEYS}
+EXCITATION_FORCE_KEYS = {f"excitation.{name}" for name in FORCE_KEYS}
 """Scene keys for the excitation's force, such as "excitation.force_sin"."""
 GEOMETRY_INDEPENDENT_KEYS = {
-    *LOAD_FREQUENCY_KEYS, *FULL_FORCE_KEYS,
+    *LOAD_FREQUENCY_KEYS, *EXCITATION_FORCE_KEYS,
     *map(Contact.full_key, Contact.field_by_key().keys() - {"pairs"}),
     "harmonic_balance.harmonics", "harmonic_balance.samples", "harmonic_balance.tolerance",
 }  # fmt: skip
@@ -84,7 +84,7 @@ class Plan:
         geometry_independent_keys = _find_keys_sharing_geometry(scene, self._swept_values_by_key)
         # Where the force is swept, geometries are built with unit loads.
         self.has_unit_loads = not geometry_independent_keys.isdisjoint(
-            FULL_FORCE_KEYS & self._swept_values_by_key.keys()
+            EXCITATION_FORCE_KEYS & self._swept_values_by_key.keys()
         )
         self.chunk_case_numbers_by_geometry = self._split_case_numbers_into_chunks(
             geometry_independent_keys
@@ -274,5 +274,5 @@ def _find_keys_sharing_geometry(scene: Scene, swept_keys: Collection[str]) -> se
     if has_unscaled_load or any(
         swept_key.startswith(("base.", "loads.", "rotation.")) for swept_key in swept_keys
     ):
-        geometry_independent_keys -= FULL_FORCE_KEYS
+        geometry_independent_keys -= EXCITATION_FORCE_KEYS
     return geometry_independent_keys

@@ -68,9 +68,9 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import scene_contact_law
 from fenics_crack.sweep.case import SharedCaseOptions, iterate_geometries_with_more_modes
 from fenics_crack.sweep.file import (
-    CONTRADICTION_PREFIX,
+    CONTRADICTION_STATUS_PREFIX,
     KIND,
-    UNDECIDED_PREFIX,
+    UNDECIDED_STATUS_PREFIX,
     CaseState,
     SweepFile,
     column_name_at_load,
@@ -82,7 +82,7 @@ from fenics_crack.sweep.file import (
 from fenics_crack.sweep.jobs import Manager, Worker, serve_jobs
 from fenics_crack.sweep.plan import Plan
 
-SCENES_WITHOUT_PEAK_TEXT = "without contact or with [rotation]"
+SCENES_WITHOUT_PEAK_DESCRIPTION = "without contact or with [rotation]"
 """Description of scenes for which no largest response over the frequency is sought."""
 CASE_STATE_NAMES = np.array([state.name.lower() for state in CaseState])
 """Names "pending", "converged" and "failed" of a case's state, by state (0, 1, 2)."""
@@ -143,7 +143,7 @@ def run_sweep(
     """
     sweep_table: Sweep = scene.given("sweep")
     if sweep_table.at_resonance and not can_seek_resonance(scene):
-        raise InputError("sweep.at_resonance", True, f"false {SCENES_WITHOUT_PEAK_TEXT}")
+        raise InputError("sweep.at_resonance", True, f"false {SCENES_WITHOUT_PEAK_DESCRIPTION}")
     last_axis_length = sweep_table.shape[-1]
     if wrong_positions := [
         position for position in natural if position not in range(last_axis_length)
@@ -348,7 +348,8 @@ class SweepResult(Tabular):
         return [
             (
                 case_index,
-                status.partition(UNDECIDED_PREFIX)[2] or "the file does not state the reason",
+                status.partition(UNDECIDED_STATUS_PREFIX)[2]
+                or "the file does not state the reason",
             )
             for case_index, status in indices_and_statuses
         ]
@@ -367,7 +368,7 @@ class SweepResult(Tabular):
         return [
             (case_index, contradiction_text)
             for case_index, status in indices_and_statuses
-            if (contradiction_text := status.partition(CONTRADICTION_PREFIX)[2])
+            if (contradiction_text := status.partition(CONTRADICTION_STATUS_PREFIX)[2])
         ]
 
     def _find_indices_and_statuses(

@@ -39,7 +39,7 @@ from fenics_crack.basics.observables import (
     observable_names,
 )
 from fenics_crack.basics.tables import (
-    UNIT_BY_NAME,
+    UNIT_BY_DICT_ENTRY_NAME,
     Described,
     Table,
     Tabular,
@@ -51,7 +51,7 @@ from fenics_crack.basics.tables import (
 from fenics_crack.fem import compat
 from fenics_crack.scene.result_tables import Sweep
 from fenics_crack.scene.words import describe_differences, value_in_words
-from fenics_crack.sweep.file import UNIT_AND_TYPE_BY_COLUMN
+from fenics_crack.sweep.file import UNIT_AND_NUMPY_TYPE_BY_COLUMN
 
 # --- stages and messages --------------------------------------------------------------------------
 
@@ -163,7 +163,7 @@ def made_sweep(scene: fc.Scene) -> fc.SweepResult:
     numbers = np.arange(6.0).reshape(2, 3)
     columns: dict[str, np.ndarray] = {
         name: numbers.astype(str if kind.startswith("S") else kind)
-        for name, (_, kind) in UNIT_AND_TYPE_BY_COLUMN.items()
+        for name, (_, kind) in UNIT_AND_NUMPY_TYPE_BY_COLUMN.items()
     }
     columns["state"] = np.array([[1, 1, 2], [1, 1, 0]])
     swept_scene = replace(scene, sweep=Sweep.from_mapping({"over": over}))
@@ -319,7 +319,7 @@ def test_quantities() -> None:
 def test_a_name_has_one_unit() -> None:
     """An observable named like an entry of another table would silently take its unit."""
     observables = {name: row.unit for name, row in OBSERVABLES_BY_NAME.items()}
-    assert {name: UNIT_BY_NAME[name] for name in observables} == observables
+    assert {name: UNIT_BY_DICT_ENTRY_NAME[name] for name in observables} == observables
 
 
 @pytest.mark.parametrize(

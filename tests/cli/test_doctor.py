@@ -21,7 +21,7 @@ def test_all_is_well(capsys: pytest.CaptureFixture[str]) -> None:
     """A row for each check, also of numbers that are known."""
     assert main(["doctor"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split("  ")[0] for line in lines[2:]] == [*doctor.CHECKS_BY_NAME]
+    assert [line.split("  ")[0] for line in lines[2:]] == [*doctor.CHECK_FUNCTION_BY_NAME]
     assert all(line[12:19].strip() == "ok" for line in lines[2:])
 
 
@@ -73,7 +73,7 @@ BROKEN = {
     "a cache that others write": ("caches", open_cache, "others can write"),
     "wrong numbers": (
         "two masses",
-        replaced("fenics_crack.cli.doctor.REFERENCE_MAX_AND_MIN_DISPLACEMENT", (2.3, -2.9)),
+        replaced("fenics_crack.cli.doctor.OSCILLATOR_REFERENCE_MAX_AND_MIN", (2.3, -2.9)),
         "at most 0.001",
     ),
 }  # fmt: skip
@@ -84,7 +84,9 @@ def test_a_fault_is_named(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyP
     """In one line, with what to do."""
     check, break_it, remedy = BROKEN[name]
     break_it(monkeypatch, tmp_path)
-    [(_, fault_text, is_fault)] = doctor.run_and_yield_checks({check: doctor.CHECKS_BY_NAME[check]})
+    [(_, fault_text, is_fault)] = doctor.run_and_yield_checks(
+        {check: doctor.CHECK_FUNCTION_BY_NAME[check]}
+    )
     assert is_fault and remedy in fault_text and "\n" not in fault_text
 
 

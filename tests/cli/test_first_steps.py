@@ -16,7 +16,7 @@ from surroundings import RunCommand, main
 
 import fenics_crack as fc
 from fenics_crack.cli.given import parse_changes
-from fenics_crack.study.sharing import LAST_STRUCTURES
+from fenics_crack.study.sharing import LAST_STRUCTURE_OR_EMPTY_LIST
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
 
@@ -266,7 +266,7 @@ def test_another_result_is_kept_as_the_one_before(here: Path) -> None:
         (out / name).write_text(name)
     words, seen = ["modes", "own.toml", *sets(*COARSE), "--quiet"], []
     for more in ([], [], sets("crack.length=0.02"), sets("crack.length=0.01")):
-        LAST_STRUCTURES.clear()  # as in a process of its own, to the last bit
+        LAST_STRUCTURE_OR_EMPTY_LIST.clear()  # as in a process of its own, to the last bit
         assert main([*words, *more]) == 0
         seen.append(omega(out))
         if (out / "before").exists():

@@ -24,7 +24,7 @@ from fenics_crack.basics.progress import StageLineHandler
 from fenics_crack.basics.tables import Table
 from fenics_crack.cli import pictures
 from fenics_crack.cli.account import (
-    TOLERANCE_OPTION_TEXT,
+    PROPOSED_TOLERANCE_OPTION,
     yield_instability_warning,
     yield_large_error_warning,
 )
@@ -38,7 +38,7 @@ from fenics_crack.draw import plot
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.words import describe_differences, key_in_words, value_in_words
 from fenics_crack.sweep import result
-from fenics_crack.sweep.file import UNIT_AND_TYPE_BY_COLUMN, CaseState
+from fenics_crack.sweep.file import UNIT_AND_NUMPY_TYPE_BY_COLUMN, CaseState
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
 
@@ -145,7 +145,7 @@ def swept(scene: fc.Scene, path: Path) -> SweepResult:
     scene = scene.replace({"sweep.over": axes})
     generator = np.random.default_rng(0)
     columns: dict[str, np.ndarray] = {
-        name: generator.random((31, 6)) for name in UNIT_AND_TYPE_BY_COLUMN
+        name: generator.random((31, 6)) for name in UNIT_AND_NUMPY_TYPE_BY_COLUMN
     }
     columns["state"] = np.full((31, 6), CaseState.CONVERGED)
     columns["verdict"] = generator.choice(["stable", "unstable", "undecided"], (31, 6))
@@ -484,7 +484,7 @@ def test_hint_to_damp_more_modes(
     answer = run_command("solve", PAPER, "--output", tmp_path, sets=sets).err
     assert (
         "the stability of the orbit is undecided" in answer
-        and f"; {TOLERANCE_OPTION_TEXT} " in answer
+        and f"; {PROPOSED_TOLERANCE_OPTION} " in answer
     )
     assert ("or damping of all modes" in answer) == expected
 
@@ -584,7 +584,7 @@ def test_signs_of_life_say_how_far(
         if re.search(said, text):
             shown_event.set()
 
-    monkeypatch.setattr("fenics_crack.basics.progress.MESSAGE_INTERVAL", 0.01)
+    monkeypatch.setattr("fenics_crack.basics.progress.PROGRESS_MESSAGE_INTERVAL", 0.01)
     monkeypatch.setattr("fenics_crack.basics.progress._progress_functions", Held())
     wrap(monkeypatch, "fenics_crack.basics.progress.StageLineHandler._write", write)
     settings = ["damping.ratio=0.02", "contact.stiffness=1e9", *changes.split()]

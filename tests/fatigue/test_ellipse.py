@@ -209,7 +209,9 @@ def swept(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         axes = swept.given("sweep").over
         depth, length = np.meshgrid(*(axis.values for axis in axes), indexing="ij")
         deepest, ends = both(depth, length, (0.0, 1.0))
-        columns = dict.fromkeys((*lengths.SWEEP_COLUMN_NAMES, *NATURAL), 600.0 - 1e4 * length)
+        columns = dict.fromkeys(
+            (*lengths.GROWTH_SWEEP_COLUMN_NAMES, *NATURAL), 600.0 - 1e4 * length
+        )
         columns |= dict(
             zip(
                 (*EQUIVALENT_RANGE_COLUMN_NAMES, *EFFECTIVE_RANGE_COLUMN_NAMES),

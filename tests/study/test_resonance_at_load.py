@@ -13,7 +13,7 @@ from surroundings import RunCommand
 import fenics_crack as fc
 from fenics_crack.study.key_figures import find_key_figures, propose_curve_or_none
 from fenics_crack.study.resonance import (
-    SEVERAL_MODES_TEXT,
+    SEVERAL_MODES_REASON,
     LoadResonance,
     find_study_resonance,
     order_crossing_speed,
@@ -53,7 +53,7 @@ def test_plate() -> None:
 def test_what_is_not_known() -> None:
     """It is said why: several modes, a smooth law, no damping, no crack; friction is left out."""
     resonance = at_load(fc.Scene.load(DEMOS / "paper_plate.toml"))
-    assert resonance.in_words == SEVERAL_MODES_TEXT and resonance.value > 0.0
+    assert resonance.in_words == SEVERAL_MODES_REASON and resonance.value > 0.0
     plate = fc.Scene.load(DEMOS / "blade.toml")
     smooth_settings = {
         "contact.law": "smoothed",

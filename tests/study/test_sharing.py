@@ -14,7 +14,7 @@ from helpers import DEMOS
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.study.sharing import LAST_STRUCTURES
+from fenics_crack.study.sharing import LAST_STRUCTURE_OR_EMPTY_LIST
 
 COARSE: dict[str, object] = {
     "mesh.size": 0.04, "mesh.lip_elements": 3, "mesh.order": 2, "crack.first_omega": None,
@@ -70,7 +70,7 @@ def test_as_alone(
     the matrices change, else none."""
     changed_scene = scene.replace(changes)
     expected_numbers = numbers(changed_scene)
-    LAST_STRUCTURES.clear()
+    LAST_STRUCTURE_OR_EMPTY_LIST.clear()
     first_numbers = numbers(scene)
     meshes.clear()
     shared_numbers = numbers(changed_scene)
@@ -91,7 +91,7 @@ def test_one_is_kept(scene: fc.Scene, meshes: list[fc.Scene]) -> None:
     """The last one, let go before another mesh is made; ranks that share another communicator do
     not share it."""
     body_reference = weakref.ref(fc.solve(scene, MPI.COMM_SELF).structure.whole.body)
-    assert body_reference() is not None and len(LAST_STRUCTURES) == 1
+    assert body_reference() is not None and len(LAST_STRUCTURE_OR_EMPTY_LIST) == 1
     fc.prepare(scene, MPI.COMM_SELF, whole=True)
     assert len(meshes) == 1
     fc.prepare(scene, MPI.COMM_WORLD, whole=True)
@@ -138,11 +138,11 @@ OTHER: dict[str, object] = {"excitation.omega": 2400.0, "damping.ratio": 0.03} |
 
 def both_on(scene: fc.Scene, comm: MPI.Comm) -> tuple[int, list[dict[str, Any]]]:
     """After a structure that one rank has for itself: two scenes, the second shared."""
-    LAST_STRUCTURES.clear()
+    LAST_STRUCTURE_OR_EMPTY_LIST.clear()
     if comm.rank == 0:
         fc.prepare(scene, MPI.COMM_SELF, whole=True)
     all_numbers = [numbers(changed_scene, comm) for changed_scene in (scene, scene.replace(OTHER))]
-    return len(LAST_STRUCTURES), all_numbers
+    return len(LAST_STRUCTURE_OR_EMPTY_LIST), all_numbers
 
 
 @pytest.mark.nightly
@@ -152,7 +152,7 @@ def test_same_on_two_ranks(on_ranks: Callable[..., Any], scene: fc.Scene) -> Non
     count, shared_numbers = on_ranks(both_on, scene)
     assert count == 1
     for rank_numbers, changes in zip(shared_numbers, ({}, OTHER), strict=True):
-        LAST_STRUCTURES.clear()
+        LAST_STRUCTURE_OR_EMPTY_LIST.clear()
         expected_numbers = numbers(scene.replace(changes))
         assert rank_numbers["amplitude"] == pytest.approx(expected_numbers["amplitude"], rel=1e-6)
         assert rank_numbers["mesh amplitude"] == pytest.approx(

@@ -23,7 +23,11 @@ from test_artefact import FORGERIES, PLATE, put_number, shortened
 import fenics_crack as fc
 from fenics_crack.files.store import read_result_file
 from fenics_crack.scene.keys import known_keys
-from fenics_crack.study.sharing import LAST_STRUCTURES, STRUCTURE_FILES, dependencies_of_structure
+from fenics_crack.study.sharing import (
+    CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST,
+    LAST_STRUCTURE_OR_EMPTY_LIST,
+    dependencies_of_structure,
+)
 from fenics_crack.study.shelf import StructureFile, digest_of_dependencies
 
 pytestmark = pytest.mark.usefixtures("not_drawn")
@@ -72,7 +76,7 @@ def path(plate: Path, solved: Path) -> Path:
 
 def run(command: str, scene: Path, *words: str) -> int:
     """Run a command as in a new process, which remembers no structure."""
-    LAST_STRUCTURES.clear()
+    LAST_STRUCTURE_OR_EMPTY_LIST.clear()
     return int(main([command, str(scene), "--quiet", *words]))
 
 
@@ -259,7 +263,7 @@ def test_forged_files_are_not_used(
             and "\n" not in message_lines[0]
         ), name
     path.write_bytes(content[:-1000])
-    LAST_STRUCTURES.clear()
+    LAST_STRUCTURE_OR_EMPTY_LIST.clear()
     capfd.readouterr()
     assert main(["solve", str(plate)]) in (0, 4)
     message_lines = lines_of(capfd.readouterr().err)
@@ -273,13 +277,13 @@ def test_what_cannot_be_kept_is_said(
     """In one line, of a large one and where no file can be written; the command goes on."""
     folder = plate.parent / "output" / "plate"
     (folder / "prepared.h5").mkdir(parents=True)
-    LAST_STRUCTURES.clear()
+    LAST_STRUCTURE_OR_EMPTY_LIST.clear()
     assert main(["check", str(plate)]) == 0
     [line] = lines_of(capfd.readouterr().err)
     assert "not kept" in line
     (folder / "prepared.h5").rmdir()
     monkeypatch.setattr("fenics_crack.study.shelf.MAX_DATASET_BYTES", 1000)
-    LAST_STRUCTURES.clear()
+    LAST_STRUCTURE_OR_EMPTY_LIST.clear()
     assert main(["check", str(plate)]) == 0
     [line] = lines_of(capfd.readouterr().err)
     assert "not kept" in line and not (folder / "prepared.h5").exists()
@@ -312,12 +316,14 @@ def amplitude_of(folder: str, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
         list[str](),
     )
     for is_read in (False, True):
-        LAST_STRUCTURES.clear()
-        STRUCTURE_FILES[:] = [StructureFile(path, message_lines.append, is_read=is_read)]
+        LAST_STRUCTURE_OR_EMPTY_LIST.clear()
+        CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST[:] = [
+            StructureFile(path, message_lines.append, is_read=is_read)
+        ]
         run = fc.solve(scene, comm)
         assert run.errors is not None
-        STRUCTURE_FILES[0].write_noted_structure(comm)
-        STRUCTURE_FILES.clear()
+        CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST[0].write_noted_structure(comm)
+        CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST.clear()
     assert comm.rank or len(message_lines) == 1, message_lines
     return float(run.amplitude(None))
 
@@ -351,13 +357,13 @@ def test_solids_take_their_structure(
 def test_coarser_mesh_of_another_load_is_not_kept(plate: Path, tmp_path: Path) -> None:
     """One that an earlier scene of the process has left is no part of the file."""
     scene, message_lines = fc.Scene.load(plate), list[str]()
-    LAST_STRUCTURES.clear()
+    LAST_STRUCTURE_OR_EMPTY_LIST.clear()
     assert fc.solve(scene, MPI.COMM_SELF).errors is not None
     twice = scene.replace({"excitation.force_sin": [20.0, 0.0], "mesh.error": False})
-    STRUCTURE_FILES[:] = [
+    CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST[:] = [
         StructureFile(tmp_path / "prepared.h5", message_lines.append, is_read=False)
     ]
     fc.prepare(twice, MPI.COMM_SELF, whole=True)
-    STRUCTURE_FILES[0].write_noted_structure(MPI.COMM_SELF)
-    STRUCTURE_FILES.clear()
+    CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST[0].write_noted_structure(MPI.COMM_SELF)
+    CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST.clear()
     assert "coarser_structure" not in read_result_file(tmp_path / "prepared.h5").datasets

@@ -33,7 +33,7 @@ from fenics_crack.sweep import case as sweep_case
 from fenics_crack.sweep import file as sweep_file
 from fenics_crack.sweep import jobs as sweep_jobs
 from fenics_crack.sweep import result as sweep
-from fenics_crack.sweep.file import UNIT_AND_TYPE_BY_COLUMN, SweepFile
+from fenics_crack.sweep.file import UNIT_AND_NUMPY_TYPE_BY_COLUMN, SweepFile
 
 Over = Mapping[str, Any]
 SOFT = {"damping.ratio": 0.01, "contact.stiffness": 1e9}
@@ -72,7 +72,7 @@ def by_hand(scene: fc.Scene, values: Over) -> tuple[fc.Structure, fc.PeriodicSol
 def assert_same(one: SweepResult, other: SweepResult) -> None:
     """All columns but the time agree to the bit, and so do the gaps."""
     assert one.shape == other.shape and one.complete and other.complete
-    for name in ("state", *(name for name in UNIT_AND_TYPE_BY_COLUMN if name != "seconds")):
+    for name in ("state", *(name for name in UNIT_AND_NUMPY_TYPE_BY_COLUMN if name != "seconds")):
         np.testing.assert_array_equal(other[name], one[name], err_msg=name)
     for index in map(tuple, np.argwhere(one.converged)):
         np.testing.assert_array_equal(other.gap(index), one.gap(index))
@@ -436,7 +436,7 @@ def test_a_file_from_before_an_observable(
     catch_error(lambda: run_sweep(scene, path), "path", str(path))
 
 
-EACH = len(UNIT_AND_TYPE_BY_COLUMN) + 3
+EACH = len(UNIT_AND_NUMPY_TYPE_BY_COLUMN) + 3
 """What is written of each chunk: columns, waves, states."""
 
 
@@ -505,7 +505,7 @@ def test_file_holds_numbers_and_words_only(fast: SweepResult) -> None:
             "force",
             "checksum",
             "waves_checksum",
-            *UNIT_AND_TYPE_BY_COLUMN,
+            *UNIT_AND_NUMPY_TYPE_BY_COLUMN,
         }
         for item in file.values():
             assert item.dtype.kind in "fiuS" and item.chunks is item.compression is None

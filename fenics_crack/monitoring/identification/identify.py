@@ -22,7 +22,7 @@ from fenics_crack.basics.ranks import MPI, on_root
 from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.monitoring.identification.measurements import Measurements
 from fenics_crack.monitoring.identification.model import has_load_independent_motion_shape
-from fenics_crack.monitoring.identification.options import OPTIONS
+from fenics_crack.monitoring.identification.options import IDENTIFICATION_OPTIONS
 from fenics_crack.monitoring.identification.posterior import Likelihood, Posterior, PosteriorBranch
 from fenics_crack.monitoring.identification.predictor import MeasurementPredictor
 from fenics_crack.monitoring.identification.result import Identification
@@ -357,7 +357,7 @@ def _yield_unresolved_resonance_remarks(
         vibration_ratio, unknown_values = find_largest_vibration_ratio_and_place(
             model, load_frequency, point_name
         )
-        if vibration_ratio > OPTIONS.allowed_vibration_ratio:
+        if vibration_ratio > IDENTIFICATION_OPTIONS.allowed_vibration_ratio:
             place_text = ", ".join(
                 f"{key} = {unknown_value:.4g}"
                 for key, unknown_value in zip(model.unknown_keys, unknown_values, strict=True)
@@ -397,7 +397,9 @@ def _find_most_interpolated_measurement_or_none(
     mean_shares = interpolation_shares.mean(axis=0)
     worst_row_index = int(mean_shares.sum(axis=0).argmax())
     shares_along_unknowns = mean_shares[:, worst_row_index]
-    is_share_small = shares_along_unknowns.sum() <= OPTIONS.allowed_interpolation_share
+    is_share_small = (
+        shares_along_unknowns.sum() <= IDENTIFICATION_OPTIONS.allowed_interpolation_share
+    )
     return (
         None
         if is_share_small

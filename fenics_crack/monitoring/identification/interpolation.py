@@ -55,10 +55,10 @@ from scipy.special import softmax
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import RAD_PER_TURN
 from fenics_crack.monitoring.identification.measurements import Measurement
-from fenics_crack.monitoring.identification.options import OPTIONS
+from fenics_crack.monitoring.identification.options import IDENTIFICATION_OPTIONS
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
-from fenics_crack.sweep.file import KEPT_HARMONIC_ORDERS, KEPT_MODE_NUMBERS, CaseState
+from fenics_crack.sweep.file import STORED_HARMONIC_ORDERS, STORED_MODE_NUMBERS, CaseState
 from fenics_crack.sweep.result import SweepResult
 
 
@@ -182,7 +182,8 @@ class Interpolation:
                 for axis_index, axis_values in enumerate(unknown_grid.axes)
             )
             self._node_errors_along_axes = [
-                OPTIONS.error_per_leave_one_out_error * errors_along_axis.reshape(node_values.shape)
+                IDENTIFICATION_OPTIONS.error_per_leave_one_out_error
+                * errors_along_axis.reshape(node_values.shape)
                 for errors_along_axis in leave_one_out_errors_along_axes
             ]
             if fill_errors.any():
@@ -228,10 +229,10 @@ class Interpolation:
         node_coordinates = self.unknown_grid.find_node_coordinates(self.unknown_grid.nodes)
         weight_exponents = (
             -0.5
-            / OPTIONS.error_averaging_width_in_nodes**2
+            / IDENTIFICATION_OPTIONS.error_averaging_width_in_nodes**2
             * cdist(self.unknown_grid.find_node_coordinates(x), node_coordinates, "sqeuclidean")
         )
-        n_averaged_nodes = min(OPTIONS.max_averaged_nodes, len(node_coordinates))
+        n_averaged_nodes = min(IDENTIFICATION_OPTIONS.max_averaged_nodes, len(node_coordinates))
         nearest_node_indices = np.argpartition(-weight_exponents, n_averaged_nodes - 1, axis=1)[
             :, :n_averaged_nodes
         ]
@@ -545,7 +546,7 @@ class SolvedCases:
         """
         bonded_frequencies, open_frequencies, bilinear_frequencies, uncracked_frequencies = (
             np.stack(
-                [self.get_natural_frequencies(crack_state, mode) for mode in KEPT_MODE_NUMBERS],
+                [self.get_natural_frequencies(crack_state, mode) for mode in STORED_MODE_NUMBERS],
                 axis=2,
             )
             for crack_state in ("tied", "open", "bilinear", "uncracked")
@@ -613,7 +614,7 @@ class Feature:
                 )
                 for crack_state in crack_states
             )
-        harmonic_orders = measurement.harmonic_orders or KEPT_HARMONIC_ORDERS
+        harmonic_orders = measurement.harmonic_orders or STORED_HARMONIC_ORDERS
         return tuple(
             cls("", 0, measurement.point, measurement.get_load_frequency(scene), harmonic_order)
             for harmonic_order in harmonic_orders
@@ -693,7 +694,7 @@ def compute_ratios_and_pole_factors(
     frequency_split_root_and_frequencies : (m, f, 1 + 2 modes)
         :attr:`SolvedCases.frequency_split_root_and_frequencies` at the load of each feature.
     """
-    mode_frequencies = frequency_split_root_and_frequencies[..., KEPT_MODE_NUMBERS]
+    mode_frequencies = frequency_split_root_and_frequencies[..., STORED_MODE_NUMBERS]
     harmonic_frequencies = np.array(
         [feature.harmonic_order * feature.load_frequency for feature in features]
     )

@@ -14,7 +14,7 @@ import numpy as np
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.basics.errors import (
-    N_LOWEST_MODES,
+    N_FREQUENCIES_PER_CRACK_STATE,
     InputError,
     check_choice,
     check_count,
@@ -24,7 +24,7 @@ from fenics_crack.basics.errors import (
 from fenics_crack.basics.suggestions import check_calls, fit_argument_to_annotation, with_old_names
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN, Tabular, format_count
 from fenics_crack.basics.untrusted_files import convert_heading_to_si, read_numbered_csv_rows
-from fenics_crack.monitoring.identification.options import OPTIONS
+from fenics_crack.monitoring.identification.options import IDENTIFICATION_OPTIONS
 from fenics_crack.scene.fields import (
     MAX_ALLOWED_MAGNITUDE,
     MIN_ALLOWED_MAGNITUDE,
@@ -41,7 +41,7 @@ NATURAL_FREQUENCY_STATE_NAMES = ("open", "tied", "bilinear", "resonance", "uncra
 The crack is always open, bonded ("tied"), breathing by the bilinear formula, or breathing at a
 measured resonance. "uncracked" is the plate before it had a crack.
 """
-LOAD_QUANTITY_NAMES = (
+HARMONIC_LOAD_QUANTITY_NAMES = (
     "harmonic_1",
     "harmonic_2",
     "harmonic_3",
@@ -50,17 +50,17 @@ LOAD_QUANTITY_NAMES = (
     "displacement",
 )
 """Measured quantities of a point under a harmonic load."""
-REQUIRED_COLUMN_NAMES = ("quantity", "value", "deviation")
+REQUIRED_MEASUREMENT_COLUMN_NAMES = ("quantity", "value", "deviation")
 """Required columns in a table of measurements."""
-OPTIONAL_COLUMN_NAMES = ("mode", "frequency", "point", "phase", "rpm", "temperature")
+OPTIONAL_MEASUREMENT_COLUMN_NAMES = ("mode", "frequency", "point", "phase", "rpm", "temperature")
 """Optional columns in a table of measurements."""
-ALLOWED_VALUE_UNITS = "Hz", "m", "-"
+ALLOWED_MEASUREMENT_UNITS = "Hz", "m", "-"
 """Units of measured values: frequencies, harmonics, and ratios."""
 ALLOWED_UNITS_BY_COLUMN = {
-    "frequency": ALLOWED_VALUE_UNITS[:1],
+    "frequency": ALLOWED_MEASUREMENT_UNITS[:1],
     "phase": ("rad",),
-    "value": ALLOWED_VALUE_UNITS,
-    "deviation": ALLOWED_VALUE_UNITS,
+    "value": ALLOWED_MEASUREMENT_UNITS,
+    "deviation": ALLOWED_MEASUREMENT_UNITS,
     "temperature": ("K", "°C", "C"),
     "rpm": ("rpm",),
 }
@@ -126,15 +126,19 @@ class Measurement:
     def __post_init__(self) -> None:
         quantity_names = (
             *(f"frequency_{state_name}" for state_name in NATURAL_FREQUENCY_STATE_NAMES),
-            *LOAD_QUANTITY_NAMES,
+            *HARMONIC_LOAD_QUANTITY_NAMES,
         )
         check_choice("measurements.quantity", self.quantity, quantity_names)
         is_displacement = self.quantity == "displacement"
         check_number("measurements.value", self.value, -math.inf if is_displacement else 0.0)
         check_number("measurements.deviation", self.deviation, 0.0, excludes_bound=True)
         if self.is_natural_frequency:
-            if not (isinstance(self.mode, Integral) and 1 <= self.mode <= N_LOWEST_MODES):
-                allowed_text = f"a whole number from 1 to {N_LOWEST_MODES} with {self.quantity}"
+            if not (
+                isinstance(self.mode, Integral) and 1 <= self.mode <= N_FREQUENCIES_PER_CRACK_STATE
+            ):
+                allowed_text = (
+                    f"a whole number from 1 to {N_FREQUENCIES_PER_CRACK_STATE} with {self.quantity}"
+                )
                 raise InputError("measurements.mode", self.mode, allowed_text)
         else:
             check_number("measurements.frequency", self.frequency, 0.0, excludes_bound=True)
@@ -154,7 +158,7 @@ class Measurement:
             if self.is_natural_frequency
             else ("frequency", "point", *["phase"] * is_displacement)
         )
-        for key in OPTIONAL_COLUMN_NAMES:
+        for key in OPTIONAL_MEASUREMENT_COLUMN_NAMES:
             key_value = getattr(self, key)
             if (
                 key not in allowed_keys
@@ -297,8 +301,8 @@ class Measurements(Tabular):
             raise InputError(
                 "measurements", list(self.rows), "a list of at least one fc.Measurement"
             )
-        if len(self.rows) > OPTIONS.max_measurements:
-            limit_text = f"at most {OPTIONS.max_measurements} rows"
+        if len(self.rows) > IDENTIFICATION_OPTIONS.max_measurements:
+            limit_text = f"at most {IDENTIFICATION_OPTIONS.max_measurements} rows"
             allowed_text = f"{limit_text}; replace repeated measurements by their mean"
             raise InputError("measurements", f"{len(self.rows)} rows", allowed_text)
         values_by_name: dict[str, list[float]] = {}
@@ -357,7 +361,7 @@ class Measurements(Tabular):
                     column_name,
                     column,
                     f"{n_values} entries, one for each value; the columns are "
-                    f"{', '.join(OPTIONAL_COLUMN_NAMES)}",
+                    f"{', '.join(OPTIONAL_MEASUREMENT_COLUMN_NAMES)}",
                 )
         return cls(
             tuple(
@@ -554,7 +558,9 @@ class Measurements(Tabular):
 
         with report_read_errors("measurements", path, "a universal file with frequency responses"):
             responses = read_responses(Path(path))
-        mode_rows = fit_resonances(responses)[: N_LOWEST_MODES if not modes else None]
+        mode_rows = fit_resonances(responses)[
+            : N_FREQUENCIES_PER_CRACK_STATE if not modes else None
+        ]
         mode_numbers = list(modes) or list(range(1, len(mode_rows) + 1))
         if len(mode_numbers) != len(mode_rows):
             frequencies_text = ", ".join(
@@ -651,18 +657,20 @@ def _read_csv_measurements(path: str | Path) -> list[Measurement]:
     with report_read_errors("measurements", path, "a CSV file"):
         (_, heading_cells), *numbered_table_rows = read_numbered_csv_rows(path) or [(0, [])]
     numbered_table_rows = numbered_table_rows[
-        : OPTIONS.max_measurements + 1
+        : IDENTIFICATION_OPTIONS.max_measurements + 1
     ]  # one row too many suffices for the error
     # Units of values and deviations depend on the quantity of the row.
     si_headings_and_factors = [
-        (cell, 1.0) if cell.startswith(REQUIRED_COLUMN_NAMES) else convert_heading_to_si(cell)
+        (cell, 1.0)
+        if cell.startswith(REQUIRED_MEASUREMENT_COLUMN_NAMES)
+        else convert_heading_to_si(cell)
         for cell in heading_cells
     ]
     column_names = [cell.partition("[")[0].strip() for cell, _ in si_headings_and_factors]
-    allowed_column_names = (*REQUIRED_COLUMN_NAMES, *OPTIONAL_COLUMN_NAMES)
-    if not set(REQUIRED_COLUMN_NAMES) <= set(column_names) <= set(allowed_column_names) or len(
-        set(column_names)
-    ) != len(column_names):
+    allowed_column_names = (*REQUIRED_MEASUREMENT_COLUMN_NAMES, *OPTIONAL_MEASUREMENT_COLUMN_NAMES)
+    if not set(REQUIRED_MEASUREMENT_COLUMN_NAMES) <= set(column_names) <= set(
+        allowed_column_names
+    ) or len(set(column_names)) != len(column_names):
         allowed_text = (
             f"a CSV file with the columns {', '.join(allowed_column_names)}, "
             "of which the first three are required"
@@ -730,7 +738,7 @@ def _parse_measurement(
         check_number(f"measurements.{column_name}", value_by_column[column_name])
     if value_by_column.get("mode", math.nan).is_integer():
         value_by_column["mode"] = int(value_by_column["mode"])
-    for column_name in REQUIRED_COLUMN_NAMES:
+    for column_name in REQUIRED_MEASUREMENT_COLUMN_NAMES:
         if column_name not in value_by_column:
             raise InputError(f"measurements.{column_name}", "", "given in every line")
     return Measurement(**value_by_column)

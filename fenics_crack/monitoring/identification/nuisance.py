@@ -55,7 +55,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import eigh
 
-from fenics_crack.basics.errors import N_LOWEST_MODES, InputError
+from fenics_crack.basics.errors import N_FREQUENCIES_PER_CRACK_STATE, InputError
 from fenics_crack.basics.ranks import MPI
 from fenics_crack.basics.tables import RAD_PER_S_PER_RPM, RAD_PER_TURN
 from fenics_crack.fem.loads import rigid_motion_displacements
@@ -73,7 +73,7 @@ from fenics_crack.study.prepare import prepare
 
 CRACK_SIZE_KEYS = ("crack.length", "crack.depth")
 """Keys of the crack's size in a scene."""
-FACTOR_FROM_HZ_BY_UNIT = {"rad/s": 2.0 * np.pi, "kHz": 1e-3, "mHz": 1e3}
+FACTOR_FROM_HZ_BY_MISTAKEN_UNIT = {"rad/s": 2.0 * np.pi, "kHz": 1e-3, "mHz": 1e3}
 """Factor from Hz to each unit that a frequency might have by mistake."""
 
 
@@ -166,7 +166,7 @@ class UncrackedPlate:
             modulus_ratio * self.elastic_and_rotation_stiffness[0]
             + speed_ratio**2 * self.elastic_and_rotation_stiffness[1]
         )
-        n_modes = min(N_LOWEST_MODES, len(squared_omega))
+        n_modes = min(N_FREQUENCIES_PER_CRACK_STATE, len(squared_omega))
         return np.sqrt(np.maximum(squared_omega[:n_modes], 0.0)), mode_vectors[:, :n_modes]
 
     def compute_elastic_fractions(self, speed_ratio: float) -> np.ndarray:
@@ -429,7 +429,7 @@ class UncrackedPlate:
             _guess_frequency_unit_or_empty(row.value / plate_frequencies[row.mode - 1])
             for row, plate_frequencies in zip(rows, plate_frequencies_of_rows, strict=True)
         ]
-        for unit_name in FACTOR_FROM_HZ_BY_UNIT:
+        for unit_name in FACTOR_FROM_HZ_BY_MISTAKEN_UNIT:
             have_unit = [guessed_unit_name == unit_name for guessed_unit_name in guessed_unit_names]
             if rows and (
                 all(have_unit) if may_be_other_plate and unit_name == "rad/s" else any(have_unit)
@@ -466,7 +466,7 @@ def _guess_frequency_unit_or_empty(frequency_ratio: float) -> str:
     # No crack changes a frequency by a factor of exp(0.3).
     matching_unit_names = (
         unit_name
-        for unit_name, unit_factor in FACTOR_FROM_HZ_BY_UNIT.items()
+        for unit_name, unit_factor in FACTOR_FROM_HZ_BY_MISTAKEN_UNIT.items()
         if abs(np.log(frequency_ratio / unit_factor)) < 0.3
     )
     return next(matching_unit_names, "")
@@ -598,7 +598,7 @@ class BaselineChanges:
 def _solve_plate_modes(scene: Scene) -> Modes:
     """Solve a scene's lowest modes on this rank, with any crack bonded."""
     structure = prepare(scene, MPI.COMM_SELF, whole=True).structure
-    n_modes = min(N_LOWEST_MODES, structure.n_dofs - structure.n_pairs)
+    n_modes = min(N_FREQUENCIES_PER_CRACK_STATE, structure.n_dofs - structure.n_pairs)
     return solve_modes(structure, n_modes, lips="tied" if structure.n_pairs else "open")
 
 

@@ -65,5 +65,5 @@ class Options:
     """Relative standard deviation of natural frequencies in advice on measurements."""
 
 
-OPTIONS = Options()
+IDENTIFICATION_OPTIONS = Options()
 """Settings of every identification."""

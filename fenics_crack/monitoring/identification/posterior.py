@@ -33,7 +33,7 @@ from scipy.optimize import least_squares
 from scipy.special import chdtrc, logsumexp
 
 from fenics_crack.monitoring.identification.interpolation import UnknownGrid
-from fenics_crack.monitoring.identification.options import OPTIONS
+from fenics_crack.monitoring.identification.options import IDENTIFICATION_OPTIONS
 from fenics_crack.monitoring.identification.predictor import (
     MeasurementPrediction,
     MeasurementPredictor,
@@ -326,7 +326,7 @@ class PosteriorBranch:
         for optimum in best_optima:
             crack_deviations = model.compute_deviations_from_equivalent_crack(optimum.x[None])[0]
             for deviations in (optimum.deviations, np.hypot(optimum.deviations, crack_deviations)):
-                half_widths = OPTIONS.refined_half_width_in_deviations * deviations
+                half_widths = IDENTIFICATION_OPTIONS.refined_half_width_in_deviations * deviations
                 added_values.append(optimum.x + np.outer(half_width_fractions, half_widths))
         self.axes = tuple(
             np.unique(np.concatenate([axis, values[(values > axis[0]) & (values < axis[-1])]]))
@@ -337,13 +337,17 @@ class PosteriorBranch:
         grid_points = UnknownGrid(self.axes).nodes
         # Far below the maximum, log L is interpolated on the first grid, not computed again.
         neighbourhood_maxima = maximum_filter(first_grid_log_likelihood, size=3, mode="nearest")
-        log_likelihood_limit = self.optima[0].log_likelihood - OPTIONS.allowed_grid_log_drop
+        log_likelihood_limit = (
+            self.optima[0].log_likelihood - IDENTIFICATION_OPTIONS.allowed_grid_log_drop
+        )
         is_evaluated = (
             RegularGridInterpolator(first_grid.axes, neighbourhood_maxima)(grid_points)
             > log_likelihood_limit
         )
         for optimum in best_optima:
-            half_widths = OPTIONS.refined_half_width_in_deviations * optimum.deviations
+            half_widths = (
+                IDENTIFICATION_OPTIONS.refined_half_width_in_deviations * optimum.deviations
+            )
             is_evaluated |= np.all(np.abs(grid_points - optimum.x) < half_widths, axis=1)
         refined_log_likelihood = RegularGridInterpolator(
             first_grid.axes, first_grid_log_likelihood
@@ -491,8 +495,8 @@ def _evaluate_log_likelihood(likelihood: Likelihood, points: np.ndarray) -> np.n
 
 
 def _split_points_into_batches(points: np.ndarray) -> list[np.ndarray]:
-    """Split points (n, d) into batches of at most ``OPTIONS.points_per_batch``."""
-    return np.array_split(points, -(-len(points) // OPTIONS.points_per_batch))
+    """Split points (n, d) into batches of at most ``IDENTIFICATION_OPTIONS.points_per_batch``."""
+    return np.array_split(points, -(-len(points) // IDENTIFICATION_OPTIONS.points_per_batch))
 
 
 def _find_optima(
@@ -509,7 +513,7 @@ def _find_optima(
     )
     start_indices = sorted(
         local_maximum_indices, key=lambda node_index: -log_likelihood.flat[node_index]
-    )[: OPTIONS.max_least_squares_starts]
+    )[: IDENTIFICATION_OPTIONS.max_least_squares_starts]
     optima: list[Optimum] = []
     unknown_grid = likelihood.predictor.model.unknown_grid
     lower_bounds = unknown_grid.lower_bounds
@@ -553,7 +557,10 @@ def _find_optima(
             for better_optimum in distinct_optima
         )
         log_drop = optima[0].log_likelihood - optimum.log_likelihood
-        if log_drop < OPTIONS.allowed_optimum_log_drop and not is_near_better_optimum:
+        if (
+            log_drop < IDENTIFICATION_OPTIONS.allowed_optimum_log_drop
+            and not is_near_better_optimum
+        ):
             distinct_optima.append(optimum)
     return distinct_optima
 

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from fenics_crack.basics.errors import MAX_HARMONIC_ORDER, N_LOWEST_MODES
+from fenics_crack.basics.errors import MAX_HARMONIC_ORDER, N_FREQUENCIES_PER_CRACK_STATE
 from fenics_crack.monitoring.identification.interpolation import (
     RESONANCE_STATE_NAMES,
     Feature,
@@ -37,7 +37,7 @@ from fenics_crack.monitoring.identification.model import (
 )
 from fenics_crack.monitoring.identification.nuisance import BaselineChanges
 from fenics_crack.study.key_figures import is_response_proportional_to_load
-from fenics_crack.sweep.file import KEPT_MODE_NUMBERS
+from fenics_crack.sweep.file import STORED_MODE_NUMBERS
 
 # --- displacements at probes ----------------------------------------------------------------------
 
@@ -265,7 +265,7 @@ class CrackFaceState(NamedTuple):
     prior_weight: float = 1.0
 
 
-BREATHING_STATE = CrackFaceState("bilinear")
+BREATHING_FACE_STATE = CrackFaceState("bilinear")
 """Crack faces that are open for half of the period: bilinear frequencies."""
 
 
@@ -354,7 +354,7 @@ class MeasurementPredictor:
         self._face_states = (
             _list_face_states(model)
             if any(measurement.is_resonant for measurement in self.rows)
-            else (BREATHING_STATE,)
+            else (BREATHING_FACE_STATE,)
         )
         self._scales_with_load_at_rest = is_response_proportional_to_load(
             model.scene.without_rotation()
@@ -611,7 +611,7 @@ class MeasurementPredictor:
             coarse_cases.find_smallest_harmonic_count(load_frequency), mean_squares.shape[1]
         )
         highest_frequency = np.nanmax(
-            coarse_cases.frequency_split_root_and_frequencies[..., KEPT_MODE_NUMBERS], initial=0.0
+            coarse_cases.frequency_split_root_and_frequencies[..., STORED_MODE_NUMBERS], initial=0.0
         )
         n_harmonics = min(
             max(2 * n_known_harmonics, math.ceil(highest_frequency / load_frequency)),
@@ -622,7 +622,9 @@ class MeasurementPredictor:
             for harmonic_order in range(1, n_harmonics + 1)
         ]
         squared_compliances = (
-            np.nan_to_num(frequency_split_root_and_frequencies[..., KEPT_MODE_NUMBERS], nan=np.inf)
+            np.nan_to_num(
+                frequency_split_root_and_frequencies[..., STORED_MODE_NUMBERS], nan=np.inf
+            )
             ** -4.0
         )
         relative_squares = np.sum(
@@ -683,7 +685,7 @@ class MeasurementPredictor:
             self._features, feature_values, smoothing_factors
         )
         predictions, independent_variances = np.zeros((2, len(feature_values), len(self.rows)))
-        common_errors = np.zeros((*predictions.shape, 1 + N_LOWEST_MODES))
+        common_errors = np.zeros((*predictions.shape, 1 + N_FREQUENCIES_PER_CRACK_STATE))
         complex_slopes = np.zeros((*predictions.shape, len(self._features)), dtype=complex)
         identify_table = self.model.identify_table
         for row_index, (row, feature_indices) in enumerate(
@@ -692,7 +694,9 @@ class MeasurementPredictor:
             if row.quantity == "displacement" or not self.is_predictable[row_index]:
                 continue
             row_state = (
-                BREATHING_STATE if row.rpm == 0.0 and self._scales_with_load_at_rest else face_state
+                BREATHING_FACE_STATE
+                if row.rpm == 0.0 and self._scales_with_load_at_rest
+                else face_state
             )
             state_index = (
                 RESONANCE_STATE_NAMES.index(row_state.resonance_state) if row.is_resonant else 0
@@ -782,7 +786,7 @@ def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
     any solved crack is closed for some time.
     """
     if has_load_independent_motion_shape(model.scene):
-        return (BREATHING_STATE,)
+        return (BREATHING_FACE_STATE,)
     resonance_deviation = model.identify_table.resonance_deviation
     closed_time_share_of_cases = model.coarse_cases.sweep_result["closed_share"][
         model.coarse_cases.word_selection_index
@@ -800,7 +804,7 @@ def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
         CrackFaceState("bilinear", independent_deviation=resonance_deviation, prior_weight=0.5),
         CrackFaceState("bilinear", common_deviation=resonance_deviation, prior_weight=0.5),
     )
-    face_states = (*partly_open_states, BREATHING_STATE, *held_states)
+    face_states = (*partly_open_states, BREATHING_FACE_STATE, *held_states)
     total_weight = sum(face_state.prior_weight for face_state in face_states)
     return tuple(
         face_state._replace(prior_weight=face_state.prior_weight / total_weight)

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import Conclusion, Report, Table
 from fenics_crack.basics.untrusted_files import read_regular_file
-from fenics_crack.files.store import IDENTIFICATION_KIND, StoredFile
+from fenics_crack.files.store import IDENTIFICATION_FILE_KIND, StoredFile
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import key_in_words, value_in_words
 
@@ -24,7 +24,7 @@ PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 class IdentificationOutput:
     """Result of ``fenics-crack identify``, as read from the written files."""
 
-    KIND: ClassVar[str] = IDENTIFICATION_KIND
+    KIND: ClassVar[str] = IDENTIFICATION_FILE_KIND
     scene: Scene
     summary_by_key: Mapping[str, Any]
     """Contents of ``identify.json`` (:meth:`Identification.summary`)."""
@@ -64,7 +64,7 @@ class IdentificationOutput:
 def report_of_identification(identify_output: IdentificationOutput) -> Report:
     """Return the report of ``fenics-crack identify``: verdict, estimates, intervals and fit."""
     from fenics_crack.monitoring.identification.result import (
-        FIT_COLUMN_NAMES,  # SciPy's optimize, interpolate
+        MEASUREMENT_FIT_COLUMN_NAMES,  # SciPy's optimize, interpolate
     )
 
     summary_by_key, estimate_rows = identify_output.summary_by_key, []
@@ -104,7 +104,7 @@ def report_of_identification(identify_output: IdentificationOutput) -> Report:
         page_tables={
             "Unknowns": estimate_table,
             "Measurements and predictions of the estimate": Table(
-                FIT_COLUMN_NAMES, summary_by_key["measurements"]
+                MEASUREMENT_FIT_COLUMN_NAMES, summary_by_key["measurements"]
             ),
         },
         remarks=summary_by_key["remarks"],

@@ -34,18 +34,18 @@ from scipy.signal import find_peaks
 
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import RAD_PER_TURN
-from fenics_crack.basics.untrusted_files import MAX_FILE_BYTES, read_regular_file
+from fenics_crack.basics.untrusted_files import MAX_INPUT_FILE_BYTES, read_regular_file
 
-DATASET_BORDER_LINE = b"-1"
+UNIVERSAL_DATASET_BORDER_LINE = b"-1"
 """Line at the beginning and the end of each dataset in a universal file."""
-NUMPY_TYPE_TEXT_BY_CODE = {5: "f4", 6: "f8"}
+NUMPY_TYPE_BY_COMPLEX_NUMBER_CODE = {5: "f4", 6: "f8"}
 """NumPy type of real and imaginary parts, by the file's code for complex numbers.
 
 5: single precision, 6: double precision.
 """
 FORTRAN_NUMBER_PATTERN = re.compile(rb"[+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+|[+-]\d{3}(?![\d.]))?")
 """Pattern of a number in text; Fortran leaves out the E before exponents of three digits."""
-DERIVATIVE_ORDER_BY_CODE = {8: 0, 11: 1, 12: 2}
+TIME_DERIVATIVE_ORDER_BY_MOTION_CODE = {8: 0, 11: 1, 12: 2}
 """Time derivatives of the displacement by the file's code for the motion.
 
 8: displacement, 11: velocity, 12: acceleration.
@@ -81,7 +81,7 @@ def read_responses(path: Path) -> list[FrequencyResponse]:
     """
     responses = []
     for heading_lines, number_bytes, byte_order in _iterate_response_datasets(
-        BytesIO(read_regular_file(path, MAX_FILE_BYTES))
+        BytesIO(read_regular_file(path, MAX_INPUT_FILE_BYTES))
     ):
         heading_texts = [heading_line.decode("latin-1") for heading_line in heading_lines]
         if int(heading_texts[6][:5]) == 4:  # frequency response functions
@@ -104,7 +104,7 @@ def _iterate_response_datasets(universal_file: BytesIO) -> Iterator[tuple[list[b
         Byte order of binary numbers, "<" or ">"; "" for text.
     """
     while file_line := universal_file.readline():
-        if file_line.strip() != DATASET_BORDER_LINE:
+        if file_line.strip() != UNIVERSAL_DATASET_BORDER_LINE:
             continue
         dataset_line, byte_order, number_bytes = universal_file.readline().rstrip(), "", b""
         is_response = dataset_line[:6].strip() == b"58"
@@ -115,14 +115,14 @@ def _iterate_response_datasets(universal_file: BytesIO) -> Iterator[tuple[list[b
         if is_response and dataset_line[6:7].lower() == b"b":
             byte_order = {1: "<", 2: ">"}[int(dataset_line[7:13])]
             n_bytes = int(dataset_line[31:43].strip() or 0)
-            if (number_type_code := int(heading_lines[7][:10])) in NUMPY_TYPE_TEXT_BY_CODE and int(
-                heading_lines[7][20:30]
-            ):
+            if (
+                number_type_code := int(heading_lines[7][:10])
+            ) in NUMPY_TYPE_BY_COMPLEX_NUMBER_CODE and int(heading_lines[7][20:30]):
                 # Some programs announce half of their bytes.
                 n_bytes = (
                     2
                     * int(heading_lines[7][10:20])
-                    * int(NUMPY_TYPE_TEXT_BY_CODE[number_type_code][1])
+                    * int(NUMPY_TYPE_BY_COMPLEX_NUMBER_CODE[number_type_code][1])
                 )
             if int(dataset_line[13:19]) != 2:
                 raise ValueError("its binary numbers are not in the format of IEEE 754")
@@ -130,7 +130,7 @@ def _iterate_response_datasets(universal_file: BytesIO) -> Iterator[tuple[list[b
             if len(number_bytes) < n_bytes:
                 raise ValueError(f"it ends early: {len(number_bytes)} of {n_bytes} bytes")
         data_lines = []
-        while (file_line := universal_file.readline()).strip() != DATASET_BORDER_LINE:
+        while (file_line := universal_file.readline()).strip() != UNIVERSAL_DATASET_BORDER_LINE:
             if not file_line:
                 if is_response and not byte_order:
                     raise ValueError("it ends early: a dataset 58 has no last line -1")
@@ -177,11 +177,11 @@ def _parse_response(
     motion_code = int(heading_texts[9][:10])
     for is_unreadable, reason_text in (
         (
-            number_type_code not in NUMPY_TYPE_TEXT_BY_CODE,
+            number_type_code not in NUMPY_TYPE_BY_COMPLEX_NUMBER_CODE,
             "a frequency response has numbers that are not complex",
         ),
         (
-            motion_code not in DERIVATIVE_ORDER_BY_CODE,
+            motion_code not in TIME_DERIVATIVE_ORDER_BY_MOTION_CODE,
             "a frequency response is not of a displacement, velocity or acceleration",
         ),
         (
@@ -193,7 +193,7 @@ def _parse_response(
             raise ValueError(reason_text)
     if byte_order:
         response_numbers = np.frombuffer(
-            number_bytes, byte_order + NUMPY_TYPE_TEXT_BY_CODE[number_type_code]
+            number_bytes, byte_order + NUMPY_TYPE_BY_COMPLEX_NUMBER_CODE[number_type_code]
         ).astype(float)
     else:
         response_numbers = _parse_fixed_width_numbers(number_bytes.upper().replace(b"D", b"E"))
@@ -214,7 +214,7 @@ def _parse_response(
     return FrequencyResponse(
         frequencies,
         response_numbers[::2] + 1j * response_numbers[1::2],
-        DERIVATIVE_ORDER_BY_CODE[motion_code],
+        TIME_DERIVATIVE_ORDER_BY_MOTION_CODE[motion_code],
     )
 
 

@@ -15,10 +15,10 @@ import numpy as np
 from fenics_crack.basics.atomic_files import write_file_whole
 from fenics_crack.basics.errors import InputError
 from fenics_crack.basics.tables import Table, Tabular, format_count
-from fenics_crack.files.store import IDENTIFICATION_KIND, write_result_file
+from fenics_crack.files.store import IDENTIFICATION_FILE_KIND, write_result_file
 from fenics_crack.monitoring.identification.measurements import Measurement, Measurements
 from fenics_crack.monitoring.identification.nuisance import CRACK_SIZE_KEYS
-from fenics_crack.monitoring.identification.options import OPTIONS
+from fenics_crack.monitoring.identification.options import IDENTIFICATION_OPTIONS
 from fenics_crack.monitoring.identification.posterior import Posterior, PosteriorBranch
 from fenics_crack.monitoring.identification.worth import (
     Worth,
@@ -30,7 +30,14 @@ from fenics_crack.scene.result_tables import Identify
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import key_in_words, value_in_words
 
-FIT_COLUMN_NAMES = "measurement", "value", "deviation", "predicted", "of the model", "residual"
+MEASUREMENT_FIT_COLUMN_NAMES = (
+    "measurement",
+    "value",
+    "deviation",
+    "predicted",
+    "of the model",
+    "residual",
+)
 """Columns of the table that compares measurements with predictions.
 
 "of the model" is the standard deviation of a prediction.
@@ -94,7 +101,7 @@ class Identification(Tabular):
         (:attr:`Options.min_part_probability`) are left out.
         """
         return self.posterior.find_region_parts(
-            self._identify_table.confidence, OPTIONS.min_part_probability
+            self._identify_table.confidence, IDENTIFICATION_OPTIONS.min_part_probability
         )
 
     @cached_property
@@ -295,7 +302,7 @@ class Identification(Tabular):
         self,
         measurements: Sequence[Measurement] | None = None,
         *,
-        frequency_deviation: float = OPTIONS.advised_frequency_deviation,
+        frequency_deviation: float = IDENTIFICATION_OPTIONS.advised_frequency_deviation,
         harmonic_deviation: float = 0.05,
     ) -> Worth:
         """Rank candidates for one more measurement by the information that each adds.
@@ -347,7 +354,7 @@ class Identification(Tabular):
         summary_text = json.dumps(self.summary(), indent=1, ensure_ascii=False)
         data_by_name["summary"] = summary_text
         write_result_file(
-            data_by_name, Path(folder) / "identify.h5", IDENTIFICATION_KIND, self.scene
+            data_by_name, Path(folder) / "identify.h5", IDENTIFICATION_FILE_KIND, self.scene
         )
         write_file_whole(Path(folder) / "identify.json", summary_text + "\n")
 
@@ -397,8 +404,8 @@ class Identification(Tabular):
     def fit_table(self) -> Table:
         """Return a table of measurements with their predictions at the estimate.
 
-        Columns are :data:`FIT_COLUMN_NAMES`. A residual is (measured - predicted) over the standard
-        deviation of this difference.
+        Columns are :data:`MEASUREMENT_FIT_COLUMN_NAMES`. A residual is (measured - predicted) over
+        the standard deviation of this difference.
         """
         branch, x = self._branch_and_unknowns_of_estimate
         likelihood = branch.likelihood
@@ -422,7 +429,7 @@ class Identification(Tabular):
             [measurement.name, *numbers]
             for measurement, numbers in zip(likelihood.predictor.rows, number_rows, strict=True)
         ]
-        return Table(FIT_COLUMN_NAMES, table_rows)
+        return Table(MEASUREMENT_FIT_COLUMN_NAMES, table_rows)
 
     @property
     def warnings(self) -> list[str]:
@@ -512,7 +519,10 @@ def _list_misfit_warnings(identification: Identification) -> list[str]:
     chi_square, p_value = identification.misfit
     rows, warning_texts = identification.measurements.rows, []
     required_p_value = 1.0 - identification.priors["confidence"]
-    if identification.posterior.unresolved_probability > OPTIONS.min_part_probability:
+    if (
+        identification.posterior.unresolved_probability
+        > IDENTIFICATION_OPTIONS.min_part_probability
+    ):
         warning_texts.append(
             "the grid does not resolve "
             f"{identification.posterior.unresolved_probability:.0%} of the probability: the "

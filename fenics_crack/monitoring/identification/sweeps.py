@@ -36,7 +36,7 @@ from fenics_crack.monitoring.identification.model import (
     has_load_independent_motion_shape,
 )
 from fenics_crack.monitoring.identification.nuisance import UncrackedPlate
-from fenics_crack.monitoring.identification.options import OPTIONS
+from fenics_crack.monitoring.identification.options import IDENTIFICATION_OPTIONS
 from fenics_crack.monitoring.identification.posterior import build_first_grid
 from fenics_crack.monitoring.identification.predictor import MeasurementPredictor
 from fenics_crack.monitoring.identification.result import Identification
@@ -46,7 +46,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.study.meshes import refine_scene_or_none
 from fenics_crack.sweep.result import SweepResult, run_sweep
 
-IRRELEVANT_SCENE_TABLE_NAMES = ("sweep", "curve", "integration", "identify", "tip_timing")
+TABLES_WITHOUT_EFFECT_ON_FORWARD_MODEL = ("sweep", "curve", "integration", "identify", "tip_timing")
 """Tables of a scene that do not change the solutions in a forward model's sweep."""
 ForwardSweeps = tuple[SweepResult, SweepResult | None, SweepResult | None]
 """Three sweeps: all cases, a few on a finer mesh, a few halfway between all cases.
@@ -121,7 +121,7 @@ def solve_uncracked_plate(scene: Scene, comm: MPI.Comm) -> UncrackedPlate:
     """
     identify_table = scene.given("identify")
     uncracked_scene = scene.replace(
-        dict.fromkeys(IRRELEVANT_SCENE_TABLE_NAMES)
+        dict.fromkeys(TABLES_WITHOUT_EFFECT_ON_FORWARD_MODEL)
         | (get_crack_removal_changes_or_none(scene) or {})
     )
     begin_stage("plate without the crack")
@@ -182,7 +182,7 @@ def solve_forward(
         for load_index, frequency in enumerate(swept_loads.frequencies)
         if frequency not in vibration_frequencies
     ]
-    scene_without_tables = scene.replace(dict.fromkeys(IRRELEVANT_SCENE_TABLE_NAMES))
+    scene_without_tables = scene.replace(dict.fromkeys(TABLES_WITHOUT_EFFECT_ON_FORWARD_MODEL))
     scene_pair = _list_coarse_and_fine_scenes(scene_without_tables, identify_table.finer)
     sweeper = _ForwardSweeper(
         *scene_pair, identify_table, swept_loads, frequency_only_indices, folder, comm, progress
@@ -416,7 +416,7 @@ def _count_allowed_cases(scene: Scene) -> int:
     8 is :attr:`Options.max_solved_case_ratio`.
     """
     unknown_axes = scene.given("identify").unknown
-    return OPTIONS.max_solved_case_ratio * math.prod(
+    return IDENTIFICATION_OPTIONS.max_solved_case_ratio * math.prod(
         len(unknown_axis.values) for unknown_axis in unknown_axes
     )
 
@@ -458,7 +458,7 @@ def _refine_axis_at_resonance_or_none(
     if (
         not ratios_models_loads_points
         or max(ratio_model_load_point[0] for ratio_model_load_point in ratios_models_loads_points)
-        <= OPTIONS.allowed_vibration_ratio
+        <= IDENTIFICATION_OPTIONS.allowed_vibration_ratio
     ):
         return None
     vibration_ratio, model, load_frequency, point_name = max(
@@ -485,7 +485,8 @@ def _refine_axis_at_resonance_or_none(
             n_axis_values - 1
         )
         n_parts_per_interval = min(
-            math.ceil(vibration_ratio / OPTIONS.allowed_vibration_ratio), allowed_parts
+            math.ceil(vibration_ratio / IDENTIFICATION_OPTIONS.allowed_vibration_ratio),
+            allowed_parts,
         )
         if n_parts_per_interval > 1:
             value_coordinates = (

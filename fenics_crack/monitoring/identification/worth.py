@@ -26,7 +26,7 @@ from fenics_crack.basics.suggestions import with_old_names
 from fenics_crack.basics.tables import Tabular
 from fenics_crack.monitoring.identification.measurements import Measurement
 from fenics_crack.monitoring.identification.model import ForwardModel
-from fenics_crack.monitoring.identification.options import OPTIONS
+from fenics_crack.monitoring.identification.options import IDENTIFICATION_OPTIONS
 from fenics_crack.monitoring.identification.posterior import (
     Likelihood,
     add_uniform_prior_information,
@@ -38,7 +38,7 @@ from fenics_crack.monitoring.identification.predictor import (
 )
 from fenics_crack.scene.keys import unit_of_key
 from fenics_crack.scene.words import key_in_words, value_in_words
-from fenics_crack.sweep.file import KEPT_MODE_NUMBERS
+from fenics_crack.sweep.file import STORED_MODE_NUMBERS
 
 
 @with_old_names(
@@ -222,7 +222,7 @@ def list_advice_texts(likelihood: Likelihood, x: np.ndarray, worth: Worth) -> li
         for measurement in measured_rows
         if measurement.quantity == "frequency_uncracked"
     }
-    advice_texts, relative_deviation = [], OPTIONS.advised_frequency_deviation
+    advice_texts, relative_deviation = [], IDENTIFICATION_OPTIONS.advised_frequency_deviation
     if model.coarse_cases.uncracked_cases is not None and (
         missing_modes := sorted(measured_modes - calibrated_modes)
     ):
@@ -370,7 +370,7 @@ def _list_default_candidates(
     candidates = [
         Measurement(quantity_name, 1.0, 1.0, mode)
         for quantity_name in quantity_names
-        for mode in KEPT_MODE_NUMBERS
+        for mode in STORED_MODE_NUMBERS
     ]
     point_names = ["", *coarse_cases.sweep_result.scene.label_by_point_name]
     candidates += [
