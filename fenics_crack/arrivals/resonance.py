@@ -148,7 +148,7 @@ class PassageFit(Tabular):
     def ambiguous(self) -> tuple[float, ...]:
         """Further orders that explain the arrivals within three standard deviations.
 
-        Their margin (:attr:`margins`) is below 9. If the fit is :attr:`untested`, all other
+        Their margin (``margins``) is below 9. If the fit is :attr:`untested`, all other
         candidate orders are returned.
         """
         is_other_equal = (

@@ -347,14 +347,14 @@ class Problem:
         """True if a rigid law is solved pair by pair: without residual flexibility and friction.
 
         The contact force is then eps max(0, g + lambda / eps), with truncated series of gap g and
-        force lambda, and a weight eps (:func:`default_projection_weight`).
+        force lambda, and a weight eps (``default_projection_weight``).
         """
         return is_rigid(self.contact) and self.residual_compliance is None and not self.has_friction
 
     def with_weight(self, compliance_model: ComplianceModel) -> Problem:
         """Return the problem with a default weight if its rigid law is solved pair by pair.
 
-        The weight [N/m] stands for a contact stiffness (:func:`default_projection_weight`). Other
+        The weight [N/m] stands for a contact stiffness (``default_projection_weight``). Other
         problems, and given weights, are returned unchanged.
         """
         contact_law = self.contact

@@ -554,7 +554,7 @@ class ResponseCurve(ObservedMotion, Tabular):
         omega : float
             Load frequency [rad/s].
         point : array
-            Unknowns of the special point, in the shape of a row of :attr:`points`.
+            Unknowns of the special point, in the shape of a row of ``points``.
         multipliers : (m,) complex, optional
             Leading Floquet multipliers of an exact orbit.
         """

@@ -241,7 +241,7 @@ class Wheel(Structure):
     def watched_sector_load_rows(self, structure: Structure, rows: slice) -> np.ndarray:
         """Return the load's Fourier coefficients on the watched blade's sector only.
 
-        ``rows`` selects m rows of :attr:`force`: mean, then cosine and sine for each harmonic. The
+        ``rows`` selects m rows of ``force``: mean, then cosine and sine for each harmonic. The
         result (m, structure.n_dofs) [N] has the coordinates of ``structure``, the wheel itself or a
         reduced structure.
         """
@@ -677,7 +677,7 @@ def reduce_wheel(
     The wheel's motion is composed from three kinds of motions:
 
     - ``families`` modes for each nodal diameter with bonded cracks, and further modes
-      (:func:`count_basis_families`),
+      (``count_basis_families``),
     - static responses to the load, and to forces by mistuning and cracks on the sides,
     - the opening of each crack, with the wheel's static response.
 

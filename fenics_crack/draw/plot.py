@@ -895,8 +895,8 @@ def draw_stress_intensity(
 
     For a plate, K_I and K_II at each tip are drawn over time. K_II is dashed. K_I is grey and thick
     while the tip is closed. For a solid there are two panels. The first panel shows the largest
-    |K_I|, |K_II| and |K_III| along the fronts. The second panel shows all three over time, at the
-    front station with the largest effective range of K_I.
+    abs(K_I), abs(K_II) and abs(K_III) along the fronts. The second panel shows all three over time,
+    at the front station with the largest effective range of K_I.
 
     Parameters
     ----------
@@ -962,8 +962,9 @@ def _draw_intensities_of_fronts(
 ) -> None:
     """Draw stress intensity factors in a solid, along each crack front and over time.
 
-    The front panel shows the largest |K_I|, |K_II| and |K_III| in time at each station. The time
-    panel shows all three over time, at the station with the largest effective range of K_I.
+    The front panel shows the largest abs(K_I), abs(K_II) and abs(K_III) in time at each station.
+    The time panel shows all three over time, at the station with the largest effective range of
+    K_I.
     """
     assert intensity.K_III is not None
     for component_name, component_values, colour in zip(

@@ -303,7 +303,7 @@ class UnilateralConstraint:
 class CoulombFriction:
     """Coulomb friction with a law of normal contact, along a line for each pair.
 
-        |lambda_t| <= mu lambda_n,    h' = 0 if |lambda_t| < mu lambda_n,    else lambda_t h' >= 0
+        abs(lambda_t) <= mu lambda_n; h' = 0 if abs(lambda_t) < mu lambda_n, else lambda_t h' >= 0
 
     Both the normal force lambda_n and the tangential force lambda_t stand on the left of the
     equation of motion. The slider position h = g_t - lambda_t / k_t [m] is the tangential gap g_t

@@ -59,7 +59,7 @@ class StressIntensity(Tabular):
         e_1 points ahead, and e_2 from the lower to the upper face. None for a plate.
     closed_front_errors : (n_tips,) [Pa m^1/2]
         Error of K_I in a solid by the correction at closed fronts. While the front is closed, and
-        while K_I is negative, K_I is set to zero. The error is the largest |K_I| set to zero.
+        while K_I is negative, K_I is set to zero. The error is the largest abs(K_I) set to zero.
     """
 
     time: np.ndarray

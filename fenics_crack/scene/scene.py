@@ -187,7 +187,7 @@ class Scene(SceneTables):
         """Return the table ``name`` for a command that needs the table.
 
         Raises InputError if the table is missing, or if ``harmonic_balance.form`` is "block" and
-        the command solves many times (:data:`MANY_SOLUTION_TABLE_NAMES`).
+        the command solves many times (``MANY_SOLUTION_TABLE_NAMES``).
         """
         if getattr(self, name) is None:
             raise missing_table_error(name, ", which this command needs")

@@ -137,7 +137,7 @@ class Campbell(SavedResult):
         speed. All frequencies here leave the Coriolis force out.
     at : function of a speed [rad/s], optional
         Returns frequencies [rad/s] and margins, (3, m) each, for the crack held open, shut and
-        partly open (:data:`FrequenciesAndMarginsFunction`). None in a diagram from a file; the
+        partly open (``FrequenciesAndMarginsFunction``). None in a diagram from a file; the
         blade is then meshed again on demand.
     met : tuple of (mode, LoadResonance)
         Mode (from 1) and resonance under the load, for each crossing of the load's engine order
@@ -189,8 +189,8 @@ class Campbell(SavedResult):
     def omega_bilinear(self) -> np.ndarray:
         """Bilinear frequencies 2 w_o w_t / (w_o + w_t): (n, m) [rad/s].
 
-        w_o and w_t are the frequencies with open and bonded crack, :attr:`omega_open` and
-        :attr:`omega_tied`.
+        w_o and w_t are the frequencies with open and bonded crack, ``omega_open`` and
+        ``omega_tied``.
         """
         return BilinearFrequencies(self.omega_open, self.omega_tied).omega_bilinear
 
@@ -198,14 +198,14 @@ class Campbell(SavedResult):
     def omega_real(self) -> np.ndarray:
         """Natural frequencies in the crack's actual state: (n, m) [rad/s].
 
-        :attr:`kind` names the state.
+        ``kind`` names the state.
         """
         return self._select_omega(self.kind)
 
     def _select_omega(self, kinds: np.ndarray) -> np.ndarray:
         """Return the natural frequencies of given kinds: (n, m) [rad/s].
 
-        ``kinds`` are "open", "tied", "partly" or "bilinear", as in :attr:`kind`: (n, m) for n
+        ``kinds`` are "open", "tied", "partly" or "bilinear", as in ``kind``: (n, m) for n
         speeds and m modes, or (m,) for all speeds.
         """
         omega_of_kinds = [getattr(self, f"omega_{kind}") for kind in CRACK_STATE_BY_FREQUENCY_KIND]
@@ -737,7 +737,7 @@ def _yield_state_changes(
     ----------
     find_frequencies_and_margins : callable
         Returns frequencies and margins of three states at a speed
-        (:data:`FrequenciesAndMarginsFunction`).
+        (``FrequenciesAndMarginsFunction``).
     lower_speed, upper_speed : float [rad/s]
         Ends of the range.
     mode_index : int

@@ -211,8 +211,8 @@ class CrackTipHistory(NamedTuple):
         Table ``[growth]`` of the scene: law of fatigue crack growth.
     closed_front_error : float [Pa m^1/2]
         Error of K_I at the front of a solid's crack with zero clearance. There K_I is set to zero
-        while the front is closed, and while K_I is negative. The error is the largest |K_I| set to
-        zero; 0 in a plate.
+        while the front is closed, and while K_I is negative. The error is the largest abs(K_I) set
+        to zero; 0 in a plate.
     """
 
     K_I: np.ndarray

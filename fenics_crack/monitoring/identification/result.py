@@ -404,7 +404,7 @@ class Identification(Tabular):
     def fit_table(self) -> Table:
         """Return a table of measurements with their predictions at the estimate.
 
-        Columns are :data:`MEASUREMENT_FIT_COLUMN_NAMES`. A residual is (measured - predicted) over
+        Columns are ``MEASUREMENT_FIT_COLUMN_NAMES``. A residual is (measured - predicted) over
         the standard deviation of this difference.
         """
         branch, x = self._branch_and_unknowns_of_estimate
