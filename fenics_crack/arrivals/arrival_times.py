@@ -69,7 +69,7 @@ class ArrivalTimes(Tabular):
     tip_radius : float [m]
         Radius R.
     first : int
-        First revolution's number.
+        Number n of the first row's revolution.
 
     Raises
     ------
@@ -141,7 +141,7 @@ class ArrivalTimes(Tabular):
 
     @property
     def steady(self) -> bool:
-        """True if the speed varies by at most 1 % of the mean."""
+        """True if the range of the speed is at most 1 % of the mean speed."""
         speed = self.speed
         return bool(np.ptp(speed) <= MAX_STEADY_SPEED_VARIATION * speed.mean())
 
@@ -186,8 +186,8 @@ class ArrivalTimes(Tabular):
     def displacement_rounding(self) -> float:
         """Rounding error of displacements [m].
 
-        Sum of 1e-9 times the largest displacement, and 4 units in the last place of the largest
-        rotor angle, times the tip radius.
+        The sum of two errors: 1e-9 times the largest displacement, and the tip radius times the
+        largest rotor angle's rounding error (4 units in the last place).
         """
         largest_angle, largest_displacement = (
             float(np.nanmax(np.abs(quantity))) for quantity in (self.angle, self.displacement)
@@ -197,14 +197,15 @@ class ArrivalTimes(Tabular):
         )
 
     def check_places(self, angle_deviation: float) -> None:
-        """Check the arrivals against the probes' angles.
+        """Check that each probe's arrivals belong to the probe's angle and to the stated row.
 
-        Medians over the revolutions are compared; a shift common to all probes is allowed.
+        The check compares the median arrival angle at each probe with the probe's angle. A
+        difference common to all probes is allowed.
 
         Parameters
         ----------
         angle_deviation : float [rad]
-            Probe angles' standard deviation; only checked to be >= 0.
+            Probe angles' standard deviation. Not used in the comparison, but must be >= 0.
 
         Raises
         ------
@@ -258,10 +259,10 @@ class ArrivalTimes(Tabular):
             raise InputError("probes", problem_text, requirement_text)
 
     def zeroed(self, begin: int, end: int) -> Self:
-        """Return arrivals with zero median displacement in quiet revolutions.
+        """Return arrivals whose median displacement is zero in revolutions without vibration.
 
-        Quiet revolutions are rows begin to end - 1, counted from 0. The angle of each probe moves
-        by the median displacement over the tip radius; the times stay.
+        They are the rows begin to end - 1, counted from 0. Each probe's angle is
+        reduced by the median displacement there, divided by the tip radius. The times stay.
         """
         median_displacements = np.nanmedian(
             self.between(begin, end).displacement[begin:end], axis=0
@@ -269,9 +270,9 @@ class ArrivalTimes(Tabular):
         return replace(self, probes=self.probes - median_displacements / self.tip_radius)
 
     def between(self, begin: int, end: int) -> Self:
-        """Return the arrivals of rows begin to end - 1 alone.
+        """Return a copy with only the arrivals in rows begin to end - 1.
 
-        Rows are counted from 0. All rows stay; times of the other revolutions become nan.
+        Rows are counted from 0. The number of rows stays: times in all other rows become nan.
         """
         check_count("begin", begin, 0)
         check_count("end", end, begin + 1)
@@ -389,7 +390,7 @@ def find_mark_angles(first_revolution: int, n_marks: int) -> np.ndarray:
 def interpolate_by_splines(knots: np.ndarray, values: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Interpolate values (n, ...) at increasing knots (n,) by cubic splines.
 
-    Returns the values at ``points``; nan for a point nan.
+    Returns the interpolated values at ``points``, any shape; nan at a point nan.
     """
     from scipy.interpolate import CubicSpline  # takes longer than to read the arrivals
 
@@ -397,12 +398,13 @@ def interpolate_by_splines(knots: np.ndarray, values: np.ndarray, points: np.nda
 
 
 def smooth_series(values: np.ndarray) -> np.ndarray:
-    """Smooth a series (n,) with a value for each revolution.
+    """Smooth a series (n,) with a value for each revolution: (n,).
 
-    Quadratics are fitted over 2 h + 1 neighbours (Savitzky and Golay, Analytical Chemistry 36,
-    1964, 1627). The half width h = 0, 2, 4, 8, ... has the least expected error by Stein's estimate
-    (Annals of Statistics 9, 1981, 1135). Fourth differences give the variance of errors. Fewer than
-    10 values are returned unchanged.
+    Each value is replaced by a quadratic fitted to 2 h + 1 values around it (Savitzky and Golay,
+    Analytical Chemistry 36, 1964, 1627). The half width h is 0, 2, 4, 8, ...: the one with the
+    least expected error, by Stein's estimate (Annals of Statistics 9, 1981, 1135). The estimate
+    needs the variance of a value's error, from fourth differences of the series.
+    Fewer than 10 values are returned unchanged.
     """
     if len(values) < MIN_REQUIRED_REVOLUTIONS:
         return values
@@ -424,11 +426,19 @@ def smooth_series(values: np.ndarray) -> np.ndarray:
 
 
 def check_revolution_durations(key: str, durations: np.ndarray, first_revolution: int = 0) -> None:
-    """Raise InputError if a mark was missed or counted twice.
+    """Raise InputError if a shaft mark was missed or counted twice.
 
-    A duration in ``durations`` (n,) [s] is then over 1.4 times the median of the five durations
-    around it, or below 1 / 1.4 times the median. The error names ``key``, and revolutions from
-    ``first_revolution`` on.
+    A mark is missed if a revolution takes over 1.4 times the median of the five revolutions around
+    it. A mark is counted twice if it takes less than the median divided by 1.4.
+
+    Parameters
+    ----------
+    key : str
+        Name of the input, for the error.
+    durations : (n,) [s]
+        Durations of successive revolutions.
+    first_revolution : int
+        Number of the first revolution, for the error.
     """
     duration_windows = np.lib.stride_tricks.sliding_window_view(
         np.pad(durations, 2, mode="symmetric"), 5
@@ -453,10 +463,7 @@ def check_revolution_durations(key: str, durations: np.ndarray, first_revolution
 
 
 def check_probe_angles(probes: np.ndarray) -> None:
-    """Raise InputError unless probe angles (n,) [rad] increase from 0 on.
-
-    All are below 2 pi.
-    """
+    """Raise InputError unless probe angles (n,) [rad] are increasing, >= 0 and below 2 pi."""
     is_finite_vector = probes.ndim == 1 and len(probes) > 0 and np.all(np.isfinite(probes))
     if (
         not is_finite_vector
@@ -484,7 +491,7 @@ def choose_tip_radius(
     Raises
     ------
     InputError
-        Both are None, or two radii differ.
+        Both radii are None, the column has different radii, or the caller's radius is another.
     """
     if file_radii is None:
         if given_radius is None:
@@ -620,13 +627,15 @@ def read_record(
     mm, too. Commas, semicolons or tabs separate the cells.
 
     ``revolution``
-        Number of the revolution; rows may be missing. Without this column rows are counted.
+        Number of the revolution; rows may be missing. Without this column, rows are numbered from
+        0.
     ``speed [rpm]`` (or rad/s, Hz; "shaft speed" too)
-        Mean speed of the revolution; or ``mark [s]``, the time of the shaft's mark at its
-        beginning.
+        Mean speed of the revolution. Or ``mark [s]``: the time of the shaft's mark at the
+        revolution's beginning.
     ``blade 2 probe 1 [rad]`` (or deg; further words such as "AoA" are allowed)
-        Rotor angle from the mark to the arrival; or ``[s]``, the time of arrival (with ``mark
-        [s]``). Empty or nan for a missed passage; without "blade 2" the file has one blade.
+        Rotor angle from the mark to the arrival. With the unit ``[s]``, the time of arrival; this
+        needs the column ``mark [s]``. The cell of a missed passage is empty or nan. Headings
+        without "blade 2" belong to the only blade, number 1.
     ``tip_radius [m]``
         Radius, unless given as an argument.
 
@@ -639,9 +648,9 @@ def read_record(
     tip_radius : float [m]
         Distance between the blade tips and the axis.
     probes : (n_probes,) [rad], or a mapping
-        Angles from the blade tip at a mark to the probes; a mapping has the angles for each blade
-        number. Default: the median arrival angle at each probe; displacements are then relative to
-        the median position of the tip.
+        Angles from the blade tip to the probes, when the shaft is at a mark. A mapping has an array
+        of angles by blade number. Default: the median arrival angle at each probe.
+        Displacements are then relative to the median position of the tip.
 
     Returns
     -------
@@ -707,8 +716,9 @@ def read_record(
 def has_probe_angles(path: str | Path) -> bool:
     """Return True if a file of arrivals has the angles of its probes.
 
-    Only a file with a row for each passage has the column "angle [rad]". For others,
-    :func:`read_record` needs ``probes`` or takes medians.
+    Only a file with a row for each passage has the angles, in the column "angle [rad]". For other
+    files, :func:`read_record` takes the angles from the argument ``probes``. Without this argument,
+    it takes the median arrival angles.
     """
     return ARRIVAL_COLUMN_NAMES[1] in _read_headings_and_number_table(path)[0]
 
@@ -716,10 +726,21 @@ def has_probe_angles(path: str | Path) -> bool:
 def find_probe_angles_by_blade(
     probes: Sequence[float] | np.ndarray, n_blades: int
 ) -> dict[int, np.ndarray]:
-    """Return the probe angles from each blade's tip, by blade number.
+    """Return the angles from each blade's tip to the probes, by blade number.
 
-    ``probes`` (n_probes,) [rad] are the angles from blade 1 at the mark. Blade j + 1 is 2 pi /
-    n_blades ahead of blade j; blades are numbered from 1. Angles (n_probes,) are from 0 to 2 pi.
+    Blades are numbered from 1. Blade j + 1 is 2 pi / n_blades ahead of blade j.
+
+    Parameters
+    ----------
+    probes : (n_probes,) [rad]
+        Angles from the tip of blade 1 to the probes, when the shaft is at a mark.
+    n_blades : int
+        Number of blades.
+
+    Returns
+    -------
+    dict of int to (n_probes,) [rad]
+        Angles from 0 to 2 pi, in the order of ``probes``.
     """
     first_blade_angles = np.asarray(probes, dtype=float)
     return {
@@ -778,8 +799,8 @@ def write_record(
 def _find_unit_factor(path: str | Path, heading: str, factor_by_unit: dict[str, float]) -> float:
     """Return the factor to SI for the unit in brackets in a heading.
 
-    ``factor_by_unit`` has the allowed units, and first the default. InputError, with the ``path``,
-    for an unknown unit.
+    ``factor_by_unit`` has the factors of all allowed units; a heading without brackets has the
+    first. InputError for an unknown unit; the error names the file's ``path``.
     """
     unit_match = re.search(r"\[(.*)\]", heading)
     unit_name = unit_match[1] if unit_match else next(iter(factor_by_unit))
@@ -793,9 +814,10 @@ def _find_unit_factor(path: str | Path, heading: str, factor_by_unit: dict[str, 
 
 
 def _check_revolution_numbers(path: str | Path, revolution_numbers: np.ndarray) -> np.ndarray:
-    """Return the numbers of a record's revolutions (rows,) as integers.
+    """Return a record's revolution numbers (rows,) as integers.
 
-    InputError, with the ``path``, unless they are increasing whole numbers >= 0, at most 1e7 apart.
+    InputError, with the file's ``path``, unless they are whole, >= 0 and increasing. The
+    last may exceed the first by at most 1e7.
     """
     are_whole_numbers = (
         np.all(np.isfinite(revolution_numbers))
@@ -816,8 +838,9 @@ def _read_mark_times(
 ) -> np.ndarray:
     """Return the times of the marks on the shaft: (revolutions + 1,) [s].
 
-    Times follow from a column of marks, or from a column of speeds. Both are smoothed; missing rows
-    are interpolated linearly. The last time is the end of the last revolution.
+    Times follow from a column of marks or a column of speeds, whichever comes first in the file.
+    Missing rows are interpolated linearly; then the column is smoothed. The last time is the end of
+    the last revolution.
 
     Parameters
     ----------
@@ -872,14 +895,14 @@ def _read_arrival_angles(
 
     Parameters
     ----------
-    path, heading
-        The file, and the column's heading with its unit: an angle, or s.
+    path, heading : path, str
+        The file, for errors, and the column's heading. The heading's unit is an angle's unit or s.
     column : (rows,)
-        Angles, or times of arrival; nan for a missed passage.
+        Angles in the heading's unit, or times of arrival [s]; nan for a missed passage.
     revolution_numbers : (rows,)
         Revolution number for each row.
     marks : (revolutions + 1,) [s]
-        Mark times.
+        The shaft's mark times.
     """
     if "[s]" not in heading:
         angles = column * _find_unit_factor(path, heading, RAD_BY_ANGLE_UNIT)
@@ -909,11 +932,11 @@ def _build_arrivals(
     angles : (revolutions, probes) [rad]
         Rotor angles from the mark to the arrival; nan for a missed passage. Changed in place.
     marks : (revolutions + 1,) [s]
-        Mark times.
+        The shaft's mark times.
     tip_radius : float [m]
         Blade tip radius.
     given_probe_angles : (probes,) [rad] or None
-        Angles of the probes; None: medians of the arrivals.
+        Angles from the blade tip at a mark to the probes. If None, the median arrival angles.
     first_revolution : int
         First revolution's number.
     """

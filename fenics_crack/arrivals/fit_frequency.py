@@ -12,7 +12,7 @@ vibration is
 
 The speed may vary, since the model is a function of time. The constant is common to all probes,
 apart from errors in their angles. Alternatively, each probe has a free constant, which then absorbs
-everything synchronous.
+every vibration at an engine order.
 
 The scan is a periodogram after subtracting the constants, summed over the harmonics (Lomb,
 Astrophysics and Space Science 39, 1976, 447). At unevenly spaced times the FFT computes the sums
@@ -66,25 +66,27 @@ def fit_frequency(
 ) -> TipFit:
     """Find a vibration of any frequency by least squares.
 
-    If several frequencies fit equally well, within errors, the result is the smallest vibration.
-    The further frequencies are ``ambiguous`` in the result, as by :func:`fit_order`. Give no more
-    harmonics than needed: with two, half the true frequency may fit by its second harmonic.
+    If several frequencies fit equally well within errors, the result is the vibration with the
+    smallest amplitude. :attr:`TipFit.ambiguous` then has the other frequencies, divided by the mean
+    speed. Fit no more harmonics than needed: with two, half the true frequency may fit by its
+    second harmonic.
 
     Parameters
     ----------
     arrivals : ArrivalTimes
         The speed may vary.
     low, high : float [rad/s]
-        Range of the load's frequency.
+        Lowest and highest frequency of the load to try.
     harmonics : int
-        Number K.
+        Number of fitted harmonics: 1, 2, ... times the load's frequency.
     angle_deviation : float [rad]
         Probe angles' standard deviation, the same in every revolution.
 
     Returns
     -------
     TipFit
-        Vibration; the order is frequency over mean speed, any number, with a standard error.
+        Vibration. The order is the frequency divided by the mean speed: any number, with a
+        standard error.
 
     Raises
     ------
@@ -135,30 +137,30 @@ def find_lines_and_residuals(
     max_order: float,
     max_lines: int = 3,
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
-    """Find significant vibrations with constant frequency, independent of the speed.
+    """Find significant vibrations whose frequency is constant while the speed varies.
 
-    Constants are fitted together with each vibration. They absorb vibrations at engine orders,
-    if each probe has a constant for each revolution in the common period of these orders.
+    The vibration is a line in the spectrum. Constant displacements are fitted together with each
+    vibration. They absorb vibrations at engine orders if the constants are chosen as follows. After
+    n revolutions every probe sees the same motion at these orders; then each probe has n constants.
 
     Parameters
     ----------
     arrivals : ArrivalTimes
         The speed may vary.
     displacements : (revolutions, probes) [m]
-        Displacements to search; nan without an arrival. Each vibration is subtracted before the
-        next search.
+        Displacements to search; nan without an arrival.
     constant_numbers : (revolutions, probes) int
         Index of the constant for each displacement; equal for displacements with a common constant.
     max_order : float
-        Frequencies range from half the mean speed to one order above ``max_order``, or above the
-        largest default order if larger.
+        The search ends 1 above ``max_order`` or 24, whichever is larger. It begins
+        at order 1/2. An order is a frequency divided by the mean speed.
     max_lines : int
         Maximum number of vibrations.
 
     Returns
     -------
     lines : tuple of TipFit
-        Vibrations.
+        Vibrations found; each is subtracted before the next search.
     residuals : (revolutions, probes) [m]
         Displacements without these vibrations.
     """
@@ -179,7 +181,7 @@ def find_lines_and_residuals(
 
 
 class _FrequencySearch:
-    """Fit a vibration in time, and constants, by least squares.
+    """Fit a vibration in time, together with constant displacements, by least squares.
 
     Parameters
     ----------
@@ -190,9 +192,9 @@ class _FrequencySearch:
     constant_numbers : (revolutions, probes) int
         Index of the constant for each displacement; equal for displacements with a common constant.
     n_harmonics : int
-        Number K.
+        Number K of harmonics.
     constants_deviation : float [rad]
-        Standard deviation of the constants over the tip radius; inf for free constants.
+        The constants' standard deviation, divided by the tip radius; inf for free constants.
     omega_bounds : (float, float) [rad/s]
         Range of the frequency.
 
@@ -200,10 +202,12 @@ class _FrequencySearch:
     ----------
     omega : float [rad/s]
         Frequency.
-    coefficients, columns : (2K,) [m], (n, 2K+1)
-        Coefficients and derivatives by :meth:`_fit_harmonics`.
+    coefficients : (2K,) [m]
+        Cosine and sine coefficients of the harmonics: a1, b1, ....
+    columns : (n, 2K+1)
+        Derivatives of the displacements at n arrivals by the coefficients and the frequency.
     noise : StudentNoise
-        Residuals and weights.
+        Residuals of the arrivals, and their weights in the fit.
     """
 
     def __init__(
@@ -246,19 +250,29 @@ class _FrequencySearch:
         )  # fmt: skip
 
     def _set_constants_stiffness(self, displacement_scatter: float) -> None:
-        """Set the weight that keeps the probes' constants near each other.
+        """Set the weight that keeps the constants near their mean.
 
-        The weight is (scatter / standard deviation of the constants)^2, with
-        ``displacement_scatter`` [m]; 0 for a single constant or free constants.
+        The weight is (s / d)^2, with the scatter s of displacements, ``displacement_scatter`` [m],
+        and the constants' standard deviation d. It is 0 for a single constant or free
+        constants.
         """
         if self._constant_columns.shape[1] > 1:
             self._constants_stiffness = (displacement_scatter / self._constants_deviation) ** 2
 
     def _subtract_constants(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """Subtract the probes' constants, fitted by weighted least squares.
+        """Fit the constants to values by weighted least squares, and subtract them.
 
-        ``values`` are (n,) or (n, m), ``weights`` (n,), for n arrivals. Returns the residuals in
-        the shape of ``values``.
+        Parameters
+        ----------
+        values : (n,) or (n, m)
+            One value, or m values, for each of n arrivals; each column has separate constants.
+        weights : (n,)
+            Arrival weights.
+
+        Returns
+        -------
+        (n,) or (n, m)
+            Values without the constants.
         """
         weighted_columns = weights[:, None] * self._constant_columns
         n_constants = self._constant_columns.shape[1]
@@ -287,11 +301,12 @@ class _FrequencySearch:
         Returns
         -------
         coefficients : (2K,) [m]
-            a1, b1, ....
+            Cosine and sine coefficients: a1, b1, ....
         residuals : (n,) [m]
             Values less the fit.
         columns : (n, 2K+1)
-            Derivatives of the fit by the coefficients and by the frequency, without constants.
+            Derivatives of the fit by the coefficients and by the frequency; constants fitted to
+            each derivative are subtracted.
         """
         wave_columns = fourier_basis(omega * times, self._multiples)[:, 1:]
         sqrt_weights = np.sqrt(weights)[:, None]
@@ -355,7 +370,8 @@ class _FrequencySearch:
         fit : TipFit
             The best vibration.
         chance : float
-            Probability of a vibration as large in noise alone; 1 if constants absorb the vibration.
+            Probability of a fitted vibration as significant in noise alone. 1 if the
+            constants could explain the vibration, too (:meth:`_constants_absorb_vibration`).
         """
         weights = self._null_noise.weights
         refined_omegas_and_fits = [
@@ -401,10 +417,10 @@ class _FrequencySearch:
         ) else chance
 
     def _constants_absorb_vibration(self, columns: np.ndarray) -> bool:
-        """Return True if constants absorb half of a vibration or more.
+        """Return True if constants can explain half of a vibration or more.
 
-        At the least favourable phase, the fitted constants reduce the vibration's sum of squares to
-        less than half. ``columns`` (n, 2K+1) come from :meth:`_fit_harmonics`.
+        True if constants, fitted to the vibration with the worst phase, leave less than half of the
+        expected sum of squares. ``columns`` (n, 2K+1) come from :meth:`_fit_harmonics`.
         """
         reduced_waves = columns[:, :-1]
         return bool(np.linalg.eigvalsh(reduced_waves.T @ reduced_waves)[0] < 0.25 * len(columns))
@@ -412,8 +428,8 @@ class _FrequencySearch:
     def _find_peak_omegas(self) -> np.ndarray:
         """Return the frequencies (n,) [rad/s] of the highest peaks in a periodogram.
 
-        At most 40 peaks above half the highest power; the highest alone if it is as low as in
-        noise.
+        Returned are at most 40 peaks with more than half the power of the highest. If the highest
+        is no higher than in noise, it is returned alone.
         """
         min_omega, max_omega = self._omega_bounds
         omega_step = RAD_PER_TURN / (4.0 * self._duration)  # a quarter of the resolution
@@ -450,7 +466,8 @@ class _FrequencySearch:
     def _fit_with_reweighting(self) -> None:
         """Fit frequency, harmonics and constants, in turns with the arrivals' weights.
 
-        The results are the attributes.
+        The fit begins at the attribute ``omega``. It sets the attributes ``omega``,
+        ``coefficients``, ``columns`` and ``noise``.
         """
 
         def solve(weights: np.ndarray) -> np.ndarray:
@@ -465,12 +482,14 @@ class _FrequencySearch:
         self._set_constants_stiffness(self.noise.scale)
 
     def _compare_omegas_and_select(self, omegas: np.ndarray) -> tuple[Candidates, float]:
-        """Compare frequencies (n,) [rad/s] with the weights of the best fit.
+        """Fit each of several frequencies (n,) [rad/s], and select the best.
+
+        The arrivals have the weights of the last fit.
 
         Returns
         -------
         candidates : Candidates
-            All frequencies, as orders.
+            The compared frequencies, divided by the mean speed, with the residual of each.
         omega : float [rad/s]
             Selected frequency: the smallest vibration among equally good ones.
         """
@@ -511,9 +530,10 @@ class _FrequencySearch:
         return candidates, float(omegas[best_index])
 
     def _build_tip_fit(self, candidates: Candidates) -> TipFit:
-        """Return the result, with the refined order among the candidates.
+        """Return the last fit as a result.
 
-        The refined order replaces the nearest candidate.
+        The last fit moved the selected frequency slightly. In the result's ``candidates``, the new
+        order replaces the nearest of the compared orders.
         """
         mean_speed = self._arrivals.mean_speed
         order = self.omega / mean_speed
@@ -552,10 +572,20 @@ def _compute_spectrum(
 ) -> np.ndarray:
     """Return the Fourier sums of values at unevenly spaced phases.
 
-    The sums are sum_n values_n exp(-i m phase_n) for whole numbers m from
-    ``first_frequency_number`` on: (n_frequencies,). Phases and values are (n,) [rad]. A Gaussian
-    spreads each value over 16 cells of a grid; the grid's spectrum is divided by the Gaussian's
-    transform.
+    The sum for a whole number m is sum_n values_n exp(-i m phases_n). A Gaussian spreads each
+    value over 16 cells of a grid. The grid's spectrum is then divided by the Gaussian's transform.
+
+    Parameters
+    ----------
+    phases, values : (n,) [rad], (n,)
+        Phases, and the values at the phases.
+    first_frequency_number, n_frequencies : int
+        First number m, and the number of sums.
+
+    Returns
+    -------
+    (n_frequencies,) complex
+        Sums for m, m + 1, ....
     """
     reach_in_cells = 8  # neighbours on each side, for eleven digits
     n_modes = 2 * (n_frequencies // 2 + 1)

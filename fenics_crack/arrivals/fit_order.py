@@ -70,16 +70,16 @@ def fit_order(
 
     First, each probe's mean over the revolutions is fitted, together with vibrations at no engine
     order (``asynchronous`` in the result). Errors follow Student's t, so that single wrong arrivals
-    have hardly any weight. Each candidate is then fitted to the means. Candidates fit equally well
-    if their sum of squares is less than 9 variances above the minimum. Vibrations more than 20 %
-    larger than the smallest one are then excluded, and the least sum of squares wins. Further
-    equally good candidates are ``ambiguous``. Candidates that these probes cannot measure are
-    ``hidden``.
+    have hardly any weight. Each candidate order is then fitted to the means. Orders fit equally
+    well if their sum of squared residuals is less than 9 variances above the minimum. Among them,
+    orders with a vibration more than 20 % larger than the smallest are excluded. The least sum
+    wins. The result has the other equally good orders in ``ambiguous``, and orders that these
+    probes cannot measure in ``hidden``.
 
-    The variance of a mean combines the residuals and the probe's angle. If the means differ from
-    the fit by more (F test), the variance follows from these differences. Significant omitted
-    harmonics increase the errors; ``folded`` is the probability of large errors by insignificant
-    ones.
+    The variance of a mean combines the arrivals' scatter and the probe angle's error. If the means
+    differ from the fit by more (F test), the variance follows from these differences. Harmonics
+    above K are not fitted, but may change the fitted ones. If the change is significant, the
+    standard errors include it. Otherwise ``folded`` is the probability of a large change.
 
     Parameters
     ----------
@@ -89,9 +89,10 @@ def fit_order(
         Candidates: periods of the load in a revolution, whole numbers or fractions with small
         denominators. Orders from a Campbell diagram are distinguished most easily.
     harmonics : int
-        Number K; 2 or more show a breathing crack by :meth:`TipFit.ratio`.
+        Number K of fitted harmonics. With 2 or more, :meth:`TipFit.ratio` shows a breathing crack.
     subharmonic : int
-        For 2, the response has twice the load's period, and harmonics 1/2, 1, ..., K/2.
+        Response period divided by the load's period. For 2, harmonics are 1/2, 1, ..., K/2 times
+        the load's frequency.
     angle_deviation : float [rad]
         Probe angles' standard deviation, the same in every revolution.
 
@@ -129,14 +130,14 @@ def _fit_best_order(
 ) -> TipFit:
     """Fit all candidate orders, and select the best.
 
-    Among orders with equally small residuals, the smallest vibration is the best.
+    Among orders with equally small residuals, the one with the smallest vibration is the best.
 
     Parameters
     ----------
     arrivals, means : ArrivalTimes, ProbeMeans
         Arrivals, and their means at each probe.
     orders, multiples : (n,), (K,)
-        Candidates, and harmonics as multiples of the load's frequency.
+        Candidate orders, and the fitted harmonics as multiples of the load's frequency.
     """
     n_unknowns = 2 * len(multiples) + 1
     fit_by_index = {
@@ -209,9 +210,16 @@ def _make_candidates(
     is_equivalent: np.ndarray,
     is_hidden: np.ndarray,
 ) -> Candidates:
-    """Return candidate orders with residuals and condition numbers.
+    """Return the table of candidate orders, with residuals and condition numbers.
 
-    Arrays have the shape (n,) of ``orders``; ``multiples`` are (K,).
+    Parameters
+    ----------
+    means : ProbeMeans
+        Mean displacements at the probes.
+    orders, multiples : (n,), (K,)
+        Candidate orders, and the harmonics as multiples of the load's frequency.
+    is_equivalent, is_hidden : (n,) bool
+        True for orders that fit as well as the best, and for orders without a fit.
     """
     condition_numbers = [
         condition_number(fourier_basis(order * means.nominal_angles, multiples)) for order in orders
@@ -223,10 +231,11 @@ def _make_candidates(
 
 
 def _find_period_in_revolutions(orders: np.ndarray, multiples: np.ndarray) -> int:
-    """Return the revolutions after which every probe sees the same motion.
+    """Return the number of revolutions after which every probe sees the same motion.
 
-    The result is the common period of all products of ``orders`` (n,) and ``multiples`` (K,).
-    InputError if it is above 24 revolutions.
+    The motion has all frequencies order times multiple, relative to the speed. ``orders`` (n,) are
+    engine orders; ``multiples`` (K,) are harmonics of the load's frequency. InputError if the
+    motion does not repeat within 24 revolutions.
     """
     max_allowed_period = 24
     response_orders = np.multiply.outer(orders, multiples).ravel()
@@ -250,7 +259,7 @@ def _find_period_in_revolutions(orders: np.ndarray, multiples: np.ndarray) -> in
 
 @dataclass(frozen=True)
 class OrderFit:
-    """Hold the least-squares fit of one order to g values.
+    """Hold the least-squares fit of one engine order with K harmonics to g displacements.
 
     Attributes
     ----------
@@ -259,15 +268,15 @@ class OrderFit:
     multiples : (K,)
         Harmonics, as multiples of the load's frequency.
     coefficients : (2K+1,) [m]
-        a0, a1, b1, ....
+        Constant, and cosine and sine coefficients of the harmonics: a0, a1, b1, ....
     covariance : (2K+1, 2K+1) [m^2]
-        Covariance for the coefficients.
+        Coefficient covariance.
     sum_of_squares : float
-        Sum of squared residuals, in variances.
+        Sum of squared residuals, in units of the standard deviation.
     residual_per_error : (g,)
-        Residual of a displacement over the error: 1 + u' / R, with tip radius R and
-        u' = du / d alpha. A late arrival also belongs to a larger rotor angle, with another fitted
-        displacement.
+        Residual by an error of 1 in the measured displacement: 1 + u' / R, with tip radius R and
+        u' = du / d alpha. The measured displacement also gives the rotor angle alpha, at which the
+        fitted displacement u is evaluated.
     """
 
     order: float
@@ -279,26 +288,26 @@ class OrderFit:
 
 
 class Sample:
-    """Hold displacements at rotor angles, with the covariance of their errors.
+    """Hold g displacements at rotor angles, with the covariance of their errors.
 
     Parameters
     ----------
     nominal_angles : (g,) [rad]
-        Rotor angles at the expected blade tip.
+        Rotor angles when the blade tip without vibration passes the probes.
     displacements : (g,) [m]
         Displacements.
     covariance : (g, g) [m^2]
         Covariance of the errors of the displacements, estimated before the fit.
     freedom_within_groups : int
-        Degrees of freedom of this estimate, for instance arrivals less means. 0 without an
-        estimate: the covariance then has an unknown factor.
+        Degrees of freedom of this estimate. For means of arrivals: number of arrivals less number
+        of means. 0 without an estimate: the covariance is then known but for a factor.
     tip_radius : float [m]
         Blade tip radius.
 
     Attributes
     ----------
     angles : (g,) [rad]
-        Rotor angles at the displaced blade tip.
+        Rotor angles when the displaced blade tip passes the probes.
     """
 
     def __init__(
@@ -321,10 +330,11 @@ class Sample:
         )
 
     def fit_order_or_none(self, order: float, multiples: np.ndarray) -> OrderFit | None:
-        """Fit an order by least squares, with harmonics ``multiples`` (K,).
+        """Fit an engine order by least squares, with harmonics ``multiples`` (K,).
 
-        Return None if these angles cannot determine the coefficients, or if the fitted blade tip
-        would move backwards.
+        The harmonics are multiples of the load's frequency. Return None if the angles cannot
+        determine the coefficients. Also None if the fitted vibration is so fast that the blade tip
+        would move backwards past the probe.
         """
         wave_columns = fourier_basis(order * self.angles, multiples)
         nominal_columns = fourier_basis(order * self.nominal_angles, multiples)
@@ -360,27 +370,29 @@ class Sample:
     def _whiten_columns_and_values(
         self, columns: np.ndarray, values: np.ndarray, residual_per_error: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Scale columns and values so that their errors are independent, of variance 1.
+        """Scale equations so that errors are independent, with variance 1.
 
-        Both are divided by ``residual_per_error`` (g,), then by the Cholesky factor of the
-        covariance. Columns are (g, m), values (g,).
+        Each equation is divided by its ``residual_per_error`` (g,). The inverse of the covariance's
+        Cholesky factor then multiplies all equations. Given and returned: columns (g, m), the
+        derivatives by the unknowns, and values (g,), the right-hand side.
         """
         columns_and_values = np.column_stack([columns, values]) / residual_per_error[:, None]
         columns_and_values = solve_triangular(self._cholesky_factor, columns_and_values, lower=True)
         return columns_and_values[:, :-1], columns_and_values[:, -1]
 
     def find_cost_and_fit_with_omitted(self, fit: OrderFit) -> tuple[float, OrderFit]:
-        """Repeat a fit with omitted harmonics of the likeliest size.
+        """Repeat a fit with the likeliest size of omitted harmonics.
 
-        The next three harmonics (:data:`N_OMITTED_HARMONICS_TO_FOLD`) are normal random numbers.
-        Their size is the likeliest trial size; 0 changes nothing.
+        Omitted are the next three harmonics (:data:`N_OMITTED_HARMONICS_TO_FOLD`) above the fitted
+        ones. Their coefficients are further unknowns, with the expected value 0 and a standard
+        deviation, their size. Of several trial sizes the likeliest is used; size 0 leaves the fit.
 
         Returns
         -------
         cost : float
             Restricted -2 log likelihood.
         fit : OrderFit
-            Coefficients and covariance, with the errors by omitted harmonics.
+            New coefficients and covariance, with the errors by omitted harmonics.
         """
         costs, fits = self.list_costs_and_fits_by_omitted_size(
             fit, self._list_omitted_harmonic_sizes(fit)
@@ -393,14 +405,15 @@ class Sample:
     ) -> tuple[np.ndarray, list[OrderFit]]:
         """Repeat a fit for several sizes of omitted harmonics.
 
-        ``omitted_sizes`` (n,) [m] are standard deviations.
+        ``omitted_sizes`` (n,) [m] are standard deviations of the three omitted harmonics'
+        coefficients.
 
         Returns
         -------
         costs : (n,)
-            Restricted -2 log likelihoods.
+            Restricted -2 log likelihood for each size.
         fits : list of OrderFit
-            The n fits.
+            Fit for each size.
         """
         costs, *estimate_arrays = self._solve_with_omitted_harmonics(
             fit, np.repeat(omitted_sizes[:, None], N_OMITTED_HARMONICS_TO_FOLD, axis=1)
@@ -416,11 +429,12 @@ class Sample:
         ]
 
     def compute_folding_chance(self, fit: OrderFit) -> float:
-        """Return the probability that an amplitude is off by over three standard errors.
+        """Return the probability that omitted harmonics make an amplitude wrong.
 
-        The error comes from three omitted harmonics. Each has several trial amplitudes (standard
-        deviations). The probability is the mean over all trials, weighted with their likelihood,
-        for the worst amplitude. nan if ``freedom_within_groups`` is 0: errors are then unknown.
+        An amplitude is wrong if it is off by over three standard errors; the worst amplitude of the
+        fit counts. Each of three omitted harmonics has several trial sizes (standard deviations).
+        The probability is the mean over all combinations of sizes, weighted with their likelihood.
+        nan if ``freedom_within_groups`` is 0: errors are then unknown.
         """
         if self.freedom_within_groups < 1:
             return np.nan
@@ -445,33 +459,35 @@ class Sample:
         )
 
     def _list_omitted_harmonic_sizes(self, fit: OrderFit) -> np.ndarray:
-        """Return trial standard deviations (n,) [m] of an omitted harmonic.
+        """Return trial standard deviations (n,) [m] of an omitted harmonic's coefficients.
 
-        The deviations are :data:`FOLDED_SIZE_RATIOS` times the last amplitude of the fit, below
-        :attr:`max_allowed_omitted_size`.
+        They are :data:`FOLDED_SIZE_RATIOS` times the amplitude of the highest fitted harmonic.
+        Values above :attr:`max_allowed_omitted_size` are left out.
         """
         omitted_sizes = np.hypot(*fit.coefficients[-2:]) * FOLDED_SIZE_RATIOS
         return np.asarray(omitted_sizes[omitted_sizes < self.max_allowed_omitted_size])
 
     @property
     def max_allowed_omitted_size(self) -> float:
-        """Maximum standard deviation [m] of an omitted harmonic, for accurate normal equations.
+        """Maximum trial size [m] of harmonics above the fitted ones.
 
-        1e6 times the smallest diagonal entry of the covariance's Cholesky factor.
+        The trial size is the assumed standard deviation of a harmonic's coefficients. The
+        maximum keeps the normal equations accurate: 1e6 times the smallest diagonal entry of the
+        Cholesky factor of ``covariance``.
         """
         return float(np.diag(self._cholesky_factor).min() / np.sqrt(DEPENDENT_EIGENVALUE_RATIO))
 
     def _solve_with_omitted_harmonics(
         self, fit: OrderFit, omitted_size_rows: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Repeat a fit with omitted harmonics as further unknowns.
+        """Repeat a fit with omitted harmonics as further unknowns, in n trials.
 
         Parameters
         ----------
         fit : OrderFit
-            Fit without them.
+            Fit without omitted harmonics.
         omitted_size_rows : (n, N_OMITTED_HARMONICS_TO_FOLD) [m]
-            Standard deviations of the omitted harmonics, whose expected value is 0, in n trials.
+            Standard deviation of each omitted harmonic's coefficients; the expected value is 0.
 
         Returns
         -------
@@ -482,7 +498,7 @@ class Sample:
         covariances : (n, 2K+1, 2K+1) [m^2]
             Covariances for these coefficients.
         residual_square_sums : (n,)
-            Sums of squared residuals and omitted coefficients, in variances.
+            Sums of squared residuals and omitted coefficients, over the standard deviations.
         """
         n_unknowns, multiples = len(fit.coefficients), fit.multiples
         omitted_multiples = multiples[-1] + multiples[0] * np.arange(
@@ -522,24 +538,24 @@ class Sample:
     def run_misfit_f_test(
         self, residual_square_sum: float, n_unknowns: int
     ) -> tuple[float, float, float]:
-        """Test whether residuals exceed the errors within groups (F test).
+        """Test whether residuals exceed the assumed errors of the displacements (F test).
 
         Parameters
         ----------
         residual_square_sum : float
-            Sum of squared residuals, in variances.
+            Sum of squared residuals, in units of the assumed standard deviation.
         n_unknowns : int
             Number of fitted coefficients.
 
         Returns
         -------
         ratio : float
-            Estimated over assumed variance; inf without degrees of freedom.
+            Estimated variance divided by the assumed variance; inf without degrees of freedom.
         chance : float
-            Probability that residuals are as large; nan without a test.
+            Probability of residuals as large by chance; nan without a test.
         freedom : float
-            Degrees of freedom of the estimate; inf for a significant misfit (probability below
-            0.01).
+            Degrees of freedom of the estimated variance; inf for a significant misfit (probability
+            below 0.01).
         """
         n_spare = len(self.displacements) - n_unknowns
         total_freedom = self.freedom_within_groups + n_spare
@@ -558,7 +574,10 @@ class Sample:
 
 
 class ProbeMeans(Sample):
-    """Hold mean displacements of each probe, with their covariance.
+    """Hold each probe's mean displacements over the revolutions, with their covariance.
+
+    A probe has one mean for each revolution of the period, then the motion repeats. There
+    are g means in all.
 
     Parameters
     ----------
@@ -567,23 +586,24 @@ class ProbeMeans(Sample):
     period_in_revolutions : int
         Revolutions after which a probe sees the same motion again.
     max_order : float
-        Largest candidate. Vibrations without an order are sought up to one order above this or
-        above the default orders.
+        Largest candidate order. Vibrations at no engine order are searched, too, at frequencies up
+        to the speed times this order plus 1, or times 25 if larger.
     angle_deviation : float [rad]
         Probe angles' standard deviation.
     line_displacement_changes : (revolutions, probes) [m]
-        Displacements by :meth:`compute_displacement_changes_by_lines`, which are subtracted.
+        Changes to subtract from the measured displacements, from
+        :meth:`compute_displacement_changes_by_lines`; 0 in the first fit.
 
     Attributes
     ----------
     scatter : float [m]
         Standard deviation of a displacement from its mean; 1 if every mean has a single arrival.
     displacements, angles : (g,) [m, rad]
-        Means, and rotor angles at the displaced blade tip.
+        Means, and rotor angles when the displaced blade tip passes the probes.
     covariance : (g, g) [m^2]
         Covariance of the means.
     lines : tuple of TipFit
-        Vibrations without an order, with constant frequency.
+        Vibrations with constant frequency at no engine order, found in the same arrivals.
     """
 
     def __init__(
@@ -640,11 +660,11 @@ class ProbeMeans(Sample):
     def compute_displacement_changes_by_lines(
         self, arrivals: ArrivalTimes, fit: TipFit
     ) -> np.ndarray:
-        """Return displacement changes by other vibrations: (revolutions, probes) [m].
+        """Return how :attr:`lines` change the displacements by an engine order.
 
-        The vibrations, :attr:`lines` of the spectrum, have constant frequencies. They displace the
-        blade tip, so a probe sees the tip at another angle, with another displacement by the engine
-        order. ``fit`` is the engine order's fit.
+        The lines are vibrations with constant frequencies. They displace the blade tip, so a
+        probe sees it at another rotor angle. There the vibration at the engine order, ``fit``, has
+        another displacement. The change is (revolutions, probes) [m].
         """
         group_angles = np.full(arrivals.time.shape, np.nan)
         group_angles[np.isfinite(arrivals.time)] = self.angles[self._group_indices]
@@ -658,10 +678,11 @@ class ProbeMeans(Sample):
     def compute_wave_residual_square_sum(
         self, wave: np.ndarray, order: float, multiples: np.ndarray
     ) -> float:
-        """Return how much of a wave another order leaves unexplained.
+        """Return how much of a wave another engine order cannot explain.
 
-        ``order`` with harmonics ``multiples`` (K,) is fitted to the wave (g,) [m] at the nominal
-        angles. The result is the sum of squared residuals, in variances.
+        ``order`` with harmonics ``multiples`` (K,) is fitted to the wave: displacements (g,) [m] at
+        the nominal angles. The result is the sum of squared residuals, each over its standard
+        deviation.
         """
         wave_columns = fourier_basis(order * self.nominal_angles, multiples)
         wave_columns, whitened_wave = self._whiten_columns_and_values(

@@ -39,11 +39,12 @@ class Candidates(Tabular):
         Condition number of the fit's columns, scaled to length 1, at these probes. A large number
         amplifies errors of the probes.
     equivalent : (n,) bool
-        True for orders with residuals as small as the best order's, within errors. Also for orders
-        with the best fit's values at the probes' angles.
+        True if the order fits as well as the best: residuals are as small within errors. Also
+        true if both orders give the same displacements at the probes.
     hidden : (n,) bool
-        True if these probes cannot measure the order: constants absorb the vibration, harmonics
-        look alike, or errors grow so large that the fitted blade tip moves backwards.
+        True if these probes cannot measure the order, for one of three reasons. Constants could
+        explain the vibration, harmonics look alike at the probes, or the fit is so inaccurate that
+        the fitted blade tip moves backwards.
     """
 
     orders: np.ndarray
@@ -71,8 +72,9 @@ class Candidates(Tabular):
 class HarmonicFit(Tabular):
     """Hold harmonics fitted to arrivals, and tests of the fit.
 
-    ``misfit`` is the probability that chance makes residuals as large or as correlated. ``folded``
-    is the probability that omitted harmonics put an amplitude off by over three standard errors.
+    ``misfit`` is the probability of residuals as large or as correlated by chance. ``folded``
+    is the probability that harmonics outside the fit change a fitted amplitude by over three
+    standard errors. Both are nan if unknown.
     """
 
     misfit: float
@@ -88,16 +90,16 @@ class HarmonicFit(Tabular):
 
     @property
     def may_be_folded(self) -> bool:
-        """True if omitted harmonics may have shifted an amplitude.
+        """True if harmonics outside the fit may have changed a fitted amplitude.
 
-        ``folded`` is then above 0.0455, the probability of a normal number beyond two standard
-        deviations. False if it is unknown.
+        The property is True if ``folded`` exceeds 0.0455, the probability of a normal number beyond
+        two standard deviations. False if ``folded`` is nan.
         """
         return bool(self.folded > 2.0 * ndtr(-2.0))
 
     @property
     def _doubt_texts(self) -> list[str]:
-        """Text of the gravest doubt about the fit, in a list; empty without a doubt."""
+        """List with the text of the gravest doubt about the fit; empty without a doubt."""
         if self.does_not_fit:
             return ["DOES NOT FIT: fit more harmonics, or try other orders"]
         folding_text = (
@@ -113,7 +115,8 @@ class TipFit(HarmonicFit):
 
         u = a0 + sum_k a_k cos(m_k p alpha) + b_k sin(m_k p alpha)
 
-    is the displacement over the rotor angle alpha, with p periods of the load in a revolution.
+    is the displacement over the rotor angle alpha. The load has p periods in a revolution, and the
+    sum is over k = 1 ... K fitted harmonics.
 
     Attributes
     ----------
@@ -128,26 +131,26 @@ class TipFit(HarmonicFit):
     coefficients : (2K+1,) [m]
         a0, a1, b1, ....
     covariance : (2K+1, 2K+1) [m^2]
-        Covariance for the coefficients.
+        Coefficient covariance.
     scatter : float [m]
         Standard deviation of displacements from the fit; nan without more arrivals than unknowns.
         Standard errors follow Student's t, and are nan for one or two more arrivals than unknowns.
     misfit : float
-        Probability that chance makes residuals of the probes' means as large, given the scatter
-        within a probe. If it is tiny, harmonics are missing, probes are out of place, or the order
-        is wrong. nan with too few probes or revolutions, and for :func:`fit_frequency`.
+        Probability of residuals as large by chance in the probes' mean displacements, given
+        the scatter at each probe. If it is tiny, harmonics are missing, probes are out of place, or
+        the order is wrong. nan with too few probes or revolutions, and for :func:`fit_frequency`.
     candidates : Candidates
         Candidate orders.
     spare : int
-        Number of the probes' means less unknowns; for :func:`fit_frequency`, arrivals less
-        unknowns. With none nothing is tested: neither the order, nor that the fitted harmonics are
-        enough.
+        Probe means less unknowns, as a count; for :func:`fit_frequency`, arrivals less
+        unknowns. With 0, nothing tests the order or the number of harmonics.
     asynchronous : tuple of TipFit
-        Vibrations with other frequencies, at no order, in the same arrivals.
+        Vibrations at no engine order, found in the same arrivals.
     folded : float
-        Probability that omitted harmonics put an amplitude off by over three standard errors,
-        unseen. Assumed sizes are 0, or 0.7 down to 0.006 times the last fitted harmonic, equally
-        probable on a logarithmic scale. nan for unknown errors, and for :func:`fit_frequency`.
+        Probability that harmonics outside the fit change an amplitude by over three standard
+        errors. Assumed sizes are 0, or 0.7 down to 0.006 times the highest fitted harmonic,
+        equally probable on a logarithmic scale. nan for unknown errors, and for
+        :func:`fit_frequency`.
     """
 
     order: float
@@ -195,8 +198,9 @@ class TipFit(HarmonicFit):
     def in_doubt(self) -> bool:
         """True if a test of the fit fails, or cannot be made.
 
-        ``misfit`` is below 0.001, or omitted harmonics may shift an amplitude. No test is possible
-        with as many unknowns as probes, or if no probe sees the vibration twice.
+        A test fails if ``misfit`` is below 0.001, or harmonics outside the fit may have changed an
+        amplitude (:attr:`may_be_folded`). No test is possible with as many unknowns as probe means,
+        or if no probe sees the vibration twice (:attr:`seen_once`).
         """
         return self.does_not_fit or self.may_be_folded or self.spare < 1 or self.seen_once
 
@@ -205,7 +209,7 @@ class TipFit(HarmonicFit):
         """True if no probe sees the same motion twice, as in a single revolution.
 
         Errors of arrivals then follow from the residuals alone, and no test shows missing
-        harmonics. Always False for :func:`fit_frequency`, and without spare arrivals.
+        harmonics. False for results of :func:`fit_frequency`, and if ``spare`` is 0.
         """
         return self.spare > 0 and bool(np.isnan(self.misfit)) and not self.order_error
 
@@ -251,17 +255,17 @@ class TipFit(HarmonicFit):
         return float(amplitude_ratio), float(np.sqrt(scaled_variance) / base_amplitude)
 
     def displacement(self, angle: np.ndarray) -> np.ndarray:
-        """Return the fitted displacement at angles (n,) [rad]: (n,) [m].
+        """Return the fitted displacement [m] at angles [rad], both (n,).
 
-        :meth:`phases` returns the angles.
+        The angles are rotor angles; :meth:`phases` returns them for arrivals.
         """
         return fourier_basis(self.order * np.asarray(angle), self.multiples) @ self.coefficients
 
     def phases(self, arrivals: ArrivalTimes) -> np.ndarray:
-        """Return the angles for :meth:`displacement` at the arrivals: (revolutions, probes) [rad].
+        """Return the angles at the arrivals for :meth:`displacement`: (revolutions, probes) [rad].
 
-        The angles are rotor angles; for :func:`fit_frequency`, the mean speed times the time since
-        the first mark.
+        The angles are rotor angles; for a result of :func:`fit_frequency`, the mean speed times
+        the time since the first mark.
         """
         if self.order_error:
             return self.speed * (arrivals.time - arrivals.marks[0])
@@ -272,8 +276,9 @@ class TipFit(HarmonicFit):
     def to_dict(self) -> dict[str, Any]:
         """Return columns by name: a row for the mean, then for every harmonic.
 
-        A row has the multiple m of the load's frequency, order, frequency, amplitude A and phase,
-        in A cos(m p alpha - phase).
+        A harmonic is A cos(m p alpha - phase), with the load's order p and the rotor angle alpha.
+        The row has the multiple m, the order m p, the frequency, the amplitude A with a standard
+        error, and the phase.
         """
         multiples = np.concatenate([[0.0], self.multiples])
         cosines, sines = self.coefficients[1::2], self.coefficients[2::2]
@@ -329,12 +334,23 @@ def compute_amplitudes_and_errors(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the amplitudes of harmonics, and their standard errors.
 
-    ``coefficients`` (..., 2K+1) are a0, a1, b1, ..., with ``covariance`` (..., 2K+1, 2K+1); both
-    results are (..., K). The amplitude A is the length of the vector (a_k, b_k). An error along the
-    vector changes A directly. An error e normal to the vector lengthens A by e^2 / (2 A), with the
-    mean square 3/4 (E e^2 / A)^2 and the expected value E. Both mean squares are added. If A is
-    below the standard deviation of e, the deviation replaces A: probes may measure only the cosine
-    or the sine. If A is 0, the vector counts as a cosine.
+    The amplitude A of harmonic k is the length of the vector (a_k, b_k). Errors of this vector
+    along the vector change A directly. An error e across it lengthens A by about e^2 / (2 A);
+    with the mean square v of e, this adds 3/4 (v / A)^2 to the variance of A. If A is below
+    sqrt(v), sqrt(v) replaces A there: the probes may measure only the cosine or the sine. If A is
+    0, the vector has the direction of the cosine.
+
+    Parameters
+    ----------
+    coefficients : (..., 2K+1)
+        a0, a1, b1, ....
+    covariance : (..., 2K+1, 2K+1)
+        Coefficient covariance.
+
+    Returns
+    -------
+    amplitudes, errors : (..., K)
+        Amplitudes, and standard errors.
     """
     cosine_sine_pairs = np.stack([coefficients[..., 1::2], coefficients[..., 2::2]])
     amplitudes = np.hypot(*cosine_sine_pairs)
@@ -366,9 +382,10 @@ def compute_amplitudes_and_errors(
 def make_orders_and_multiples(
     orders: Iterable[float], harmonics: int, subharmonic: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return sorted candidate orders (n,), and the multiples (K,) of harmonics.
+    """Return sorted candidate orders (n,), and multiples (K,) of the load's frequency.
 
-    Multiples are 1, ..., ``harmonics``, over ``subharmonic``. InputError for an argument of no use.
+    The multiples are 1 to ``harmonics``, each divided by ``subharmonic``. InputError if an order is
+    not above 0, or a count is below 1.
     """
     check_count("harmonics", harmonics, 1)
     check_count("subharmonic", subharmonic, 1)
@@ -395,16 +412,18 @@ def select_candidate(
     residual_square_sums, vibration_sizes : (n,)
         Sum of squared residuals, and size of the fitted vibration, for each candidate.
     allowed_difference : float
-        Candidates are equivalent with sums less than this above the least sum.
+        A candidate is equivalent to the best if its sum exceeds the least sum by less than this.
     is_measurable : (n,) bool or bool
-        Equivalent candidates that are not measurable are selected only without measurable ones.
+        True if the probes can measure the candidate. If any equivalent candidate is measurable, the
+        selected candidate is measurable.
 
     Returns
     -------
     is_equivalent : (n,) bool
         True for an equivalent candidate.
     index : int
-        Least sum among eligible candidates whose size is at most 20 % above the smallest.
+        Index of the selected candidate. Eligible are the equivalent candidates, if possible only
+        measurable ones. Of those with a size up to 20 % above the smallest, the least sum wins.
     """
     is_equivalent = residual_square_sums - residual_square_sums.min() < allowed_difference
     is_eligible = (

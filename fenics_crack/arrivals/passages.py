@@ -55,10 +55,10 @@ def fit_passage(
     orders : iterable of float
         Candidates: periods of the load in a revolution.
     stiffening : float or function
-        s = d ln w_n / d ln W from -0.9 to 0.9: the slope in a Campbell diagram over w_n / W. Or a
-        function s(W, w_n) of speed and natural frequency [rad/s], as :meth:`Campbell.stiffening`.
-        If 0 is given for a blade with the stiffening s, the fitted damping is 1 / (1 - s) times
-        the true damping.
+        s = d ln w_n / d ln W from -0.9 to 0.9, with natural frequency w_n and rotor speed W. This
+        is the slope d w_n / d W in a Campbell diagram, divided by w_n / W. Or a function s(W, w_n),
+        both in rad/s, as :meth:`Campbell.stiffening`. If 0 is given for a blade with the stiffening
+        s, the fitted damping is 1 / (1 - s) times the true damping.
 
     Returns
     -------
@@ -109,25 +109,27 @@ def find_passages(
     """Find the resonances in a record, about the largest first.
 
     At speeds 0.3 % apart, a vibration with any phase at each probe is fitted. At the speed with the
-    largest reduction of squared residuals, the mode is fitted as by :func:`fit_passage`, and
-    subtracted before the next search. The search ends when no significant resonance remains.
-    Vibrations with constant frequency are fitted beside the resonances. Probes that do not measure
-    the first resonance are left out if a majority agrees (``blind`` in the fit): they would add
-    further resonances.
+    largest reduction of squared residuals, the mode is fitted as by :func:`fit_passage`. Its motion
+    is subtracted before the next search. The search ends when no significant resonance remains.
+    Vibrations with constant frequency are fitted beside the resonances.
+
+    Probes that do not measure the first resonance would add further resonances. If most probes
+    agree, these are left out, and ``blind`` in the results has the angles.
 
     Parameters
     ----------
     arrivals : ArrivalTimes
         Arrivals in run-ups and run-downs.
     orders : iterable of float
-        Candidates: periods of the load in a revolution.
+        Candidate orders: periods of the load in a revolution.
     most : int
         Maximum number of resonances.
     asynchronous : int
         Maximum number of vibrations with constant frequency. Without a fit, they look like
         resonances with little damping.
     stiffening : float or function
-        As in :func:`fit_passage`; a number holds for all modes.
+        Stiffening s = d ln w_n / d ln W from -0.9 to 0.9, with natural frequency w_n and rotor
+        speed W; a number holds for all modes. Or a function s(W, w_n), both in rad/s.
 
     Returns
     -------
@@ -186,14 +188,15 @@ def find_passages(
 def _find_lines_and_motion(
     arrivals: ArrivalTimes, displacements: np.ndarray, orders: np.ndarray, max_lines: int
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
-    """Find vibrations with constant frequency in displacements.
+    """Find vibrations whose frequency is constant while the speed varies.
 
     Parameters
     ----------
     arrivals, displacements : ArrivalTimes, (revolutions, probes) [m]
         Arrival times, and the displacements to search; nan without an arrival.
     orders : (n,)
-        Candidate orders, the largest of which bounds the frequencies.
+        Candidate orders of the load. The largest, or 24 if larger, plus 1 is the upper bound of a
+        vibration's frequency divided by the mean speed.
     max_lines : int
         Maximum number of vibrations.
 
@@ -222,12 +225,12 @@ class _ResonanceSearch:
     displacements : (revolutions, probes) [m]
         Displacements in the record.
     candidate_orders : (n,)
-        Candidates.
+        Orders to try for each resonance.
 
     Attributes
     ----------
     resonances : list of Resonance
-        Resonances found until now.
+        Resonances found so far.
     """
 
     def __init__(
@@ -244,9 +247,9 @@ class _ResonanceSearch:
         self._gains_and_reductions = np.full((n_centres, 2), np.nan)
 
     def subtract_resonances(self, kept_resonances: Sequence[Resonance] = ()) -> np.ndarray:
-        """Return displacements without the motion in resonances: (revolutions, probes) [m].
+        """Return displacements less the fitted motion in resonances: (revolutions, probes) [m].
 
-        The motion in ``kept_resonances`` stays.
+        The motion in all resonances found so far is subtracted, except in ``kept_resonances``.
         """
         subtracted_motions = [
             resonance.best_fit.motions[0]
@@ -256,10 +259,10 @@ class _ResonanceSearch:
         return np.asarray(self.displacements - sum(subtracted_motions))
 
     def add_resonances_up_to(self, max_resonances: int) -> None:
-        """Search for further resonances, until ``max_resonances`` are found in all.
+        """Search for further resonances, up to ``max_resonances`` in total.
 
-        The search ends earlier if no significant resonance remains. Then the orders of resonances
-        with new neighbours are compared again.
+        The search ends earlier if no significant resonance remains. After the search, the orders
+        are compared again for each resonance with other neighbours than at its last comparison.
         """
         centre_speeds, gains_and_reductions = self._centre_speeds, self._gains_and_reductions
         while len(self.resonances) < max_resonances:
@@ -339,16 +342,16 @@ class _ResonanceSearch:
             self.resonances.remove(resonance)
 
     def _compare_orders_with_neighbour(self, resonance: Resonance) -> bool:
-        """Compare the orders of a resonance and its largest neighbour jointly.
+        """Compare pairs of orders for a resonance and its largest neighbour.
 
-        The neighbour is within 3.5 % in speed. Resonances within the width of either may be
-        residuals of wrong orders, and are dropped.
+        The neighbour is within 3.5 % in speed. Further resonances within the width of either are
+        dropped, since they may be residuals of wrong orders.
 
         Returns
         -------
         bool
-            False if nothing is compared: with a single candidate order, without a neighbour, or if
-            this resonance is within the width of a larger one.
+            False if nothing is compared: with a single candidate order, without a neighbour,
+            or if this resonance is within the width of a larger one.
         """
         resonance_amplitude = resonance.best_fit.largest_first_mode_amplitude
         larger_resonances = [
@@ -388,10 +391,11 @@ class _ResonanceSearch:
         return True
 
     def _refit_neighbours_until_settled(self) -> None:
-        """Refit resonances with overlapping speeds in turn until their frequencies settle.
+        """Refit neighbouring resonances in turn until their frequencies settle.
 
-        Frequencies have settled with changes below 0.1 standard errors, at the latest after 5
-        rounds. :meth:`_refit_or_drop` may drop a resonance.
+        Neighbours are within 7 % in speed. The rounds end if no frequency or damping changes by
+        over 0.1 standard errors of the frequency, or after 5 rounds. :meth:`_refit_or_drop` may
+        drop a resonance.
         """
         crowded_resonances = [
             resonance for resonance in self.resonances if resonance.list_neighbours(self.resonances)
@@ -434,10 +438,10 @@ def _compute_gain_and_squares_reduction(
     Returns
     -------
     gain : float
-        Reduction in the sum of squares in variances of the noise, less 2 for each probe beyond the
-        first. Differences between successive arrivals at a probe give the variance.
+        ``squares_reduction`` divided by the variance of the noise, less 2 for each probe beyond the
+        first. Differences between successive displacements at a probe give the variance.
     squares_reduction : float [m^2]
-        Reduction in the sum of squares.
+        Reduction in the sum of squared residuals by the vibration.
     """
     total_gain = total_reduction = 0.0
     for run in record.find_runs(displacements, speed):

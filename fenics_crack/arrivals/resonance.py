@@ -50,24 +50,24 @@ MAX_SEARCH_ROUNDS = 5
 @with_old_names(disagreement="disagreement_in_words")
 @dataclass(frozen=True, repr=False)
 class PassageFit(Tabular):
-    """Hold the fit to all passages through one resonance.
-
-    One mode meets one engine order.
+    """Hold the fit to all passages through one resonance: a mode and an engine order.
 
     Attributes
     ----------
     order : float
         Periods of the load in a revolution, for the best candidate.
     omega, omega_error : float [rad/s]
-        Natural frequency, and its standard error from the scatter of the arrivals alone. The stated
-        error is :attr:`deviation`, in Hz ``frequency_error``.
+        Natural frequency, and its standard error from the scatter of the arrivals alone. For the
+        error of the result take :attr:`deviation`, with two further causes;
+        ``frequency_error`` is the same in Hz.
     damping, damping_error : float
-        Ratio of critical damping, and its standard error. A fit without stiffening gives
-        a ratio 1 / (1 - s) times as large.
+        Ratio of critical damping, and its standard error. If the blade's stiffening s is not given
+        to the fit, this ratio is 1 / (1 - s) times too large.
     amplitude : float [m]
-        Largest amplitude in the passages.
+        Largest vibration amplitude in the passages.
     forces : (passages,) complex [m]
-        Amplitude F of each passage if the rotor stayed at the resonance.
+        Load of each passage, stated as the complex amplitude F of the vibration if the
+        rotor stayed at the resonance.
     ends : (passages, 2) int
         First revolution of each passage, and the one after the last, counted from 0.
     omegas, omega_errors : (passages,) [rad/s]
@@ -75,24 +75,25 @@ class PassageFit(Tabular):
     dampings, damping_errors : (passages,)
         Damping ratio and error from each passage alone.
     orders : (n,)
-        Candidates.
+        Candidate orders.
     margins : (n,)
-        Difference in -2 log likelihood from the best order, for each candidate. With a neighbouring
-        resonance in the fitted speeds, each order is combined with the neighbour's best order. If
-        another resonance lies within the width of this resonance, or the reverse, both may be the
-        same vibration. The order of the other resonance then has the margin 0, too.
+        Each candidate order's -2 log likelihood, less the best order's. With a
+        neighbouring resonance in the fitted speeds, each order is combined with the neighbour's
+        best order. Two two may be the same vibration if one lies within the other's width. The
+        second resonance's order then has the margin 0, too.
     probes : int
         Number of probes with arrivals.
     scatter : float [m]
         Standard deviation of a displacement from the fit.
     whiteness : float
-        Probability that errors of arrivals and shaft marks alone correlate residuals as much; nan
-        without a test. Standard errors include the correlation, but no bias by another vibration
-        nearby (:attr:`in_doubt`).
+        Probability that errors of arrivals and shaft marks alone make residuals of successive
+        revolutions as correlated; nan without a test. Standard errors include the correlation. They
+        do not include the bias by another vibration near this speed (:attr:`in_doubt`).
     asynchronous : tuple of TipFit
         Vibrations with constant frequency in the record, which follow no order.
     blind : tuple of float [rad]
-        Angles of omitted probes, which do not measure the vibration seen by the majority.
+        Angles of probes left out, since they do not measure the vibration seen by most
+        probes.
     stiffening : float
         s = d ln w_n / d ln W, with natural frequency w_n and speed W.
     """
@@ -130,7 +131,7 @@ class PassageFit(Tabular):
     def margin(self) -> float:
         """Difference in -2 log likelihood between the second best order and the best.
 
-        inf for a single candidate.
+        With a large margin, all further orders are unlikely; inf for a single candidate order.
         """
         return float(np.min(self.margins[self.orders != self.order], initial=np.inf))
 
@@ -147,8 +148,8 @@ class PassageFit(Tabular):
     def ambiguous(self) -> tuple[float, ...]:
         """Further orders that explain the arrivals within three standard deviations.
 
-        A margin below 9 is meant. If the fit is :attr:`untested`, all further candidates are
-        returned.
+        The margin (:attr:`margins`) is below 9. If the fit is :attr:`untested`, all further
+        candidate orders are returned.
         """
         is_other_equal = (
             (self.margins < CONFIDENCE_LEVELS.allowed_cost_difference) | self.untested
@@ -196,11 +197,12 @@ class PassageFit(Tabular):
 
     @property
     def deviation(self) -> float:
-        """Standard deviation of the frequency, stated as the error [rad/s].
+        """Standard deviation of the natural frequency, the error of this result [rad/s].
 
-        The largest of three: ``omega_error``; half the range of passages that disagree, as for a
-        breathing crack; and for a fit in doubt half the resonance's width, zeta w_n, with damping
-        ratio zeta.
+        The largest of three values: the standard error ``omega_error``; half the range of
+        ``omegas`` if the passages :attr:`disagree`, as for a breathing crack; and half the
+        resonance's width, zeta w_n, if the fit is :attr:`in_doubt`. Here zeta is the damping ratio,
+        and w_n the natural frequency.
         """
         half_frequency_range = 0.5 * float(np.ptp(self.omegas)) if self.disagree else 0.0
         half_resonance_width = self.damping * self.omega if self.in_doubt else 0.0
@@ -218,13 +220,13 @@ class PassageFit(Tabular):
     def compared(self, arrivals: ArrivalTimes) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Return measured and fitted displacements for each passage.
 
-        Probes in ``blind`` are left out.
+        ``arrivals`` are the fitted record. Probes in ``blind`` are left out: P probes remain.
 
         Returns
         -------
         list of (speed, measured, fitted)
-            Speeds (R,) [rad/s]; displacements (R, P) [m] without drift, nan without an arrival; and
-            the fitted displacements (R, P) [m], for R revolutions and P probes.
+            For each passage of R revolutions: speeds (R,) [rad/s]; measured displacements (R, P)
+            [m] without drift, nan without an arrival; and fitted displacements (R, P) [m].
         """
         arrivals = arrivals.without(np.flatnonzero(np.isin(arrivals.probes, self.blind)))
         mode_pole = complex(compute_poles(self.omega, self.damping / (1.0 - self.stiffening)))
@@ -243,10 +245,10 @@ class PassageFit(Tabular):
         return passage_comparisons
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the numbers of the fit by name.
+        """Return the fit's numbers by name.
 
-        "apart" is the relative range of the frequencies from single passages; see also the
-        attributes.
+        Most names are attributes. "rpm" is the speed in revolutions per minute, "passages" the
+        number of passages.
         """
         number_names = (
             "order",
@@ -285,7 +287,7 @@ class PassageFit(Tabular):
 def _differ_significantly(values: np.ndarray, errors: np.ndarray) -> bool:
     """Return True if two values differ by over three standard errors of the difference.
 
-    ``values`` and ``errors`` are (n,).
+    ``values`` and standard errors ``errors`` are (n,).
     """
     pairwise_differences = np.abs(values[:, None] - values)
     return not np.all(
@@ -300,18 +302,18 @@ class Resonance:
     Parameters
     ----------
     runs : sequence of Run
-        Passages.
+        Passages through the resonance.
     speed : float [rad/s]
         Speed near the resonance.
     orders : (n,)
-        Candidates.
+        Candidate orders.
 
     Attributes
     ----------
     best_fit : Fit
         Fit for the most likely order.
     margins : dict of float to float
-        Difference in -2 log likelihood between each order and the best; 0 for the best.
+        For each order, -2 log likelihood less the best order's; 0 for the best.
     compared_neighbours : list of Resonance
         Neighbours at the last comparison of orders.
     """
@@ -353,11 +355,12 @@ class Resonance:
 
     @property
     def is_clear(self) -> bool:
-        """True if the resonance is passed and significant, and has a plausible damping.
+        """True if the resonance is passed, significant, and has a plausible damping ratio.
 
-        Passed: a run has speeds on both sides. Significant: -2 log likelihood falls by more than
-        60. The damping ratio is above three standard errors, else a vibration of constant frequency
-        (a line) may explain the peak. The ratio is below 0.00875, else slow drift may explain it.
+        It is passed if a run has speeds on both sides, and significant if -2 log likelihood falls
+        by more than 60. The damping ratio must exceed three of its standard errors: otherwise a
+        vibration with constant frequency may explain the peak. The ratio must be below 0.00875:
+        otherwise slow drift may explain it.
         """
         fit = self.best_fit
         is_passed = any(
@@ -393,23 +396,22 @@ class Resonance:
         )
 
     def list_neighbours(self, resonances: Sequence[Resonance]) -> list[Resonance]:
-        """Return the resonances whose fitted speeds overlap with those here.
-
-        Neighbours are other resonances within 7 % in speed.
-        """
+        """Return the other resonances within 7 % in speed: their fitted speeds overlap."""
         return [resonance for resonance in resonances if self.is_near(resonance)]
 
     def has_within_width(self, other_resonance: Resonance) -> bool:
         """Return True if another resonance is within this resonance's width.
 
-        The width is twice the damping ratio, relative to the speed.
+        The speeds then differ by less than twice the damping ratio, relative to this resonance's
+        speed.
         """
         return self.is_near(other_resonance, 2.0 * self.best_fit.first_mode.damping_ratio)
 
     def may_be_residual_of(self, other_resonance: Resonance) -> bool:
-        """Return True if this may be the residual of a larger resonance.
+        """Return True if this may be the residual of another, larger resonance.
 
-        The larger resonance has the same order, and a width that includes this speed.
+        The other resonance then has the same order and a larger amplitude, and this resonance is
+        within the other's width.
         """
         larger_fit, own_fit = other_resonance.best_fit, self.best_fit
         return (
@@ -421,10 +423,10 @@ class Resonance:
     def refit_and_test_clarity(
         self, record: Record, displacements: np.ndarray, initial_mode: Mode | None = None
     ) -> bool:
-        """Refit the mode to displacements (revolutions, probes) [m].
+        """Refit the mode to displacements (revolutions, probes) [m], and test the result.
 
-        The fit begins at ``initial_mode``, by default the best fit's mode. Return True if the
-        resonance is clear (:attr:`is_clear`), and False if not, or if no run passes the speed.
+        The fit begins at ``initial_mode``, by default the best fit's mode. Returns :attr:`is_clear`
+        after the fit; False without a fit if no run passes the speed.
         """
         runs = record.find_runs(displacements, self.speed)
         if not runs:
@@ -438,8 +440,8 @@ class Resonance:
     def _make_initial_weights(self, runs: Sequence[Run]) -> list[np.ndarray]:
         """Return the arrivals' weights at the start of a fit: (R, P) for each run.
 
-        Weights of the best fit if the runs have the same arrivals, otherwise 1; 0 without an
-        arrival. Runs have R revolutions and P probes.
+        A run has R revolutions and P probes. If the runs have the same arrivals as the best fit,
+        the fit's weights are returned. Otherwise the weights are 1, and 0 without an arrival.
         """
         if [run.has_arrival.tobytes() for run in runs] == [
             run.has_arrival.tobytes() for run in self._runs
@@ -450,9 +452,9 @@ class Resonance:
     def compare_order_pairs_with(
         self, neighbour: Resonance, record: Record, displacements: np.ndarray, orders: np.ndarray
     ) -> None:
-        """Compare all pairs of orders for two neighbours, and keep the best.
+        """Fit this resonance and a neighbour jointly with pairs of orders, and keep the best.
 
-        Both resonances get new fits and margins.
+        Both resonances get new attributes ``best_fit`` and ``margins``.
 
         Parameters
         ----------
@@ -461,7 +463,7 @@ class Resonance:
         record, displacements : Record, (revolutions, probes) [m]
             Record, and displacements with the motion of both resonances, but no further one.
         orders : (n,)
-            Candidates.
+            Candidate orders of both resonances.
         """
         resonance_pair = self, neighbour
         runs = record.find_runs(displacements, self.speed)
@@ -601,14 +603,15 @@ def _list_best_gains_and_modes(
 ) -> list[tuple[float, Mode]]:
     """Find the best mode for each order on a grid of frequencies.
 
-    The grid has 11 frequencies around order times speed, spaced by half the damping ratio.
+    For each order, the grid has 11 frequencies around the order times the speed. The relative
+    spacing is half the damping ratio.
 
     Parameters
     ----------
     run_weight_pairs : iterable of (Run, (R, P))
-        Passages, and the weights of their arrivals.
+        Passages, and weights of the arrivals, for R revolutions and P probes.
     orders, speed, damping_ratio : (n,), float [rad/s], float
-        Candidates, speed of the resonance, and damping ratio of all modes.
+        Candidate orders, speed of the resonance, and damping ratio of all modes.
 
     Returns
     -------
@@ -631,10 +634,18 @@ def _list_best_gains_and_modes(
 def _compute_squares_reductions_by_pairs(
     runs: Sequence[Run], mode_lists: Sequence[Sequence[Mode]], weights_of_runs: Sequence[np.ndarray]
 ) -> np.ndarray:
-    """Return reductions in the sum of squares by pairs of modes: (n, m) [m^2].
+    """Return reductions in the sum of squared residuals by pairs of modes: (n, m) [m^2].
 
-    Both modes of a pair are fitted jointly. ``mode_lists`` has a list of n modes and a list of m;
-    ``weights_of_runs`` has (R, P) for each run.
+    Both modes of a pair are fitted jointly to all runs.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Passages, each with R revolutions and P probes.
+    mode_lists : pair of lists
+        n modes for the first of a pair, and m modes for the second.
+    weights_of_runs : sequence of (R, P)
+        Arrival weights in each run.
     """
     n_first_modes, all_modes = len(mode_lists[0]), [mode for modes in mode_lists for mode in modes]
     first_indices, second_indices = np.indices((n_first_modes, len(all_modes) - n_first_modes))
@@ -673,10 +684,11 @@ def _compute_squares_reductions_by_pairs(
 
 
 def _choose_order_index_pairs(squares_reductions: np.ndarray) -> set[tuple[int, int]]:
-    """Choose pairs of modes for refined fits: index pairs into an array (n, m).
+    """Choose pairs of modes for refined fits, as index pairs.
 
-    The best two modes of either list go with their best partner. Pairs below half the largest of
-    ``squares_reductions`` (n, m) [m^2] are left out.
+    ``squares_reductions`` (n, m) [m^2] has the reduction by each pair of n first and m second
+    modes. The best two first modes and the best two second modes are chosen, each with its best
+    partner. Pairs with less than half the largest reduction are left out.
     """
     best_first_indices, best_second_indices = (
         np.argsort(-squares_reductions.max(axis=1 - axis))[: MAX_REFINED_ORDERS // 2]
@@ -705,13 +717,14 @@ def _compute_margin_by_order(
     Parameters
     ----------
     gain_by_order : dict of float to float
-        Reduction in the sum of squares [m^2] by order: an estimate for orders without a fit.
+        Reduction in the sum of squares [m^2] for each order. An estimate for orders
+        without a refined fit.
     fits : iterable of Fit
-        Refined fits; the best of an order counts.
+        Refined fits; of several fits for an order, the best counts.
     best_fit : Fit
-        Fit with the margin 0.
+        Best fit of all; the order of this fit has the value 0.
     mode_index : int
-        Index of the mode, in the fits, whose orders are compared.
+        Index of the compared mode among the modes of each fit.
     """
     max_gain = max(gain_by_order.values())
     margin_by_order = {

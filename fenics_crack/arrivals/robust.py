@@ -37,23 +37,23 @@ DEPENDENT_EIGENVALUE_RATIO = 1e-12
 
 @dataclass(frozen=True)
 class ConfidenceLevels:
-    """Hold levels of significance.
+    """Hold limits of probability and likelihood for decisions in fits.
 
     Attributes
     ----------
     vibration_significance_level : float
-        Maximum probability, in noise, of a significant vibration.
+        A vibration is significant if noise alone gives one as large with at most this probability.
     min_likelihood_gain : float
-        Minimum reduction of -2 log likelihood by a significant resonance: some 1e5 are tried, each
-        with six unknowns.
+        A resonance is significant if it reduces -2 log likelihood by this or more. The limit is
+        high, since about 1e5 resonances are tried, each with six unknowns.
     misfit_significance_level : float
-        Minimum probability that a model makes residuals as large; below, the model is wrong.
+        The model is wrong if residuals as large have a lower probability than this.
     misfit_errors_significance_level : float
-        Probability of a misfit below which errors follow from the misfit, otherwise from the
+        Standard errors follow from the misfit if its probability is below this. Otherwise from the
         scatter.
     allowed_standard_errors : float
-        Standard deviations within which candidates fit equally well, and correlation is
-        insignificant.
+        Number of standard deviations within which candidates fit equally well, and a correlation
+        is insignificant.
     """
 
     vibration_significance_level: float = 1e-5
@@ -66,7 +66,8 @@ class ConfidenceLevels:
     def allowed_cost_difference(self) -> float:
         """Maximum difference in -2 log likelihood between equally good candidates.
 
-        The square of ``allowed_standard_errors``, 9; also for sums of squares in variances.
+        The value is ``allowed_standard_errors`` squared, 9; also for differences between sums of
+        squared residuals in units of the standard deviation.
         """
         return self.allowed_standard_errors**2
 
@@ -79,26 +80,26 @@ RevolutionsAndProbes = tuple[np.ndarray, np.ndarray]
 
 
 class StudentNoise:
-    """Fit Student's t to residuals by maximum likelihood.
+    """Fit Student's t distribution to residuals by maximum likelihood.
 
-    Scale steps are 1 + 3 / nu times the steps of the weighted squares, since the information in
-    Student's t is 2 nu / (nu + 3).
+    In each round, the weighted squares give a step of the scale s. The step is multiplied by 1 + 3
+    / nu, since the information in Student's t is 2 nu / (nu + 3), with nu degrees of freedom.
 
     Parameters
     ----------
     residuals : (n,)
-        Residuals r.
+        Residuals r of n arrivals.
     n_unknowns : int
-        Number of unknowns in the fit.
+        Number of unknowns in the fit with these residuals.
     min_scale : float
-        Minimum scale, by rounding.
+        Minimum of the scale s, from rounding.
     trial_scales : (k,)
         Initial scales, one for each value in :data:`TRIAL_STUDENT_FREEDOMS`.
 
     Attributes
     ----------
     weights : (n,)
-        Arrival weights in the fit.
+        Arrival weights in the next fit.
     scale, freedom : float
         Scale s and degrees of freedom nu.
     cost : float
@@ -164,7 +165,7 @@ class StudentNoise:
 
     @property
     def psi(self) -> np.ndarray:
-        """Weighted residuals w r: (n,), in the unit of the residuals."""
+        """Weighted residuals psi = w r, with weights w: (n,), in the unit of the residuals r."""
         return self.weights * self.residuals
 
     @property
@@ -180,9 +181,9 @@ class StudentNoise:
 
     @property
     def variance(self) -> float:
-        """Variance of normal errors that would scatter the coefficients as much.
+        """Variance of normal errors with the same standard errors of the coefficients.
 
-        In the squared unit of the residuals.
+        The unit is the squared unit of the residuals.
         """
         n_spare = len(self.residuals) - self.n_unknowns
         return float(self.psi @ self.psi) / (n_spare * self.mean_psi_slope**2)
@@ -190,18 +191,23 @@ class StudentNoise:
     def compute_whiteness_p_value(
         self, places: RevolutionsAndProbes, mark_shares: np.ndarray
     ) -> float:
-        """Return the probability that errors of arrivals and marks alone correlate residuals.
+        """Return the probability of correlations as large by arrival and mark errors alone.
 
-        A small probability means a vibration or drift in the residuals. nan if no revolution has a
-        next one with arrivals, or all residuals are 0. The correlation is between values of psi at
-        a probe in successive revolutions (:func:`_sum_products_with_next_revolution`).
+        A small probability means a vibration or drift in the residuals. nan if no
+        revolution has a next one with arrivals, or all residuals are 0. The correlation is between
+        the weighted residuals psi at a probe in successive revolutions.
 
-        Errors e of marks move the arrival at probe i in revolution n by sum_k S_ki e_(n+k), with
-        ``mark_shares`` S (marks, probes). Products of psi at two probes in a revolution give the
-        variance of e. Multiplied by sum_k S_ki S_(k+m)i, this variance is the covariance between
-        arrivals at probe i, m revolutions apart. Shared errors also scatter the products.
+        Errors e of the shaft's marks move the arrival at probe i in revolution n by sum_k S_ki
+        e_(n+k). Products of psi at two probes in a revolution give the variance of e. Multiplied by
+        sum_k S_ki S_(k+m)i, this variance is the covariance between arrivals at probe i, m
+        revolutions apart. Mark errors also increase the scatter of the products.
 
-        ``places`` are the arrivals' revolutions and probes.
+        Parameters
+        ----------
+        places : pair of (n,) int
+            Each arrival's revolution index and probe index.
+        mark_shares : (marks, probes)
+            S: shift of an arrival by an error of 1 in each of the marks around it.
         """
         (
             ((same_probe_sum, n_same_probe_products), (cross_probe_sum, n_cross_probe_products)),
@@ -233,8 +239,14 @@ class StudentNoise:
     ) -> np.ndarray:
         """Return the covariance (m, m) of fitted coefficients.
 
-        ``columns`` (n, m) are derivatives of the fit for n arrivals; ``places`` are the revolutions
-        and probes of the arrivals. Significant correlations of residuals are included.
+        Significant correlations between residuals are included.
+
+        Parameters
+        ----------
+        columns : (n, m)
+            Derivatives of the fit at n arrivals by m coefficients.
+        places : pair of (n,) int
+            Each arrival's revolution index and probe index.
         """
         column_norms = np.linalg.norm(columns, axis=0)
         columns = columns / column_norms
@@ -278,18 +290,19 @@ class StudentNoise:
     def _list_psi_covariances_by_lag(
         self, psi_variance: float, places: RevolutionsAndProbes
     ) -> list[tuple[float, float]]:
-        """Return covariances of psi between arrivals 0, 1, ... revolutions apart.
+        """Return covariances of weighted residuals psi for arrivals 0, 1, ... revolutions apart.
 
-        Each entry has the covariance at the same probe (0 in the first entry) and between two
-        probes. A covariance within three standard deviations of 0 becomes 0. The list ends before
-        the first later entry with two zeros.
+        Each entry has two covariances: between arrivals at the same probe (0 in the first entry),
+        and between arrivals at two probes. A covariance within three standard deviations of 0
+        becomes 0. The list ends before the first entry with two zeros; the first entry always
+        stays.
 
         Parameters
         ----------
         psi_variance : float
             Variance of psi.
-        places : pair of (n,)
-            Revolutions and probes for the arrivals.
+        places : pair of (n,) int
+            Each arrival's revolution index and probe index.
         """
         covariance_pairs: list[tuple[float, float]] = []
         for lag, sums_and_counts in enumerate(
@@ -315,20 +328,21 @@ class StudentNoise:
 
 
 def student_variance_ratio(freedom: float) -> float:
-    """Return the variance of Student's t over its squared scale.
+    """Return the variance of Student's t distribution divided by its squared scale.
 
-    Squared standard errors from few residuals are larger by this factor; nan for two or fewer
-    degrees of freedom.
+    ``freedom`` is the number of degrees of freedom of an estimated variance. With few, squared
+    standard errors are larger by this ratio; nan for two or fewer degrees of freedom.
     """
     return 1.0 + 2.0 / (freedom - 2.0) if freedom > 2.0 else np.nan
 
 
 def correlation_p_value(values: np.ndarray, places: RevolutionsAndProbes) -> float:
-    """Return the probability that uncorrelated values are as correlated by chance.
+    """Return the probability that uncorrelated values look as correlated by chance.
 
-    Products of ``values`` (n,) at a probe in successive revolutions are summed; only a positive
-    correlation counts. ``places`` are the values' revolutions and probes. nan for a single
-    revolution, or zeros.
+    The correlation is a sum of products: each of ``values`` (n,) times the value at the same probe
+    in the next revolution. Only a positive correlation counts. ``places`` are the revolution index
+    and probe index of each value, two arrays (n,). nan for a single revolution, or if all values
+    are 0.
     """
     _, _, [(lagged_sum, n_lagged_products), _] = _sum_products_with_next_revolution(values, places)
     value_variance = float(values @ values) / len(values)
@@ -344,16 +358,17 @@ def _sum_products_with_next_revolution(
 ) -> tuple[np.ndarray, int, np.ndarray]:
     """Sum products of values (n,) within revolutions, and with the next revolution.
 
-    ``places`` are the values' revolutions and probes.
+    ``places`` are each value's revolution index and probe index, two arrays (n,).
 
     Returns
     -------
     unlagged_sums : (2, 2)
-        Products of values in the same revolution, as by :func:`_yield_product_sums_by_lag`.
+        Products of values in the same revolution. Row 0 has the sum of products at the same probe
+        and their number, row 1 the same for two probes.
     lag : int
         Distance to the next revolution: 1, or up to 5 if most revolutions between are missing.
     lagged_sums : (2, 2)
-        Products of values ``lag`` revolutions apart.
+        The same for products of values ``lag`` revolutions apart.
     """
     sums_and_counts = np.array([*_yield_product_sums_by_lag(values, range(6), places)])
     lag = 1 + int(np.argmax(sums_and_counts[1:, 0, 1] / np.arange(1, 6)))
@@ -365,9 +380,9 @@ def _yield_product_sums_by_lag(
 ) -> Iterator[np.ndarray]:
     """Yield sums of products of values (n,), for each distance in revolutions.
 
-    For each of ``lags`` an array (2, 2). The first row has the sum of products at the same probe
-    and their number, the second row those at two probes. ``places`` are the values' revolutions and
-    probes.
+    Each of ``lags``, a distance, gives an array (2, 2). Row 0 has the sum of products at the same
+    probe and their number, row 1 the same for products at two probes. ``places`` are the revolution
+    index and probe index of each value, two arrays (n,).
     """
     tables = np.stack(
         [
@@ -386,9 +401,10 @@ def _yield_product_sums_by_lag(
 def _arrange_by_revolution_and_probe(
     values: np.ndarray, places: RevolutionsAndProbes
 ) -> np.ndarray:
-    """Return values (n, ...) as a table (revolutions, probes, ...), 0 without a value.
+    """Return values (n, ...) as a table (revolutions, probes, ...), with 0 for a missing value.
 
-    Rows begin at the first revolution in ``places``, the values' revolutions and probes.
+    ``places`` are each value's revolution index and probe index, two arrays (n,). The first
+    row of the table is the first revolution with a value.
     """
     revolution_indices, probe_indices = places[0] - places[0].min(), places[1]
     value_table = np.zeros(
@@ -406,7 +422,8 @@ def fit_noise_by_reweighting(
 ) -> StudentNoise:
     """Fit weights of arrivals, in turns with the residuals of a fit.
 
-    The rounds end with changes below 0.01, or after 30 rounds.
+    A round fits with the weights, and finds new weights from the residuals. The rounds end if no
+    weight changes by 0.01, and no residual by 0.01 times the scale; or after 30 rounds.
 
     Parameters
     ----------
@@ -449,7 +466,9 @@ def find_least_squares_residuals(
     upper_bounds: Sequence[float] | np.ndarray,
     min_squares_reduction: float = WEIGHTING_TOLERANCE,
 ) -> np.ndarray:
-    """Minimise a sum of squares from zero unknowns, and return the residuals (n,).
+    """Minimise a sum of squares, and return the residuals (n,) at the solution.
+
+    The search begins with all unknowns 0.
 
     Parameters
     ----------

@@ -46,7 +46,7 @@ A group and its neighbours share the size ratio of omitted harmonics.
 
 @dataclass(frozen=True, repr=False)
 class TipTrack(HarmonicFit):
-    """Hold harmonics at a known engine order, revolution by revolution.
+    """Hold harmonics at a known engine order in n successive groups of revolutions.
 
     Attributes
     ----------
@@ -55,18 +55,19 @@ class TipTrack(HarmonicFit):
     speed : (n,) [rad/s]
         Mean speed of each group of revolutions.
     multiples : (K,)
-        Harmonics, as in :class:`TipFit`.
+        Fitted harmonics, as multiples of the load's frequency.
     coefficients : (n, 2K+1) [m]
-        a0, a1, b1, ....
+        Constant, and cosine and sine coefficients of the harmonics: a0, a1, b1, ....
     amplitudes, amplitude_errors : (n, K) [m]
-        Amplitudes with standard errors. Both are nan if too many arrivals are missing; errors also
-        without a spare arrival, or with two or fewer degrees of freedom in all.
+        Amplitudes with standard errors. Both are nan in a group with too few arrivals. Errors are
+        also nan with as many unknowns as arrivals, or two or fewer degrees of freedom in all.
     misfit : float
-        Probability that chance correlates residuals as much between revolutions. If it is tiny,
-        harmonics are missing, and folded onto the fitted ones. nan without more probes than
-        unknowns, since anything then fits.
+        Probability of residuals as correlated between revolutions by chance. If tiny,
+        harmonics outside the fit change the fitted ones. nan without more probes than unknowns,
+        since everything then fits.
     folded : float
-        As in :class:`TipFit`, for the groups with the largest amplitude of a harmonic.
+        Probability that harmonics outside the fit change an amplitude by over three standard
+        errors. For each harmonic, the group with the largest amplitude counts. nan if unknown.
     """
 
     order: float
@@ -82,8 +83,9 @@ class TipTrack(HarmonicFit):
     def in_doubt(self) -> bool:
         """True if a test of the fit fails, or cannot be made.
 
-        A misfit has a probability below 0.001, or omitted harmonics may shift an amplitude. A
-        probability is nan without a test, for instance with as many unknowns as probes.
+        A test fails if ``misfit`` is below 0.001, or harmonics outside the fit may have changed an
+        amplitude (:attr:`may_be_folded`). A test cannot be made if ``misfit`` or ``folded`` is nan,
+        for instance with as many unknowns as probes.
         """
         is_chance_unknown = np.isnan([self.misfit, self.folded])
         return self.does_not_fit or self.may_be_folded or bool(np.any(is_chance_unknown))
@@ -127,30 +129,37 @@ def track_order(
 ) -> TipTrack:
     """Fit the harmonics of a known engine order in a run-up.
 
-    :func:`fit_order` with one candidate is applied to groups of ``revolutions`` revolutions. A
-    vibration with twice the load's period and an odd order needs two or more revolutions. Linear
-    changes within a group are subtracted. The errors include the uncertain position of the fit
-    within the group. Differences between residuals of neighbouring fits give the variance of an
-    arrival.
+    Each group of ``revolutions`` successive revolutions is fitted, as by :func:`fit_order` with one
+    order. If the response has twice the load's period and the order is odd, a group needs two or
+    more revolutions. Linear changes of the vibration within a group are subtracted. A
+    fit may not describe the middle of the group; the errors include this. Differences between
+    residuals of neighbouring groups give the variance of an arrival.
 
-    Residuals that repeat are a misfit by omitted harmonics. As in :func:`fit_order`, omitted
-    harmonics are further unknowns, here with the same ratio to the vibration in neighbouring fits.
-    If they are significant, the standard errors include their folding; otherwise ``folded`` is the
-    risk.
+    Harmonics outside the fit change the fitted ones, and leave repeated residuals. As in
+    :func:`fit_order`, such harmonics are further unknowns. Here they have the same ratio to the
+    vibration in neighbouring groups. If they are significant, the standard errors include the
+    change. Otherwise ``folded`` is the probability of a large change.
 
     Parameters
     ----------
-    arrivals, harmonics, subharmonic, angle_deviation
-        As in :func:`fit_order`.
+    arrivals : ArrivalTimes
+        Arrivals in a run-up or run-down.
     order : float
         Periods of the load in a revolution.
+    harmonics : int
+        Number of fitted harmonics.
+    subharmonic : int
+        Response period divided by the load's period. For 2, harmonics are 1/2, 1, ... times the
+        load's frequency.
     revolutions : int
-        Number of revolutions in each fit.
+        Number of revolutions in each group.
+    angle_deviation : float [rad]
+        Probe angles' standard deviation, the same in every revolution.
 
     Returns
     -------
     TipTrack
-        Amplitudes and phases with standard errors, and the speed of each fit.
+        Amplitudes and phases with standard errors, and the speed of each group.
 
     Raises
     ------
@@ -248,7 +257,7 @@ def _fit_samples_by_group(
     fitted_groups : (k,)
         Indices for groups with enough arrivals.
     variance, freedom : float [m^2], int
-        Displacement variance, and its degrees of freedom.
+        A measured displacement's variance, and the degrees of freedom.
 
     Returns
     -------
@@ -288,16 +297,17 @@ def _find_coefficients_and_covariances(
     sample_fit_by_group : dict
         Samples and fits by group index.
     n_arrivals, coefficient_changes : (n,), (n, 2K+1) [m]
-        Arrivals in each group, and changes by :func:`_subtract_linear_changes`.
+        Number of arrivals in each group, and the coefficients' change between the group's middle
+        and its arrivals' middle (:func:`_subtract_linear_changes`).
     freedom : int
-        Degrees of freedom of the displacement variance.
+        Degrees of freedom of the variance of a measured displacement.
 
     Returns
     -------
     coefficients : (n, 2K+1) [m]
         a0, a1, b1, ....
     covariances : (n, 2K+1, 2K+1) [m^2]
-        Covariances of the coefficients; nan also without a spare arrival.
+        Covariances of the coefficients; also nan with as many unknowns as arrivals.
     """
     coefficients = np.full(coefficient_changes.shape, np.nan)
     n_unknowns = coefficient_changes.shape[1]
@@ -330,9 +340,10 @@ def _subtract_linear_changes(
     Parameters
     ----------
     displacements, group_positions : (n, m)
-        Displacements [m], and arrivals' distances behind the group's middle, in group lengths.
+        Displacements [m], and each arrival's position in the group: -1/2 at the group's begin, 1/2
+        at its end.
     column_pseudoinverses, wave_columns : (n, 2K+1, m), (n, m, 2K+1)
-        Pseudoinverses of the columns, and columns of the fits.
+        The fits' derivatives by the coefficients (``wave_columns``), and their pseudoinverses.
     fitted_groups : (k,)
         Indices for groups with enough arrivals.
 
@@ -360,11 +371,12 @@ def _subtract_linear_changes(
 def _refit_groups_with_omitted_harmonics(
     sample_fit_by_group: dict[int, tuple[Sample, OrderFit]],
 ) -> dict[int, tuple[Sample, OrderFit]]:
-    """Repeat the fits of all groups with omitted harmonics.
+    """Repeat the fits of all groups with omitted harmonics as further unknowns.
 
-    The size of omitted harmonics, relative to the vibration, is the likeliest in a group and 16
-    neighbours on either side: few probes in one group do not determine the size. Neighbours with
-    wrong arrivals do not count.
+    ``sample_fit_by_group`` and the result have displacements and fit by group index. The size of
+    omitted harmonics, relative to the vibration, is the likeliest in a group and 16 neighbours on
+    either side: few probes in one group do not determine the size. Neighbours with wrong arrivals,
+    and so with large residuals, do not count.
     """
     costs_and_fits_of_groups = [
         sample.list_costs_and_fits_by_omitted_size(
@@ -407,23 +419,23 @@ def _estimate_variance_and_freedom(
 ) -> tuple[float, int]:
     """Estimate the variance of an arrival from the residuals of groups.
 
-    The variance follows from differences between neighbouring groups, and wrong arrivals hardly
-    change it. Without differences, it is the mean square per degree of freedom; 1 without degrees
-    of freedom.
+    The variance follows from differences between the residuals of neighbouring groups. Wrong
+    arrivals hardly change it. Without two usable neighbours, the variance is the sum of squared
+    residuals divided by the degrees of freedom; 1 without degrees of freedom.
 
     Parameters
     ----------
     residuals, has_arrival : (n, m) [m]
-        Residuals in n groups, and True for an arrival.
+        Residuals in n groups with up to m arrivals, and True for an arrival.
     freedoms : (n,)
-        Arrivals less unknowns of each group.
+        Number of arrivals less number of unknowns in each group.
 
     Returns
     -------
     variance : float [m^2]
-        Displacement variance.
+        A measured displacement's variance.
     freedom : int
-        Degrees of freedom of the variance; 0 without differences.
+        Degrees of freedom of the variance; 0 without two usable neighbours.
     """
     total_freedom, has_arrival_pair = freedoms.sum(), has_arrival[1:] & has_arrival[:-1]
     freedoms = np.minimum(freedoms[1:], freedoms[:-1])
@@ -439,9 +451,9 @@ def _estimate_variance_and_freedom(
 
 
 def _estimate_quartile_variance(residual_square_sums: np.ndarray, freedoms: np.ndarray) -> float:
-    """Estimate a variance from the lower quartile of sums of squares.
+    """Estimate a variance from the lower quartile of sums of squared residuals.
 
-    ``residual_square_sums`` (n,) have degrees of freedom ``freedoms`` (n,). Nearly three quarters
-    of the sums may have wrong arrivals.
+    ``residual_square_sums`` (n,) have degrees of freedom ``freedoms`` (n,). The quartile stays
+    right even if nearly three quarters of the sums contain wrong arrivals.
     """
     return float(np.quantile(residual_square_sums / chdtri(freedoms, 0.75), 0.25))

@@ -59,7 +59,7 @@ s = d ln w_n / d ln W is the stiffening of a blade by rotation.
 
 
 class Run:
-    """Hold revolutions of a record with speeds near a resonance.
+    """Hold successive revolutions during a passage through a resonance.
 
     Arrays have the shape (R, P), for R revolutions and P probes.
 
@@ -70,7 +70,7 @@ class Run:
     displacements : (revolutions, probes) [m]
         Displacements in the whole record, without the vibrations found before.
     begin_revolution, end_revolution : int
-        First revolution, and the one after the last.
+        Row of the first revolution, and of the revolution after the last.
     """
 
     def __init__(
@@ -98,9 +98,17 @@ class Run:
         return int(self.has_arrival.any(axis=0).sum())
 
     def compute_waves(self, order: float, poles: np.ndarray) -> np.ndarray:
-        """Return waves a(t) exp(i p alpha) at the arrivals for F = 1: (m, R, P) complex.
+        """Return waves a(t) exp(i p alpha) at the arrivals: (m, R, P) complex.
 
-        ``order`` is p; ``poles`` (m,) [1/s] are values of lambda at equal distances.
+        a is the envelope of a mode's motion under the force amplitude F = 1, and alpha the rotor
+        angle.
+
+        Parameters
+        ----------
+        order : float
+            Engine order p.
+        poles : (m,) complex [1/s]
+            Poles lambda of m modes, at equal distances.
         """
         column_poles = poles[:, None]
         steady_responses = 1.0 / (1j * order * self._expected_speeds - column_poles)
@@ -122,10 +130,11 @@ class Run:
         return np.asarray(self.compute_waves(mode.order, np.array([mode.pole]))[0])
 
     def compute_wave_and_slope(self, mode: Mode) -> np.ndarray:
-        """Return a mode's wave a(t) exp(i p alpha), and the slope: (2, R, P) complex.
+        """Return a mode's wave a(t) exp(i p alpha), then its slope: (2, R, P) complex.
 
-        The force amplitude is F = 1. The slope is the derivative by ln lambda, with the factor zeta
-        w_n held constant.
+        a is the envelope for the force amplitude F = 1, p the order, alpha the rotor angle. The
+        slope is the wave's derivative by ln lambda, with the pole lambda; the factor zeta w_n in
+        the equation of motion is held constant.
         """
         order, mode_pole = mode.order, mode.pole
         steady_responses = 1.0 / (1j * order * self._expected_speeds - mode_pole)
@@ -153,25 +162,27 @@ class Run:
     def _yield_growths(
         self, order: float, poles: np.ndarray
     ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-        """Yield the growth exp(i p alpha - lambda t) at the expected arrivals, in parts.
+        """Yield the growth exp(i p alpha - lambda t) at the expected arrivals, part by part.
 
-        A blade without vibration arrives at the expected times. In a part the growth stays below
-        about e^300. With stiffening, alpha and t are multiplied by 1 - s, with s at the
-        speed at which ``order`` p excites the mean frequency of ``poles``.
+        A blade without vibration arrives at the expected times. The record is divided so that the
+        growth in a part stays below about e^300. With a stiffening s, alpha and t are multiplied by
+        1 - s. The value of s belongs to the mean frequency of ``poles``, and the speed at which
+        order p excites it.
 
         Parameters
         ----------
         order, poles : float, (m,) [1/s]
-            Order p, and values of lambda at equal distances.
+            Order p, and values of the pole lambda at equal distances.
 
         Yields
         ------
         part_slice : slice
-            Part of the R P arrivals; it begins with the last arrival of the previous part.
+            Positions of a part among the R P arrivals. Except in the first part, the first position
+            is the last one of the previous part.
         durations : (n,) [s]
-            Times since the begin of the part, multiplied by 1 - s.
+            Times since the part's first arrival, multiplied by 1 - s.
         growths : (m, n) complex
-            The growth since the begin of the part, for each pole.
+            The growth since the part's first arrival, for each pole.
         """
         omega = float(np.abs(poles).mean())
         angles_and_times = np.stack([self.nominal_angle.ravel(), self.expected_times.ravel()])
@@ -192,8 +203,9 @@ class Run:
     def _compute_orthonormal_drifts(self, sqrt_weights: np.ndarray) -> np.ndarray:
         """Return the drift functions of each probe, weighted and orthonormal: (2, R, P).
 
-        The two functions are a constant and the speed, times ``sqrt_weights`` (R, P), square roots
-        of the arrivals' weights.
+        For each probe, a constant and a linear function of the speed are multiplied by
+        ``sqrt_weights`` (R, P), square roots of the arrivals' weights. Then both are made
+        orthonormal.
         """
         drifts = np.stack([sqrt_weights, sqrt_weights * self.scaled_speed[:, None]])
         constant_drift, slope_drift = drifts
@@ -207,8 +219,8 @@ class Run:
     def subtract_weighted_drifts(self, waves: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Subtract each probe's drift from waves, and multiply by square roots of weights.
 
-        The drift is a constant and a slope over the speed, fitted with ``weights`` (R, P). Waves
-        and result are (m, R, P) or (R, P).
+        The drift at a probe is a constant and a slope over the speed, fitted with the arrivals'
+        ``weights`` (R, P). The waves and the result have the shape (m, R, P) or (R, P).
         """
         sqrt_weights = np.sqrt(weights)
         weighted_residuals = sqrt_weights * waves
@@ -219,7 +231,9 @@ class Run:
     def build_equations_by_probe(
         self, wave: np.ndarray, weights: np.ndarray
     ) -> tuple[np.ndarray, ...]:
-        """Return normal equations for a wave with any amplitude and phase at each probe.
+        """Return the least-squares equations for a wave's amplitude at each probe.
+
+        The displacements at each probe are fitted by the wave with any amplitude and phase.
 
         Parameters
         ----------
@@ -229,10 +243,10 @@ class Run:
         Returns
         -------
         matrices, vectors : (P, 2, 2), (P, 2)
-            Equations for real and imaginary part of the amplitude at each probe.
+            Normal equations for real and imaginary part of each probe's complex amplitude.
         wave_parts, weighted_displacements : (2, R, P), (R, P)
-            Real and negative imaginary part of the wave, and displacements; weighted and without
-            drifts.
+            Real and negative imaginary part of the wave, and the displacements. Both are without
+            drifts, times the square roots of the weights.
         """
         waves_and_values = np.stack([wave.real, -wave.imag, self.displacements])
         *wave_parts, weighted_displacements = self.subtract_weighted_drifts(
@@ -249,10 +263,18 @@ class Run:
     def compute_squares_reductions(
         self, orders: np.ndarray, pole_rows: np.ndarray, weights: np.ndarray
     ) -> np.ndarray:
-        """Return reductions in the sum of squares by single modes: (n, m) [m^2].
+        """Return how much single modes reduce the sum of squared residuals: (n, m) [m^2].
 
-        Modes have orders (n,) and poles lambda (n, m) [1/s], equidistant in a row; the force is
-        fitted. ``weights`` (R, P) belong to the arrivals.
+        The amplitude and phase of the force on each mode are fitted.
+
+        Parameters
+        ----------
+        orders : (n,)
+            Engine orders.
+        pole_rows : (n, m) complex [1/s]
+            Poles lambda of m trial modes for each order, equidistant in a row.
+        weights : (R, P)
+            Arrival weights.
         """
         sqrt_weights, weight_vector, reductions = np.sqrt(weights), weights.ravel(), []
         weighted_drifts = sqrt_weights * self._compute_orthonormal_drifts(sqrt_weights)
@@ -279,17 +301,21 @@ class Run:
 
 @dataclass(frozen=True)
 class Record:
-    """Hold arrivals, and the stiffening s(speed, natural frequency) by rotation."""
+    """Hold arrivals, and the stiffening function of the blade.
+
+    ``stiffening`` is s(speed, natural frequency), both in rad/s, with s = d ln w_n / d ln W for the
+    natural frequency w_n and the speed W.
+    """
 
     arrivals: ArrivalTimes
     stiffening: StiffeningFunction
 
     def find_runs(self, displacements: np.ndarray, speed: float) -> list[Run]:
-        """Return the runs through a speed [rad/s]; an empty list without one.
+        """Return the runs through a speed [rad/s]; an empty list without any.
 
-        A run has 10 revolutions or more within 3.5 % of the speed, on both sides. A gap of over 10
-        revolutions begins a new run. Probes with fewer than 10 arrivals in a run are left out.
-        ``displacements`` are (revolutions, probes) [m].
+        A run has 10 or more revolutions within 3.5 % of the speed, and passes the speed. A gap of
+        over 10 revolutions begins a new run. Probes with fewer than 10 arrivals in a run do not
+        count in this run. ``displacements`` are (revolutions, probes) [m].
         """
         relative_offsets = self.arrivals.speed / speed - 1.0
         near_rows = np.flatnonzero(np.abs(relative_offsets) < RELATIVE_SPEED_HALF_WIDTH)
@@ -311,8 +337,8 @@ class Record:
 def make_stiffening_function(stiffening: float | StiffeningFunction) -> StiffeningFunction:
     """Return the stiffening s as a function of speed and natural frequency [rad/s].
 
-    A number holds at all speeds; InputError outside -0.9 to 0.9. Values of a function are clipped
-    to this range; InputError for nan.
+    A number holds at all speeds; InputError unless from -0.9 to 0.9. Values of a function are
+    clipped to this range; InputError if a value is nan.
     """
     if callable(stiffening):
 
@@ -363,9 +389,9 @@ class Mode:
         return self.omega / self.order
 
     def with_step(self, step: np.ndarray) -> Mode:
-        """Return the mode after a step in frequency and damping.
+        """Return the mode after a step in natural frequency w_n and damping ratio zeta.
 
-        ``step`` (2,) has the change of ln w_n over zeta, and the change of ln zeta.
+        ``step`` (2,) has two changes: of ln w_n, divided by zeta; and of ln zeta.
         """
         omega = self.omega * math.exp(self.damping_ratio * step[0])
         return Mode(
@@ -373,26 +399,26 @@ class Mode:
         )
 
     def find_step_to(self, omega: float, damping_ratio: float) -> list[float]:
-        """Return the step to a natural frequency [rad/s] and a damping ratio.
+        """Return the step to a natural frequency ``omega`` [rad/s] and a damping ratio.
 
-        The two numbers are an argument for :meth:`with_step`.
+        The result is the argument ``step`` of :meth:`with_step`.
         """
         frequency_step = math.log(omega / self.omega) / self.damping_ratio
         return [frequency_step, math.log(damping_ratio / self.damping_ratio)]
 
 
 class Fit:
-    """Fit frequencies and dampings by least squares, in turns with weights.
+    """Fit frequencies and damping ratios of modes, in turns with the arrivals' weights.
 
-    The displacement is linear in forces and drifts: they are fitted anew for each trial of
-    frequencies and dampings (variable projection).
+    The displacement is linear in the forces and the probes' drifts. Both are fitted anew for all
+    trial frequencies and damping ratios (variable projection).
 
     Parameters
     ----------
     runs : sequence of Run
         Runs with common modes; each run has separate forces and drifts.
     modes : sequence of Mode
-        Initial modes, at most two neighbours in a comparison, or more in a final fit.
+        Initial modes, all fitted jointly.
     weights : sequence of (R, P)
         Initial arrival weights in each run.
 
@@ -401,9 +427,9 @@ class Fit:
     modes : tuple of Mode
         Fitted modes.
     forces : (modes, runs) complex [m]
-        Amplitudes F.
+        Load amplitude F on each mode in each run.
     noise : StudentNoise
-        Residuals and their weights.
+        Residuals of all arrivals, and their weights.
     """
 
     def __init__(
@@ -424,9 +450,9 @@ class Fit:
         )
 
     def _refit_modes_and_return_residuals(self, weights: np.ndarray) -> np.ndarray:
-        """Fit with fixed weights (n,) of the arrivals, and return the residuals (n,) [m].
+        """Fit the modes with fixed weights (n,) of the arrivals, and return residuals (n,) [m].
 
-        Changes the attributes ``modes`` and ``forces``.
+        The fitted values are the attributes ``modes`` and ``forces``.
         """
         initial_modes, run_weights = self.modes, self._split_by_run(weights)
         step_bounds = [
@@ -458,24 +484,25 @@ class Fit:
         ) / np.sqrt(weights)
 
     def _list_waves_and_slopes(self, modes: tuple[Mode, ...]) -> list[np.ndarray]:
-        """Return waves and slopes of all modes in each run: (2 modes, R, P).
+        """Return the waves and slopes of all modes in each run: (2 modes, R, P) complex.
 
-        :meth:`Run.compute_wave_and_slope` computes each pair.
+        Each mode has two entries in turn, from :meth:`Run.compute_wave_and_slope`.
         """
         return [np.concatenate([*map(run.compute_wave_and_slope, modes)]) for run in self._runs]
 
     def _fit_forces_and_return_residuals(
         self, weights: Sequence[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Fit the forces of the present modes by linear least squares.
+        """Fit the forces on the modes in the attribute ``modes`` by linear least squares.
 
-        ``weights`` has (R, P) of the arrivals for each run. Sets the attribute ``forces``.
+        ``weights`` has the arrivals' weights (R, P) for each run. Sets the attribute ``forces``.
 
         Returns
         -------
-        residuals, slopes : (n,), (n, m)
-            Residuals [m], and derivatives by ln w_n and ln zeta for each mode; times square roots
-            of weights.
+        residuals : (n,) [m]
+            Residuals of all arrivals, times square roots of the weights.
+        slopes : (n, m) [m]
+            Derivatives of the residuals by ln w_n and ln zeta for each mode in turn.
         """
         run_forces, residual_blocks = [], []
         log_pole_slopes = np.array([(1.0, mode.pole.real / mode.pole) for mode in self.modes])
@@ -517,7 +544,7 @@ class Fit:
         return residual_columns[:, 0], residual_columns[:, 1:]
 
     def _split_by_run(self, values: np.ndarray) -> list[np.ndarray]:
-        """Split values (n,) of the arrivals by run: (R, P) each, 0 without an arrival."""
+        """Split values (n,) of all arrivals by run: (R, P) for each run, 0 without an arrival."""
         split_indices = np.cumsum([int(run.has_arrival.sum()) for run in self._runs])[:-1]
         run_arrays = [np.zeros(run.nominal_angle.shape) for run in self._runs]
         for run_array, run, arrival_values in zip(
@@ -565,10 +592,10 @@ class Fit:
 
     @cached_property
     def motions(self) -> list[np.ndarray]:
-        """Displacements by each mode in the whole record: (revolutions, probes) [m].
+        """Displacements by each mode in the whole record: (revolutions, probes) [m] for each.
 
-        The fit has a motion for each run, the consecutive revolutions near a resonance. Each motion
-        is continued beyond its run, halfway to the next one.
+        In a run, the consecutive revolutions near a resonance, the motion has the fitted force.
+        Outside the runs, the motion of the nearest run is continued halfway to the next run.
         """
         record = self._runs[0].record
         halfway_revolutions = [
@@ -593,9 +620,9 @@ class Fit:
 
     @property
     def whiteness_p_value(self) -> float:
-        """Probability that errors of arrivals and marks alone correlate residuals.
+        """Probability of correlated residuals by errors in arrivals and shaft marks alone.
 
-        :meth:`StudentNoise.compute_whiteness_p_value` computes it; nan without a test.
+        A small probability means another vibration or drift in the residuals; nan without a test.
         """
         mark_numbers = np.arange(-4.0, 6.0)  # farther marks hardly change the angle's spline
         mark_shares = interpolate_by_splines(
@@ -614,10 +641,10 @@ class Fit:
     def blind_probe_indices(self) -> np.ndarray:
         """Indices (n,) of probes that do not measure the blade's vibration.
 
-        Their pulses have another source. A vibration of any phase is fitted at each probe, in units
-        of the first mode's motion. Blind probes are a minority with less than half the median
-        in-phase amplitude. Their amplitudes are over five times farther from the median than all
-        others.
+        A vibration of any phase is fitted at each probe, relative to the first mode's motion.
+        Probes with less than half the median in-phase amplitude are blind under two conditions.
+        They are a minority. The amplitudes differ from the median over five
+        times more than all others.
         """
         n_probes = self._runs[0].nominal_angle.shape[1]
         matrices, vectors = np.zeros((n_probes, 2, 2)), np.zeros((n_probes, 2))
