@@ -152,8 +152,8 @@ def find_lines_and_residuals(
     constant_numbers : (revolutions, probes) int
         Index of the constant for each displacement; equal for displacements with a common constant.
     max_order : float
-        The search ends 1 above ``max_order`` or 24, whichever is larger. It begins
-        at order 1/2. An order is a frequency divided by the mean speed.
+        Frequencies from half the mean speed are searched. The upper bound is ``max_order`` + 1 or
+        25, whichever is larger, times the mean speed.
     max_lines : int
         Maximum number of vibrations.
 

@@ -272,7 +272,7 @@ class OrderFit:
     covariance : (2K+1, 2K+1) [m^2]
         Coefficient covariance.
     sum_of_squares : float
-        Sum of squared residuals, in units of the standard deviation.
+        Sum of squared residuals, each in units of the standard deviation.
     residual_per_error : (g,)
         Residual by an error of 1 in the measured displacement: 1 + u' / R, with tip radius R and
         u' = du / d alpha. The measured displacement also gives the rotor angle alpha, at which the
@@ -543,7 +543,7 @@ class Sample:
         Parameters
         ----------
         residual_square_sum : float
-            Sum of squared residuals, in units of the assumed standard deviation.
+            Sum of squared residuals, each in units of the assumed standard deviation.
         n_unknowns : int
             Number of fitted coefficients.
 
@@ -576,8 +576,8 @@ class Sample:
 class ProbeMeans(Sample):
     """Hold each probe's mean displacements over the revolutions, with their covariance.
 
-    A probe has one mean for each revolution of the period, then the motion repeats. There
-    are g means in all.
+    The motion repeats after a period in revolutions. A probe has a mean for each revolution in
+    this period: g means in all.
 
     Parameters
     ----------
@@ -587,7 +587,7 @@ class ProbeMeans(Sample):
         Revolutions after which a probe sees the same motion again.
     max_order : float
         Largest candidate order. Vibrations at no engine order are searched, too, at frequencies up
-        to the speed times this order plus 1, or times 25 if larger.
+        to the speed times this order + 1, or times 25 if larger.
     angle_deviation : float [rad]
         Probe angles' standard deviation.
     line_displacement_changes : (revolutions, probes) [m]

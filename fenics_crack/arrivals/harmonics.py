@@ -142,8 +142,8 @@ class TipFit(HarmonicFit):
     candidates : Candidates
         Candidate orders.
     spare : int
-        Probe means less unknowns, as a count; for :func:`fit_frequency`, arrivals less
-        unknowns. With 0, nothing tests the order or the number of harmonics.
+        Number of probe means less number of unknowns. For :func:`fit_frequency`, number of arrivals
+        less number of unknowns. With 0, nothing tests the order or the number of harmonics.
     asynchronous : tuple of TipFit
         Vibrations at no engine order, found in the same arrivals.
     folded : float

@@ -66,8 +66,8 @@ class PassageFit(Tabular):
     amplitude : float [m]
         Largest vibration amplitude in the passages.
     forces : (passages,) complex [m]
-        Load of each passage, stated as the complex amplitude F of the vibration if the
-        rotor stayed at the resonance.
+        Load of each passage, stated as a complex vibration amplitude F. The blade would reach
+        this amplitude if the rotor stayed at the resonance.
     ends : (passages, 2) int
         First revolution of each passage, and the one after the last, counted from 0.
     omegas, omega_errors : (passages,) [rad/s]
@@ -79,8 +79,8 @@ class PassageFit(Tabular):
     margins : (n,)
         Each candidate order's -2 log likelihood, less the best order's. With a
         neighbouring resonance in the fitted speeds, each order is combined with the neighbour's
-        best order. Two two may be the same vibration if one lies within the other's width. The
-        second resonance's order then has the margin 0, too.
+        best order. Two resonances may be the same vibration if one lies within the other's
+        width. The second resonance's order then has the margin 0, too.
     probes : int
         Number of probes with arrivals.
     scatter : float [m]
@@ -131,7 +131,7 @@ class PassageFit(Tabular):
     def margin(self) -> float:
         """Difference in -2 log likelihood between the second best order and the best.
 
-        With a large margin, all further orders are unlikely; inf for a single candidate order.
+        With a large margin, all other orders are unlikely; inf for a single candidate order.
         """
         return float(np.min(self.margins[self.orders != self.order], initial=np.inf))
 

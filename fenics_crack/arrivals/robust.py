@@ -49,8 +49,8 @@ class ConfidenceLevels:
     misfit_significance_level : float
         The model is wrong if residuals as large have a lower probability than this.
     misfit_errors_significance_level : float
-        Standard errors follow from the misfit if its probability is below this. Otherwise from the
-        scatter.
+        Standard errors follow from the misfit if its probability is below this. Otherwise the
+        errors follow from the scatter.
     allowed_standard_errors : float
         Number of standard deviations within which candidates fit equally well, and a correlation
         is insignificant.

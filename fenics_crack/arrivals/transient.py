@@ -643,8 +643,8 @@ class Fit:
 
         A vibration of any phase is fitted at each probe, relative to the first mode's motion.
         Probes with less than half the median in-phase amplitude are blind under two conditions.
-        They are a minority. The amplitudes differ from the median over five
-        times more than all others.
+        Such probes are a minority, and differ from the median amplitude over five times more than
+        all other probes.
         """
         n_probes = self._runs[0].nominal_angle.shape[1]
         matrices, vectors = np.zeros((n_probes, 2, 2)), np.zeros((n_probes, 2))

@@ -123,7 +123,7 @@ class SectorNumbering:
             same number.
         (n_wheel,) int
             For each number in the wheel, a member, the owner: sector times n, plus the position
-             in the sector.
+            in the sector.
         """
         all_members = np.arange(n_sectors * len(self.member_positions)).reshape(n_sectors, -1)
         owner_sectors = (np.arange(n_sectors)[:, None] + self.belongs_to_next_sector) % n_sectors
