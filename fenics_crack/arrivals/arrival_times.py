@@ -203,7 +203,7 @@ class ArrivalTimes(Tabular):
         )
 
     def check_places(self, angle_deviation: float) -> None:
-        """Check that each probe's arrivals belong to the probe's angle and to their row.
+        """Check that each probe's arrivals belong to the probe's angle and to the stated row.
 
         The check compares the median arrival angle at each probe with the probe's angle. A
         difference common to all probes is allowed.
@@ -211,7 +211,7 @@ class ArrivalTimes(Tabular):
         Parameters
         ----------
         angle_deviation : float [rad]
-            Probe angles' standard deviation. It does not enter the comparison, but must be >= 0.
+            Probe angles' standard deviation. Not used in the comparison, but must be >= 0.
 
         Raises
         ------
@@ -267,8 +267,8 @@ class ArrivalTimes(Tabular):
     def zeroed(self, begin: int, end: int) -> Self:
         """Return arrivals whose median displacement is zero in revolutions without vibration.
 
-        These revolutions are the rows begin to end - 1, counted from 0. Each probe's angle is
-        reduced by its median displacement in these rows, divided by the tip radius. The times stay.
+        They are the rows begin to end - 1, counted from 0. Each probe's angle is
+        reduced by the median displacement there, divided by the tip radius. The times stay.
         """
         median_displacements = np.nanmedian(
             self.between(begin, end).displacement[begin:end], axis=0
@@ -276,7 +276,7 @@ class ArrivalTimes(Tabular):
         return replace(self, probes=self.probes - median_displacements / self.tip_radius)
 
     def between(self, begin: int, end: int) -> Self:
-        """Return a copy that keeps only the arrivals in rows begin to end - 1.
+        """Return a copy with only the arrivals in rows begin to end - 1.
 
         Rows are counted from 0. The number of rows stays: times in all other rows become nan.
         """
@@ -397,7 +397,7 @@ def find_mark_angles(first_revolution: int, n_marks: int) -> np.ndarray:
 def interpolate_by_splines(knots: np.ndarray, values: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Interpolate values (n, ...) at increasing knots (n,) by cubic splines.
 
-    Returns the interpolated values at ``points``, any shape; nan at a point that is nan.
+    Returns the interpolated values at ``points``, any shape; nan at a point nan.
     """
     from scipy.interpolate import CubicSpline  # takes longer than to read the arrivals
 
@@ -410,7 +410,7 @@ def smooth_series(values: np.ndarray) -> np.ndarray:
     Each value is replaced by a quadratic fitted to 2 h + 1 values around it (Savitzky and Golay,
     Analytical Chemistry 36, 1964, 1627). The half width h is 0, 2, 4, 8, ...: the one with the
     least expected error, by Stein's estimate (Annals of Statistics 9, 1981, 1135). The estimate
-    needs the variance of a value's error, which follows from fourth differences of the series.
+    needs the variance of a value's error, from fourth differences of the series.
     Fewer than 10 values are returned unchanged.
     """
     if len(values) < MIN_REVOLUTIONS_FOR_SPEED_OR_RESONANCE:
@@ -658,7 +658,7 @@ def read_record(
         Distance between the blade tips and the axis.
     probes : (n_probes,) [rad], or a mapping
         Angles from the blade tip to the probes, when the shaft is at a mark. A mapping has an array
-        of these angles by blade number. Default: the median arrival angle at each probe.
+        of angles by blade number. Default: the median arrival angle at each probe.
         Displacements are then relative to the median position of the tip.
 
     Returns
@@ -726,7 +726,7 @@ def has_probe_angles(path: str | Path) -> bool:
     """Return True if a file of arrivals has the angles of its probes.
 
     Only a file with a row for each passage has the angles, in the column "angle [rad]". For other
-    files, :func:`read_record` takes the angles from its argument ``probes``. Without this argument,
+    files, :func:`read_record` takes the angles from the argument ``probes``. Without this argument,
     it takes the median arrival angles.
     """
     return REQUIRED_ARRIVAL_COLUMN_NAMES[1] in _read_headings_and_number_table(path)[0]
@@ -825,7 +825,7 @@ def _find_unit_factor(path: str | Path, heading: str, factor_by_unit: dict[str, 
 def _check_revolution_numbers(path: str | Path, revolution_numbers: np.ndarray) -> np.ndarray:
     """Return a record's revolution numbers (rows,) as integers.
 
-    InputError, which names the file's ``path``, unless they are whole, >= 0 and increasing. The
+    InputError, with the file's ``path``, unless they are whole, >= 0 and increasing. The
     last may exceed the first by at most 1e7.
     """
     are_whole_numbers = (
@@ -911,7 +911,7 @@ def _read_arrival_angles(
     revolution_numbers : (rows,)
         Revolution number for each row.
     marks : (revolutions + 1,) [s]
-        Times of the shaft's mark.
+        The shaft's mark times.
     """
     if "[s]" not in heading:
         angles = column * _find_unit_factor(path, heading, RAD_BY_ANGLE_UNIT)
@@ -941,7 +941,7 @@ def _build_arrivals(
     angles : (revolutions, probes) [rad]
         Rotor angles from the mark to the arrival; nan for a missed passage. Changed in place.
     marks : (revolutions + 1,) [s]
-        Times of the shaft's mark.
+        The shaft's mark times.
     tip_radius : float [m]
         Blade tip radius.
     given_probe_angles : (probes,) [rad] or None

@@ -85,7 +85,7 @@ def fit_frequency(
     Returns
     -------
     TipFit
-        Vibration. Its order is the frequency divided by the mean speed: any number, with a
+        Vibration. The order is the frequency divided by the mean speed: any number, with a
         standard error.
 
     Raises
@@ -139,7 +139,7 @@ def find_lines_and_residuals(
 ) -> tuple[tuple[TipFit, ...], np.ndarray]:
     """Find significant vibrations whose frequency is constant while the speed varies.
 
-    Such a vibration is a line in the spectrum. Constant displacements are fitted together with each
+    The vibration is a line in the spectrum. Constant displacements are fitted together with each
     vibration. They absorb vibrations at engine orders if the constants are chosen as follows. After
     n revolutions every probe sees the same motion at these orders; then each probe has n constants.
 
@@ -152,8 +152,8 @@ def find_lines_and_residuals(
     constant_numbers : (revolutions, probes) int
         Index of the constant for each displacement; equal for displacements with a common constant.
     max_order : float
-        The search ends one order above ``max_order`` or above 24, whichever is larger. It begins
-        at order 1/2. An order is a frequency divided by the mean speed.
+        Frequencies from half the mean speed are searched. The upper bound is ``max_order`` + 1 or
+        25, whichever is larger, times the mean speed.
     max_lines : int
         Maximum number of vibrations.
 
@@ -194,7 +194,7 @@ class _FrequencySearch:
     n_harmonics : int
         Number K of harmonics.
     constants_deviation : float [rad]
-        Standard deviation of the constants, divided by the tip radius; inf for free constants.
+        The constants' standard deviation, divided by the tip radius; inf for free constants.
     omega_bounds : (float, float) [rad/s]
         Range of the frequency.
 
@@ -253,7 +253,7 @@ class _FrequencySearch:
         """Set the weight that keeps the constants near their mean.
 
         The weight is (s / d)^2, with the scatter s of displacements, ``displacement_scatter`` [m],
-        and the standard deviation d of the constants. It is 0 for a single constant or free
+        and the constants' standard deviation d. It is 0 for a single constant or free
         constants.
         """
         if self._constant_columns.shape[1] > 1:
@@ -265,9 +265,9 @@ class _FrequencySearch:
         Parameters
         ----------
         values : (n,) or (n, m)
-            One or m values for each of n arrivals; each column has separate constants.
+            One value, or m values, for each of n arrivals; each column has separate constants.
         weights : (n,)
-            Weights of the arrivals.
+            Arrival weights.
 
         Returns
         -------
@@ -370,7 +370,7 @@ class _FrequencySearch:
         fit : TipFit
             The best vibration.
         chance : float
-            Probability that noise alone gives a fitted vibration as significant as this. 1 if the
+            Probability of a fitted vibration as significant in noise alone. 1 if the
             constants could explain the vibration, too (:meth:`_constants_absorb_vibration`).
         """
         weights = self._null_noise.weights
@@ -578,7 +578,7 @@ def _compute_spectrum(
     Parameters
     ----------
     phases, values : (n,) [rad], (n,)
-        Phases, and the values there.
+        Phases, and the values at the phases.
     first_frequency_number, n_frequencies : int
         First number m, and the number of sums.
 

@@ -71,14 +71,14 @@ def fit_order(
     First, each probe's mean over the revolutions is fitted, together with vibrations at no engine
     order (``asynchronous`` in the result). Errors follow Student's t, so that single wrong arrivals
     have hardly any weight. Each candidate order is then fitted to the means. Orders fit equally
-    well if their sum of squared residuals is less than 9 variances above the minimum. Among these,
+    well if their sum of squared residuals is less than 9 variances above the minimum. Among them,
     orders with a vibration more than 20 % larger than the smallest are excluded. The least sum
     wins. The result has the other equally good orders in ``ambiguous``, and orders that these
     probes cannot measure in ``hidden``.
 
     The variance of a mean combines the arrivals' scatter and the probe angle's error. If the means
     differ from the fit by more (F test), the variance follows from these differences. Harmonics
-    above K are not fitted, but may change the fitted ones. If such a change is significant, the
+    above K are not fitted, but may change the fitted ones. If the change is significant, the
     standard errors include it. Otherwise ``folded`` is the probability of a large change.
 
     Parameters
@@ -270,9 +270,9 @@ class OrderFit:
     coefficients : (2K+1,) [m]
         Constant, and cosine and sine coefficients of the harmonics: a0, a1, b1, ....
     covariance : (2K+1, 2K+1) [m^2]
-        Covariance of the coefficients.
+        Coefficient covariance.
     sum_of_squares : float
-        Sum of squared residuals, each divided by its standard deviation.
+        Sum of squared residuals, each in units of the standard deviation.
     residual_per_error : (g,)
         Residual by an error of 1 in the measured displacement: 1 + u' / R, with tip radius R and
         u' = du / d alpha. The measured displacement also gives the rotor angle alpha, at which the
@@ -293,7 +293,7 @@ class Sample:
     Parameters
     ----------
     nominal_angles : (g,) [rad]
-        Rotor angles at which the blade tip without vibration passes the probes.
+        Rotor angles when the blade tip without vibration passes the probes.
     displacements : (g,) [m]
         Displacements.
     covariance : (g, g) [m^2]
@@ -307,7 +307,7 @@ class Sample:
     Attributes
     ----------
     angles : (g,) [rad]
-        Rotor angles at which the displaced blade tip passes the probes.
+        Rotor angles when the displaced blade tip passes the probes.
     """
 
     def __init__(
@@ -370,7 +370,7 @@ class Sample:
     def _whiten_columns_and_values(
         self, columns: np.ndarray, values: np.ndarray, residual_per_error: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Scale equations so that their errors are independent, with variance 1.
+        """Scale equations so that errors are independent, with variance 1.
 
         Each equation is divided by its ``residual_per_error`` (g,). The inverse of the covariance's
         Cholesky factor then multiplies all equations. Given and returned: columns (g, m), the
@@ -381,7 +381,7 @@ class Sample:
         return columns_and_values[:, :-1], columns_and_values[:, -1]
 
     def find_cost_and_fit_with_omitted(self, fit: OrderFit) -> tuple[float, OrderFit]:
-        """Repeat a fit that allows for omitted harmonics, with their likeliest size.
+        """Repeat a fit with the likeliest size of omitted harmonics.
 
         Omitted are the next three harmonics (:data:`N_OMITTED_HARMONICS_TO_FOLD`) above the fitted
         ones. Their coefficients are further unknowns, with the expected value 0 and a standard
@@ -392,7 +392,7 @@ class Sample:
         cost : float
             Restricted -2 log likelihood.
         fit : OrderFit
-            New coefficients and covariance, which includes the errors by omitted harmonics.
+            New coefficients and covariance, with the errors by omitted harmonics.
         """
         costs, fits = self.list_costs_and_fits_by_omitted_size(
             fit, self._list_omitted_harmonic_sizes(fit)
@@ -469,9 +469,9 @@ class Sample:
 
     @property
     def max_allowed_omitted_size(self) -> float:
-        """Maximum trial size [m] of harmonics that are not fitted.
+        """Maximum trial size [m] of harmonics above the fitted ones.
 
-        The trial size is the assumed standard deviation of such a harmonic's coefficients. The
+        The trial size is the assumed standard deviation of a harmonic's coefficients. The
         maximum keeps the normal equations accurate: 1e6 times the smallest diagonal entry of the
         Cholesky factor of ``covariance``.
         """
@@ -487,7 +487,7 @@ class Sample:
         fit : OrderFit
             Fit without omitted harmonics.
         omitted_size_rows : (n, N_OMITTED_HARMONICS_TO_FOLD) [m]
-            Standard deviation of each omitted harmonic's coefficients; their expected value is 0.
+            Standard deviation of each omitted harmonic's coefficients; the expected value is 0.
 
         Returns
         -------
@@ -498,7 +498,7 @@ class Sample:
         covariances : (n, 2K+1, 2K+1) [m^2]
             Covariances for these coefficients.
         residual_square_sums : (n,)
-            Sums of squared residuals and omitted coefficients, each over its standard deviation.
+            Sums of squared residuals and omitted coefficients, over the standard deviations.
         """
         n_unknowns, multiples = len(fit.coefficients), fit.multiples
         omitted_multiples = multiples[-1] + multiples[0] * np.arange(
@@ -543,7 +543,7 @@ class Sample:
         Parameters
         ----------
         residual_square_sum : float
-            Sum of squared residuals, each divided by its assumed standard deviation.
+            Sum of squared residuals, each in units of the assumed standard deviation.
         n_unknowns : int
             Number of fitted coefficients.
 
@@ -552,7 +552,7 @@ class Sample:
         ratio : float
             Estimated variance divided by the assumed variance; inf without degrees of freedom.
         chance : float
-            Probability that residuals are as large by chance; nan without a test.
+            Probability of residuals as large by chance; nan without a test.
         freedom : float
             Degrees of freedom of the estimated variance; inf for a significant misfit (probability
             below 0.01).
@@ -576,8 +576,8 @@ class Sample:
 class ProbeMeans(Sample):
     """Hold each probe's mean displacements over the revolutions, with their covariance.
 
-    A probe has one mean for each revolution of the period, after which the motion repeats. There
-    are g means in all.
+    The motion repeats after a period in revolutions. A probe has a mean for each revolution in
+    this period: g means in all.
 
     Parameters
     ----------
@@ -587,7 +587,7 @@ class ProbeMeans(Sample):
         Revolutions after which a probe sees the same motion again.
     max_order : float
         Largest candidate order. Vibrations at no engine order are searched, too, at frequencies up
-        to the speed times this order plus 1, or times 25 if larger.
+        to the speed times this order + 1, or times 25 if larger.
     angle_deviation : float [rad]
         Probe angles' standard deviation.
     line_displacement_changes : (revolutions, probes) [m]
@@ -599,7 +599,7 @@ class ProbeMeans(Sample):
     scatter : float [m]
         Standard deviation of a displacement from its mean; 1 if every mean has a single arrival.
     displacements, angles : (g,) [m, rad]
-        Means, and rotor angles at which the displaced blade tip passes the probes.
+        Means, and rotor angles when the displaced blade tip passes the probes.
     covariance : (g, g) [m^2]
         Covariance of the means.
     lines : tuple of TipFit
@@ -662,7 +662,7 @@ class ProbeMeans(Sample):
     ) -> np.ndarray:
         """Return how :attr:`lines` change the displacements by an engine order.
 
-        The lines are vibrations with other, constant frequencies. They displace the blade tip, so a
+        The lines are vibrations with constant frequencies. They displace the blade tip, so a
         probe sees it at another rotor angle. There the vibration at the engine order, ``fit``, has
         another displacement. The change is (revolutions, probes) [m].
         """

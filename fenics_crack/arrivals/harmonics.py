@@ -39,7 +39,7 @@ class Candidates(Tabular):
         Condition number of the fit's columns, scaled to length 1, at these probes. A large number
         amplifies errors of the probes.
     equivalent : (n,) bool
-        True if the order fits as well as the best: its residuals are as small within errors. Also
+        True if the order fits as well as the best: residuals are as small within errors. Also
         true if both orders give the same displacements at the probes.
     hidden : (n,) bool
         True if these probes cannot measure the order, for one of three reasons. Constants could
@@ -72,7 +72,7 @@ class Candidates(Tabular):
 class HarmonicFit(Tabular):
     """Hold harmonics fitted to arrivals, and tests of the fit.
 
-    ``misfit`` is the probability that residuals are as large or as correlated by chance. ``folded``
+    ``misfit`` is the probability of residuals as large or as correlated by chance. ``folded``
     is the probability that harmonics outside the fit change a fitted amplitude by over three
     standard errors. Both are nan if unknown.
     """
@@ -131,24 +131,24 @@ class TipFit(HarmonicFit):
     coefficients : (2K+1,) [m]
         a0, a1, b1, ....
     covariance : (2K+1, 2K+1) [m^2]
-        Covariance of the coefficients.
+        Coefficient covariance.
     scatter : float [m]
         Standard deviation of displacements from the fit; nan without more arrivals than unknowns.
         Standard errors follow Student's t, and are nan for one or two more arrivals than unknowns.
     misfit : float
-        Probability that residuals of the probes' mean displacements are as large by chance, given
+        Probability of residuals as large by chance in the probes' mean displacements, given
         the scatter at each probe. If it is tiny, harmonics are missing, probes are out of place, or
         the order is wrong. nan with too few probes or revolutions, and for :func:`fit_frequency`.
     candidates : Candidates
         Candidate orders.
     spare : int
-        Number of probe means less number of unknowns; for :func:`fit_frequency`, of arrivals less
-        unknowns. With 0, nothing tests the order or the number of harmonics.
+        Number of probe means less number of unknowns. For :func:`fit_frequency`, number of arrivals
+        less number of unknowns. With 0, nothing tests the order or the number of harmonics.
     asynchronous : tuple of TipFit
         Vibrations at no engine order, found in the same arrivals.
     folded : float
         Probability that harmonics outside the fit change an amplitude by over three standard
-        errors. Their assumed sizes are 0, or 0.7 down to 0.006 times the highest fitted harmonic,
+        errors. Assumed sizes are 0, or 0.7 down to 0.006 times the highest fitted harmonic,
         equally probable on a logarithmic scale. nan for unknown errors, and for
         :func:`fit_frequency`.
     """
@@ -264,7 +264,7 @@ class TipFit(HarmonicFit):
     def phases(self, arrivals: ArrivalTimes) -> np.ndarray:
         """Return the angles at the arrivals for :meth:`displacement`: (revolutions, probes) [rad].
 
-        These are rotor angles. For a result of :func:`fit_frequency`, they are the mean speed times
+        The angles are rotor angles; for a result of :func:`fit_frequency`, the mean speed times
         the time since the first mark.
         """
         if self.order_error:
@@ -277,7 +277,7 @@ class TipFit(HarmonicFit):
         """Return columns by name: a row for the mean, then for every harmonic.
 
         A harmonic is A cos(m p alpha - phase), with the load's order p and the rotor angle alpha.
-        Its row has the multiple m, the order m p, the frequency, the amplitude A with a standard
+        The row has the multiple m, the order m p, the frequency, the amplitude A with a standard
         error, and the phase.
         """
         multiples = np.concatenate([[0.0], self.multiples])
@@ -335,7 +335,7 @@ def compute_amplitudes_and_errors(
     """Return the amplitudes of harmonics, and their standard errors.
 
     The amplitude A of harmonic k is the length of the vector (a_k, b_k). Errors of this vector
-    along its direction change A directly. An error e across it lengthens A by about e^2 / (2 A);
+    along the vector change A directly. An error e across it lengthens A by about e^2 / (2 A);
     with the mean square v of e, this adds 3/4 (v / A)^2 to the variance of A. If A is below
     sqrt(v), sqrt(v) replaces A there: the probes may measure only the cosine or the sine. If A is
     0, the vector has the direction of the cosine.
@@ -345,7 +345,7 @@ def compute_amplitudes_and_errors(
     coefficients : (..., 2K+1)
         a0, a1, b1, ....
     covariance : (..., 2K+1, 2K+1)
-        Covariance of the coefficients.
+        Coefficient covariance.
 
     Returns
     -------

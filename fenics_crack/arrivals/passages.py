@@ -114,7 +114,7 @@ def find_passages(
     Vibrations with constant frequency are fitted beside the resonances.
 
     Probes that do not measure the first resonance would add further resonances. If most probes
-    agree, such probes are left out; ``blind`` in the results has their angles.
+    agree, these are left out, and ``blind`` in the results has the angles.
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ class _ResonanceSearch:
         return np.asarray(self.displacements - sum(subtracted_motions))
 
     def add_resonances_up_to(self, max_resonances: int) -> None:
-        """Search for further resonances until there are ``max_resonances`` in total.
+        """Search for further resonances, up to ``max_resonances`` in total.
 
         The search ends earlier if no significant resonance remains. After the search, the orders
         are compared again for each resonance with other neighbours than at its last comparison.
@@ -353,8 +353,8 @@ class _ResonanceSearch:
         Returns
         -------
         bool
-            False if nothing is compared. Either there is a single candidate order or no neighbour,
-            or this resonance is within the width of a larger one.
+            False if nothing is compared: with a single candidate order, without a neighbour,
+            or if this resonance is within the width of a larger one.
         """
         resonance_amplitude = resonance.best_fit.largest_first_mode_amplitude
         larger_resonances = [

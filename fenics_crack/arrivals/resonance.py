@@ -58,7 +58,7 @@ class PassageFit(Tabular):
         Periods of the load in a revolution, for the best candidate.
     omega, omega_error : float [rad/s]
         Natural frequency, and its standard error from the scatter of the arrivals alone. For the
-        error of the result take :attr:`deviation`, which includes two further causes;
+        error of the result take :attr:`deviation`, with two further causes;
         ``frequency_error`` is the same in Hz.
     damping, damping_error : float
         Ratio of critical damping, and its standard error. If the blade's stiffening s is not given
@@ -66,8 +66,8 @@ class PassageFit(Tabular):
     amplitude : float [m]
         Largest vibration amplitude in the passages.
     forces : (passages,) complex [m]
-        Load of each passage, stated as the complex vibration amplitude F that it would cause if the
-        rotor stayed at the resonance.
+        Load of each passage, stated as a complex vibration amplitude F. The blade would reach
+        this amplitude if the rotor stayed at the resonance.
     ends : (passages, 2) int
         First revolution of each passage, and the one after the last, counted from 0.
     omegas, omega_errors : (passages,) [rad/s]
@@ -77,10 +77,10 @@ class PassageFit(Tabular):
     orders : (n,)
         Candidate orders.
     margins : (n,)
-        -2 log likelihood of each candidate order, less that of the best order. With a neighbouring
-        resonance in the fitted speeds, each order is combined with the neighbour's best order. Two
-        resonances may be the same vibration if one lies within the width of the other. The other
-        resonance's order then has the margin 0, too.
+        Each candidate order's -2 log likelihood, less the best order's. With a
+        neighbouring resonance in the fitted speeds, each order is combined with the neighbour's
+        best order. Two resonances may be the same vibration if one lies within the other's
+        width. The second resonance's order then has the margin 0, too.
     probes : int
         Number of probes with arrivals.
     scatter : float [m]
@@ -92,8 +92,8 @@ class PassageFit(Tabular):
     asynchronous : tuple of TipFit
         Vibrations with constant frequency in the record, which follow no order.
     blind : tuple of float [rad]
-        Angles of probes that were left out, since they do not measure the vibration that most
-        probes measure.
+        Angles of probes left out, since they do not measure the vibration seen by most
+        probes.
     stiffening : float
         s = d ln w_n / d ln W, with natural frequency w_n and speed W.
     """
@@ -131,7 +131,7 @@ class PassageFit(Tabular):
     def margin(self) -> float:
         """Difference in -2 log likelihood between the second best order and the best.
 
-        A large margin means that the other orders are unlikely; inf for a single candidate order.
+        With a large margin, all other orders are unlikely; inf for a single candidate order.
         """
         return float(np.min(self.margins[self.orders != self.order], initial=np.inf))
 
@@ -148,7 +148,7 @@ class PassageFit(Tabular):
     def ambiguous(self) -> tuple[float, ...]:
         """Further orders that explain the arrivals within three standard deviations.
 
-        Their margin (``margins``) is below 9. If the fit is :attr:`untested`, all other
+        The margin (:attr:`margins`) is below 9. If the fit is :attr:`untested`, all further
         candidate orders are returned.
         """
         is_other_equal = (
@@ -220,7 +220,7 @@ class PassageFit(Tabular):
     def compared(self, arrivals: ArrivalTimes) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Return measured and fitted displacements for each passage.
 
-        ``arrivals`` are those of the fit. Probes in ``blind`` are left out: P probes remain.
+        ``arrivals`` are the fitted record. Probes in ``blind`` are left out: P probes remain.
 
         Returns
         -------
@@ -287,7 +287,7 @@ class PassageFit(Tabular):
 def _differ_significantly(values: np.ndarray, errors: np.ndarray) -> bool:
     """Return True if any two values differ by over three standard errors of their difference.
 
-    ``values`` and their standard errors ``errors`` are (n,).
+    ``values`` and standard errors ``errors`` are (n,).
     """
     pairwise_differences = np.abs(values[:, None] - values)
     return not np.all(
@@ -313,7 +313,7 @@ class Resonance:
     best_fit : Fit
         Fit for the most likely order.
     margins : dict of float to float
-        For each order, -2 log likelihood less that of the best order; 0 for the best.
+        For each order, -2 log likelihood less the best order's; 0 for the best.
     compared_neighbours : list of Resonance
         Neighbours at the last comparison of orders.
     """
@@ -444,7 +444,7 @@ class Resonance:
         """Return the arrivals' weights at the start of a fit: (R, P) for each run.
 
         A run has R revolutions and P probes. If the runs have the same arrivals as the best fit,
-        its weights are returned. Otherwise the weights are 1, and 0 without an arrival.
+        the fit's weights are returned. Otherwise the weights are 1, and 0 without an arrival.
         """
         if [run.has_arrival.tobytes() for run in runs] == [
             run.has_arrival.tobytes() for run in self._runs
@@ -606,13 +606,13 @@ def _list_best_gains_and_modes(
 ) -> list[tuple[float, Mode]]:
     """Find the best mode for each order on a grid of frequencies.
 
-    For each order, the grid has 11 frequencies around the order times the speed. Their relative
+    For each order, the grid has 11 frequencies around the order times the speed. The relative
     spacing is half the damping ratio.
 
     Parameters
     ----------
     run_weight_pairs : iterable of (Run, (R, P))
-        Passages, and the weights of their arrivals, for R revolutions and P probes.
+        Passages, and weights of the arrivals, for R revolutions and P probes.
     orders, speed, damping_ratio : (n,), float [rad/s], float
         Candidate orders, speed of the resonance, and damping ratio of all modes.
 
@@ -648,7 +648,7 @@ def _compute_squares_reductions_by_pairs(
     mode_lists : pair of lists
         n modes for the first of a pair, and m modes for the second.
     weights_of_runs : sequence of (R, P)
-        Weights of the arrivals in each run.
+        Arrival weights in each run.
     """
     n_first_modes, all_modes = len(mode_lists[0]), [mode for modes in mode_lists for mode in modes]
     first_indices, second_indices = np.indices((n_first_modes, len(all_modes) - n_first_modes))
@@ -720,12 +720,12 @@ def _compute_margin_by_order(
     Parameters
     ----------
     gain_by_order : dict of float to float
-        Reduction in the sum of squares [m^2] for each order. It gives an estimate for orders
+        Reduction in the sum of squares [m^2] for each order. An estimate for orders
         without a refined fit.
     fits : iterable of Fit
         Refined fits; of several fits for an order, the best counts.
     best_fit : Fit
-        Best fit of all, whose order has the value 0.
+        Best fit of all; the order of this fit has the value 0.
     mode_index : int
         Index of the compared mode among the modes of each fit.
     """

@@ -45,12 +45,12 @@ class ConfidenceLevels:
         A vibration is significant if noise alone gives one as large with at most this probability.
     min_likelihood_gain : float
         A resonance is significant if it reduces -2 log likelihood by this or more. The limit is
-        high, since some 1e5 resonances are tried, each with six unknowns.
+        high, since about 1e5 resonances are tried, each with six unknowns.
     misfit_significance_level : float
         The model is wrong if residuals as large have a lower probability than this.
     misfit_errors_significance_level : float
-        Standard errors follow from the misfit if its probability is below this. Otherwise they
-        follow from the scatter.
+        Standard errors follow from the misfit if its probability is below this. Otherwise the
+        errors follow from the scatter.
     allowed_standard_errors : float
         Number of standard deviations within which candidates fit equally well, and a correlation
         is insignificant.
@@ -66,8 +66,8 @@ class ConfidenceLevels:
     def allowed_cost_difference(self) -> float:
         """Maximum difference in -2 log likelihood between equally good candidates.
 
-        It is ``allowed_standard_errors`` squared: 9. It also limits differences between sums of
-        squared residuals, each over its standard deviation.
+        The value is ``allowed_standard_errors`` squared, 9; also for differences between sums of
+        squared residuals in units of the standard deviation.
         """
         return self.allowed_standard_errors**2
 
@@ -90,7 +90,7 @@ class StudentNoise:
     residuals : (n,)
         Residuals r of n arrivals.
     n_unknowns : int
-        Number of unknowns in the fit that left these residuals.
+        Number of unknowns in the fit with these residuals.
     min_scale : float
         Minimum of the scale s, from rounding.
     trial_scales : (k,)
@@ -99,7 +99,7 @@ class StudentNoise:
     Attributes
     ----------
     weights : (n,)
-        Weights of the arrivals in the next fit.
+        Arrival weights in the next fit.
     scale, freedom : float
         Scale s and degrees of freedom nu.
     cost : float
@@ -182,7 +182,7 @@ class StudentNoise:
 
     @property
     def variance(self) -> float:
-        """Variance of normal errors that would give the coefficients the same standard errors.
+        """Variance of normal errors with the same standard errors of the coefficients.
 
         The unit is the squared unit of the residuals.
         """
@@ -192,21 +192,21 @@ class StudentNoise:
     def compute_whiteness_p_value(
         self, places: RevolutionsAndProbes, mark_shares: np.ndarray
     ) -> float:
-        """Return the probability that errors alone correlate residuals as much as they are.
+        """Return the probability of correlations as large by arrival and mark errors alone.
 
-        A small probability means that the residuals contain a vibration or drift. nan if no
+        A small probability means a vibration or drift in the residuals. nan if no
         revolution has a next one with arrivals, or all residuals are 0. The correlation is between
         the weighted residuals psi at a probe in successive revolutions.
 
         Errors e of the shaft's marks move the arrival at probe i in revolution n by sum_k S_ki
         e_(n+k). Products of psi at two probes in a revolution give the variance of e. Multiplied by
         sum_k S_ki S_(k+m)i, this variance is the covariance between arrivals at probe i, m
-        revolutions apart. These errors also increase the scatter of the products.
+        revolutions apart. Mark errors also increase the scatter of the products.
 
         Parameters
         ----------
         places : pair of (n,) int
-            Revolution index and probe index of each arrival.
+            Each arrival's revolution index and probe index.
         mark_shares : (marks, probes)
             S: shift of an arrival by an error of 1 in each of the marks around it.
         """
@@ -247,7 +247,7 @@ class StudentNoise:
         columns : (n, m)
             Derivatives of the fit at n arrivals by m coefficients.
         places : pair of (n,) int
-            Revolution index and probe index of each arrival.
+            Each arrival's revolution index and probe index.
         """
         column_norms = np.linalg.norm(columns, axis=0)
         columns = columns / column_norms
@@ -291,7 +291,7 @@ class StudentNoise:
     def _list_psi_covariances_by_lag(
         self, psi_variance: float, places: RevolutionsAndProbes
     ) -> list[tuple[float, float]]:
-        """Return covariances of the weighted residuals psi by distance in revolutions, from 0.
+        """Return covariances of weighted residuals psi for arrivals 0, 1, ... revolutions apart.
 
         Each entry has two covariances: between arrivals at the same probe (0 in the first entry),
         and between arrivals at two probes. A covariance within three standard deviations of 0
@@ -303,7 +303,7 @@ class StudentNoise:
         psi_variance : float
             Variance of psi.
         places : pair of (n,) int
-            Revolution index and probe index of each arrival.
+            Each arrival's revolution index and probe index.
         """
         covariance_pairs: list[tuple[float, float]] = []
         for lag, sums_and_counts in enumerate(
@@ -359,7 +359,7 @@ def _sum_products_with_next_revolution(
 ) -> tuple[np.ndarray, int, np.ndarray]:
     """Sum products of values (n,) within revolutions, and with the next revolution.
 
-    ``places`` are the revolution index and probe index of each value, two arrays (n,).
+    ``places`` are each value's revolution index and probe index, two arrays (n,).
 
     Returns
     -------
@@ -402,9 +402,9 @@ def _yield_product_sums_by_lag(
 def _arrange_by_revolution_and_probe(
     values: np.ndarray, places: RevolutionsAndProbes
 ) -> np.ndarray:
-    """Return values (n, ...) as a table (revolutions, probes, ...), with 0 where no value is.
+    """Return values (n, ...) as a table (revolutions, probes, ...), with 0 for a missing value.
 
-    ``places`` are the revolution index and probe index of each value, two arrays (n,). The first
+    ``places`` are each value's revolution index and probe index, two arrays (n,). The first
     row of the table is the first revolution with a value.
     """
     revolution_indices, probe_indices = places[0] - places[0].min(), places[1]

@@ -62,7 +62,7 @@ class TipTrack(HarmonicFit):
         Amplitudes with standard errors. Both are nan in a group with too few arrivals. Errors are
         also nan with as many unknowns as arrivals, or two or fewer degrees of freedom in all.
     misfit : float
-        Probability that residuals are as correlated between revolutions by chance. If it is tiny,
+        Probability of residuals as correlated between revolutions by chance. If tiny,
         harmonics outside the fit change the fitted ones. nan without more probes than unknowns,
         since everything then fits.
     folded : float
@@ -133,11 +133,11 @@ def track_order(
 
     Each group of ``revolutions`` successive revolutions is fitted, as by :func:`fit_order` with one
     order. If the response has twice the load's period and the order is odd, a group needs two or
-    more revolutions. Linear changes of the vibration within a group are subtracted. Which instant
-    in the group a fit describes is uncertain; the errors include this. Differences between
+    more revolutions. Linear changes of the vibration within a group are subtracted. A
+    fit may not describe the middle of the group; the errors include this. Differences between
     residuals of neighbouring groups give the variance of an arrival.
 
-    Harmonics outside the fit change the fitted ones, and leave residuals that repeat. As in
+    Harmonics outside the fit change the fitted ones, and leave repeated residuals. As in
     :func:`fit_order`, such harmonics are further unknowns. Here they have the same ratio to the
     vibration in neighbouring groups. If they are significant, the standard errors include the
     change. Otherwise ``folded`` is the probability of a large change.
@@ -259,7 +259,7 @@ def _fit_samples_by_group(
     fitted_groups : (k,)
         Indices of groups with enough arrivals.
     variance, freedom : float [m^2], int
-        Variance of a measured displacement, and its degrees of freedom.
+        A measured displacement's variance, and the degrees of freedom.
 
     Returns
     -------
@@ -422,8 +422,8 @@ def _estimate_variance_and_freedom(
     """Estimate the variance of an arrival from the residuals of groups.
 
     The variance follows from differences between the residuals of neighbouring groups. Wrong
-    arrivals hardly change it. Without two usable neighbours, it is the sum of squared residuals
-    divided by the degrees of freedom; 1 without degrees of freedom.
+    arrivals hardly change it. Without two usable neighbours, the variance is the sum of squared
+    residuals divided by the degrees of freedom; 1 without degrees of freedom.
 
     Parameters
     ----------
@@ -435,7 +435,7 @@ def _estimate_variance_and_freedom(
     Returns
     -------
     variance : float [m^2]
-        Variance of a measured displacement.
+        A measured displacement's variance.
     freedom : int
         Degrees of freedom of the variance; 0 without two usable neighbours.
     """

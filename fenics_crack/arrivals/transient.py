@@ -59,7 +59,7 @@ s = d ln w_n / d ln W is the stiffening of a blade by rotation.
 
 
 class Run:
-    """Hold successive revolutions of a record in which the speed passes a resonance.
+    """Hold successive revolutions during a passage through a resonance.
 
     Arrays have the shape (R, P), for R revolutions and P probes.
 
@@ -274,7 +274,7 @@ class Run:
         pole_rows : (n, m) complex [1/s]
             Poles lambda of m trial modes for each order, equidistant in a row.
         weights : (R, P)
-            Weights of the arrivals.
+            Arrival weights.
         """
         sqrt_weights, weight_vector, reductions = np.sqrt(weights), weights.ravel(), []
         weighted_drifts = sqrt_weights * self._compute_orthonormal_drifts(sqrt_weights)
@@ -311,7 +311,7 @@ class Record:
     stiffening: StiffeningFunction
 
     def find_runs(self, displacements: np.ndarray, speed: float) -> list[Run]:
-        """Return the runs through a speed [rad/s]; an empty list if there is none.
+        """Return the runs through a speed [rad/s]; an empty list without any.
 
         A run has 10 or more revolutions within 3.5 % of the speed, and passes the speed. A gap of
         over 10 revolutions begins a new run. Probes with fewer than 10 arrivals in a run do not
@@ -340,7 +340,7 @@ class Record:
 def make_stiffening_function(stiffening: float | StiffeningFunction) -> StiffeningFunction:
     """Return the stiffening s as a function of speed and natural frequency [rad/s].
 
-    A number holds at all speeds; InputError if it is not from -0.9 to 0.9. Values of a function are
+    A number holds at all speeds; InputError unless from -0.9 to 0.9. Values of a function are
     clipped to this range; InputError if a value is nan.
     """
     if callable(stiffening):
@@ -432,7 +432,7 @@ class Fit:
     modes : tuple of Mode
         Fitted modes.
     forces : (modes, runs) complex [m]
-        Amplitude F of the load on each mode in each run.
+        Load amplitude F on each mode in each run.
     noise : StudentNoise
         Residuals of all arrivals, and their weights.
     """
@@ -505,9 +505,9 @@ class Fit:
         Returns
         -------
         residuals : (n,) [m]
-            Residuals of all arrivals, times square roots of their weights.
+            Residuals of all arrivals, times square roots of the weights.
         slopes : (n, m) [m]
-            Their derivatives by ln w_n and ln zeta of each mode in turn.
+            Derivatives of the residuals by ln w_n and ln zeta for each mode in turn.
         """
         run_forces, residual_blocks = [], []
         log_pole_slopes = np.array([(1.0, mode.pole.real / mode.pole) for mode in self.modes])
@@ -625,7 +625,7 @@ class Fit:
 
     @property
     def whiteness_p_value(self) -> float:
-        """Probability that errors of arrivals and shaft marks alone correlate residuals as much.
+        """Probability of correlated residuals by errors in arrivals and shaft marks alone.
 
         A small probability means another vibration or drift in the residuals; nan without a test.
         """
@@ -648,8 +648,8 @@ class Fit:
 
         A vibration of any phase is fitted at each probe, relative to the first mode's motion.
         Probes with less than half the median in-phase amplitude are blind under two conditions.
-        They are fewer than the other probes. Their amplitudes differ from the median over five
-        times more than all others.
+        Such probes are a minority, and differ from the median amplitude over five times more than
+        all other probes.
         """
         n_probes = self._runs[0].nominal_angle.shape[1]
         matrices, vectors = np.zeros((n_probes, 2, 2)), np.zeros((n_probes, 2))

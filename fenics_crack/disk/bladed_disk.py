@@ -86,13 +86,14 @@ class Blades(Tabular):
     Attributes
     ----------
     amplitude : (N,) [m]
-        Half the peak-to-peak displacement; on a curve at the blade's largest response.
+        Half the peak-to-peak displacement. For a curve, at the point with the blade's largest
+        response.
     fundamental : (N,) complex [m]
         First harmonic, the coefficient of e^(i w t): a - i b for a cos(w t) + b sin(w t).
     second : (N,)
         Second harmonic's amplitude over the first harmonic's amplitude.
     omega : (N,) [rad/s]
-        Load frequency; on a curve at the blade's largest response.
+        Load frequency. For a curve, at the point with the blade's largest response.
     mistuning : (N,)
         Relative deviation of each sector's stiffness.
     cracked : tuple of int
@@ -415,10 +416,10 @@ def amplification(
 ) -> Amplification:
     """Find a disk's amplification factors for random mistuning patterns (collective).
 
-    The disk has no cracks. The largest response is sought near the natural frequencies of a mode
-    family and neighbouring modes. At the excited nodal diameter, this family is nearest to the
-    scene's load frequency. The amplitude is the watched dof's, at the same place on every
-    blade. Ranks share the patterns.
+    The disk has no cracks. The largest response is sought near natural frequencies in a mode family
+    and for neighbouring modes. The family nearest to the scene's load frequency at the excited
+    nodal diameter is taken. The amplitude is taken at the watched dof, and at the same place on
+    every blade. Ranks share the patterns.
 
     Parameters
     ----------
@@ -516,11 +517,13 @@ frequency [rad/s] and the blade's number from 1.
 
 
 def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
-    """Return the function for a mistuned wheel's largest response without contact.
+    """Return a function for a mistuned wheel's largest response without contact.
 
-    The function searches next to 2 N natural frequencies: N modes in one family, with the same mode
-    number at all nodal diameters, and N neighbouring modes. At the excited nodal diameter, the
-    family is nearest to ``load_omega`` [rad/s].
+    The function (``PeakFinder``) takes the sectors' relative stiffness deviations (N,) and returns
+    amplitude [m], load frequency [rad/s] and blade number. The search is next to 2 N natural
+    frequencies: N modes in a family, and N neighbouring modes. A family has the same mode number
+    at all nodal diameters. The chosen family is nearest to ``load_omega`` [rad/s] at the excited
+    nodal diameter.
 
     Raises
     ------

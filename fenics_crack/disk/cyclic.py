@@ -80,12 +80,16 @@ class SectorNumbering:
     def __init__(
         self, node_members: np.ndarray, side_nodes: np.ndarray, crack_face_nodes: np.ndarray
     ) -> None:
-        """Number the members of a sector.
+        """Number a sector's dofs or nodes, called members here.
+
+        Sets the attributes. Bonded or tied members get the same position in
+        ``own_members``.
 
         Parameters
         ----------
         node_members : (n_nodes, k) int
-            Members of each node: k dofs, or the node itself; -1 for a clamped dof.
+            For dofs: the k dofs of each node, -1 for a clamped dof. For nodes: the node, with k =
+            1.
         side_nodes : (2, m) int
             Nodes on the left side, and matching nodes on the right side.
         crack_face_nodes : (2, p) int
@@ -107,16 +111,19 @@ class SectorNumbering:
     def number_wheel_members(
         self, n_sectors: int, cracked_places: Sequence[int]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Number the members of a wheel with N sectors and open cracks.
+        """Number the dofs or nodes of a wheel with N sectors and open cracks.
 
-        ``cracked_places`` are the sectors with an open crack, from 0.
+        A sector has n members: all dofs or all nodes. ``cracked_places`` are the sectors with an
+        open crack, from 0.
 
         Returns
         -------
         (N, n) int
-            Number in the wheel for each sector's members; equal numbers move together.
+            For each sector's members, the number in the wheel. Members moving together have the
+            same number.
         (n_wheel,) int
-            For each number in the wheel, the owner: sector times n plus the member in this sector.
+            For each number in the wheel, a member, the owner: sector times n, plus the position
+            in the sector.
         """
         all_members = np.arange(n_sectors * len(self.member_positions)).reshape(n_sectors, -1)
         owner_sectors = (np.arange(n_sectors)[:, None] + self.belongs_to_next_sector) % n_sectors
@@ -180,9 +187,9 @@ class Sector:
 
     @property
     def load_shares_of_diameters(self) -> np.ndarray:
-        """Part of a load on sector 0 carried by each nodal diameter: (N/2 + 1,).
+        """Load fraction on sector 0 for each nodal diameter: (N/2 + 1,).
 
-        The part is 2/N for the waves n and -n together, 1/N for n = 0 and N/2.
+        The fraction is 2/N for the waves n and -n together, and 1/N for n = 0 and N/2.
         """
         multiplicities = [
             1.0 if self.has_single_wave(n) else 2.0 for n in self.nodal_diameter_range
@@ -238,10 +245,10 @@ class Sector:
 
     @contextmanager
     def yield_zero_diameter_solver(self) -> Iterator[NodalDiameterSolver]:
-        """Factorise the stiffness inside the sector, and yield the solver for nodal diameter 0.
+        """Factorise the stiffness inside the sector, and yield a solver (context manager).
 
-        The factors serve all nodal diameters (:meth:`NodalDiameterSolver.at_diameter`) and are
-        freed when the context ends.
+        The solver is for nodal diameter 0; :meth:`NodalDiameterSolver.at_diameter` makes further
+        solvers with the same factors. The factors are freed when the context ends.
         """
         dof_numbering, n_own_dofs = self.dof_numbering, len(self.dof_numbering.own_members)
         stacked_tie_matrices = make_selection_matrix(
@@ -412,9 +419,10 @@ class NodalDiameterSolver:
         return np.asarray(self.stacked_tie_matrices @ displacement)
 
     def solve(self, forces: np.ndarray) -> np.ndarray:
-        """Return the response K_n^-1 f [m] to forces on the sector's own dofs.
+        """Return the response K_n^-1 f [m] to forces f on the sector's own dofs.
 
-        ``forces`` (n_own, m) [N] are real or complex; the response has the same shape.
+        K_n is the sector's stiffness with tied sides for the nodal diameter n. ``forces`` (n_own,
+        m) [N] are real or complex; the response has the same shape.
         """
         inside_motion = self.solve_inside(forces[self.inside_rows])
         side_coupling_matrix = self.side_coupling_matrix
@@ -429,10 +437,11 @@ class NodalDiameterSolver:
         return displacement
 
     def apply(self, rhs: Any, solution: Any) -> None:
-        """Write K_n^-1 ``rhs`` to ``solution``, both PETSc vectors in real form.
+        """Write K_n^-1 ``rhs`` to ``solution``, both PETSc vectors.
 
-        A complex vector is stored as real part, then imaginary part. The signature is as in
-        :meth:`Factor.apply`.
+        K_n is the sector's stiffness for the nodal diameter n. A complex vector is stored as real
+        part, then imaginary part. This replaces :meth:`Factor.apply` in eigenvalue
+        solvers.
         """
         force_parts = rhs.array_r.reshape(2 if self.phase_factor.imag else 1, -1)
         complex_force = (
@@ -484,10 +493,10 @@ class NodalDiameterSolver:
         return omega[:n_modes], shapes[:, :n_modes]
 
     def static_response(self, forces: np.ndarray) -> np.ndarray:
-        """Return the sector's static response to forces [m].
+        """Return the sector's static displacement under forces of this nodal diameter.
 
-        The response is T_n K_n^-1 T_n^H f. ``forces`` (n_dofs, m) [N] act on all the sector's dofs;
-        the response has the same shape.
+        The response is T_n K_n^-1 T_n^H f, with tied stiffness K_n and tie matrix T_n. ``forces`` f
+        (n_dofs, m) [N] act on all the sector's dofs; the response [m] has the same shape.
         """
         return np.asarray(
             self.tie_matrix @ self.solve(np.asarray(self.tie_matrix.conj().T @ forces))
@@ -600,8 +609,9 @@ class CyclicBasis:
     ) -> Iterator[np.ndarray]:
         """Yield the projection U_j^T A U_j for each sector j.
 
-        Only the columns in ``column_range`` are computed. ``matrix`` is A over a sector's dofs:
-        stiffness or mass.
+        U_j has the sector's displacement in each motion of the basis. ``matrix`` is A, the
+        stiffness or mass over a sector's dofs. Only the projection's columns in ``column_range``
+        are computed.
         """
         mapped_modes = replace(
             self.cyclic_modes, shapes=tuple(matrix @ shapes for shapes in self.cyclic_modes.shapes)
@@ -619,10 +629,10 @@ class CyclicBasis:
 
     @cached_property
     def tuned_mass_and_stiffness(self) -> tuple[np.ndarray, np.ndarray]:
-        """U^T M U and U^T K U without mistuning: (n, n) each.
+        """Mass U^T M U, then stiffness U^T K U, of the wheel without mistuning: (n, n) each.
 
-        Both are diagonal for the modes. The stiffness for the openings follows from the bond
-        forces on the upper crack faces.
+        U are the basis' n motions. Both matrices are diagonal for the modes. The stiffness
+        for the openings follows from the bond forces on the upper crack faces.
         """
         sector, opening_columns = self.cyclic_modes.sector, slice(len(self.squared_omegas), None)
         mass_columns = sum(self._yield_sector_projections(sector.mass, opening_columns))
@@ -640,9 +650,10 @@ class CyclicBasis:
 
     @cached_property
     def sector_stiffnesses(self) -> np.ndarray:
-        """Stiffness at rest of each sector in the basis: (N, n, n).
+        """Each sector's stiffness without rotation, for the basis' n motions: (N, n, n).
 
-        U_j^T K U_j for sector j; mistuning multiplies each matrix.
+        The matrix for sector j is U_j^T K U_j, with the sector's displacements U_j in the motions.
+        A mistuned wheel adds each matrix times the sector's deviation.
         """
         stiffness_at_rest = local_rows(self.cyclic_modes.sector.stiffness_at_rest)
         return np.array(
@@ -770,14 +781,14 @@ def _make_diameter_basis(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Add static responses to the modes of a nodal diameter, as further Ritz modes.
 
-    Responses equal to combinations of the modes, but for rounding, are dropped.
+    A combination of the modes, but for rounding, is dropped.
 
     Parameters
     ----------
     shapes : (n_dofs, families)
         Shapes of the modes.
     load, side_force_patterns : (n_dofs, m), (n_dofs, p) [N]
-        Forces on a sector.
+        Load on a sector, and force patterns on the right side.
 
     Returns
     -------
@@ -806,10 +817,11 @@ def _make_diameter_basis(
 
 
 def _make_diameter_loads(sector: Sector, engine_order: int) -> list[np.ndarray]:
-    """Return the complex loads (n_dofs, m) [N] on sector 0 for each nodal diameter.
+    """Return the complex loads (n_dofs, m) [N] on sector 0, as a list by nodal diameter.
 
-    Harmonic k of the load, f - i g, excites the nodal diameter for the order k E. The load is
-    conjugated if the wave runs backwards, and split in real and imaginary part for n = 0 and N/2.
+    Harmonic k of the load has the order k E, with engine order E, and excites one nodal diameter.
+    The load is conjugated if the wave runs backwards. For n = 0 and N/2 the load is split into real
+    and imaginary part.
     """
     load_parts_of_diameters: list[list[np.ndarray]] = [[] for _ in sector.nodal_diameter_range]
     for harmonic, complex_force in enumerate(to_complex(sector.structure.force)):
@@ -870,7 +882,7 @@ Smaller patterns matter less than the neglected mass at the faces, up to 6e-9 in
 def _find_opening_shapes(
     sector: Sector, bond_forces: np.ndarray, relieved_stiffness: np.ndarray
 ) -> np.ndarray:
-    """Find upper-face displacements D (n_upper, m) for opening the crack.
+    """Find m displacements D (n_upper, m) for opening the crack, at the upper face.
 
     D are the responses to contact forces and to bond forces, normalised to D^T K D = 1 with the
     stiffness K of the upper face in the wheel. Patterns of bond forces smaller than

@@ -131,7 +131,7 @@ class Wheel(Structure):
         def assemble_forces(forces: np.ndarray) -> np.ndarray:
             """Add up the sectors' forces at the wheel's dofs.
 
-            Shapes (m, N, n_sector) [N] and (m, n_local) [N].
+            Given are m rows of forces (m, N, n_sector) [N]; the result is (m, n_local) [N].
             """
             return np.asarray(forces.reshape(len(forces), -1) @ copy_matrix)[:, own_rows]
 
@@ -286,9 +286,9 @@ class Wheel(Structure):
     def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """Return frequencies (m,) [rad/s] and shapes (n_local, m) of the lowest modes (collective).
 
-        The number m is ``families`` times N, or less if the basis is smaller. Cracks are bonded or
-        open. The modes are solved in few coordinates and expanded to the wheel. Structures without
-        known modes return None; a wheel never does.
+        The number m is ``families`` times N, or less if the basis is smaller. Cracks are bonded if
+        ``is_bonded``, otherwise open. The modes are solved in few coordinates and expanded to the
+        wheel. None is never returned for a wheel.
         """
         wheel_structure = self.structure_in_few_coordinates()
         n_modes = wheel_structure.count_lowest_modes(self.families)
@@ -300,12 +300,12 @@ class Wheel(Structure):
         return few_coordinate_modes.omega, wheel_structure.expand(few_coordinate_modes.shapes.T).T
 
     def mistuned(self, deviations: Any) -> Wheel:
-        """Return this wheel with new stiffness deviations in the sectors.
+        """Return this wheel with new stiffness deviations instead of the old.
 
         Parameters
         ----------
         deviations : float or (N,)
-            Relative deviation for all sectors, or for each.
+            The sectors' relative stiffness deviation: a number for all, or for each.
 
         Raises
         ------
@@ -535,10 +535,9 @@ class WheelInFewCoordinates(Structure):
     def known_omega_and_shapes(self, *, is_bonded: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """Return frequencies (m,) [rad/s] and shapes (n_dofs, m) of all modes, ascending.
 
-        Cracks are bonded or open. The matrices are dense, as a Krylov method would mix the mode
-        pairs of equal sectors. After :meth:`with_ranked_modes_and_share`, the open modes are the
-        ranked modes, in ranked order. Structures without known modes return None; a wheel never
-        does.
+        Cracks are bonded if ``is_bonded``, otherwise open. The matrices are dense, as a Krylov
+        method would mix the mode pairs of equal sectors. After :meth:`with_ranked_modes_and_share`,
+        the open modes are the ranked modes, in ranked order. None is never returned for a wheel.
         """
         if is_bonded:
             return self.compute_once(_solve_bonded_modes)

@@ -209,10 +209,13 @@ def integrate_ellipse_growth(
 ) -> EllipseSizePath:
     """Integrate the growth of a half-ellipse from a table's first shape.
 
-    Growth ends as :attr:`EllipseSizePath.end_reason` describes. ``n_surface_ends`` is as in
-    :func:`compute_growth_per_cycle`. The integration variable s is the sum of the growth in depth a
-    and length l. Then da/ds and dl/ds are bounded, and dN/ds = 1 / (da/dN + dl/dN). A depth that
-    stops growing causes no difficulty.
+    Growth ends as :attr:`EllipseSizePath.end_reason` describes. ``n_surface_ends`` is the number of
+    crack ends on the face: 2, or 1 for a quarter-ellipse at an edge. ``law`` is the table
+    ``[growth]``.
+
+    The integration variable s is the sum of the growth in depth a and length l. Then da/ds and
+    dl/ds are bounded, and dN/ds = 1 / (da/dN + dl/dN) for the cycles N. The integration also works
+    if the depth stops growing.
     """
     from scipy.integrate import solve_ivp
 
@@ -283,8 +286,17 @@ def estimate_ellipse_life_error(
 ) -> float:
     """Estimate the relative error of the cycles by interpolation between shapes.
 
-    The error is a quarter of abs(ln(N_coarse / N)), with every second depth and length in N_coarse.
-    The result is 0 if either number of cycles is 0.
+    The error is a quarter of abs(ln(N_coarse / N)). N are the cycles in ``ellipse_path``, N_coarse
+    those from every second depth and length. The result is 0 if N or N_coarse is 0.
+
+    Parameters
+    ----------
+    ellipse_table, ellipse_path : EllipseTable, EllipseSizePath
+        Solved shapes, and the growth through them.
+    law : Growth
+        Table ``[growth]``.
+    n_surface_ends : int
+        Number of crack ends on the face: 2, or 1 for a quarter-ellipse at an edge.
     """
     coarse_life = integrate_ellipse_growth(
         ellipse_table.with_every_second_size(), law, n_surface_ends
@@ -335,9 +347,9 @@ def tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
 
 
 def _ellipse_in_words(sweep_result: SweepResult, case_index: tuple[int, ...]) -> str:
-    """Describe a case of the sweep by its depth and length.
+    """Describe a crack in a sweep as text, with depth and length.
 
-    ``case_index`` has the positions on both axes.
+    ``case_index`` has the crack's positions on the sweep's axes, depth and length.
     """
     depth, length = (
         axis.values[size_index]

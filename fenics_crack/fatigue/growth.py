@@ -525,8 +525,8 @@ def _grow_ellipse(
 ) -> Growth:
     """Return the growth of a half- or quarter-ellipse (collective).
 
-    ``scene`` has no curve and no sweep. ``folder`` keeps the sweep in growth_1.h5; None keeps
-    nothing.
+    ``scene`` has no tables ``[curve]`` and ``[sweep]``. The solved shapes are stored in
+    ``folder``/growth_1.h5; nothing is stored if ``folder`` is None.
     """
     law, crack = scene.given("growth"), scene.given("crack")
     if scene.reduction is None:
@@ -666,8 +666,8 @@ def _make_scene_with_crack_size(
 ) -> Scene:
     """Return the scene with another crack size, at a fixed load frequency.
 
-    The requested quantities become the ranges of K_I from 0 with the same crack growth
-    ("delta_K_equivalent").
+    The scene's output quantities become equivalent ranges of K_I ("delta_K_equivalent"). Such a
+    range begins at 0, and causes the same growth as all cycles of K_I in a load period.
 
     Parameters
     ----------
@@ -697,9 +697,19 @@ def _estimate_range_error_and_remarks(
 ) -> tuple[float, list[str]]:
     """Solve a crack size, and estimate the relative error of a range of K_I.
 
-    The cause "friction" is left out. ``quantity_name`` is an equivalent range: a cycle from
-    K_I = 0, once in a load period, with the same crack growth. Further parameters are as in
-    :func:`_make_scene_with_crack_size`.
+    Errors by friction are not estimated.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene without curve and sweep.
+    quantity_name : str
+        Name of an equivalent range of K_I. It begins at 0, and causes the same growth as all cycles
+        of K_I in a load period.
+    omega : float [rad/s]
+        Load frequency.
+    length, depth : float [m]
+        Crack size; None as depth for a crack through the thickness.
 
     Returns
     -------
@@ -745,7 +755,7 @@ def _collect_growth_remarks(
     vibration_error : float
         Relative error of the range of K_I; nan if unknown.
     end_reason : str
-        As in :attr:`Growth.end`.
+        Why growth ends: "reached", "arrested" or "broken".
     """
     remark_texts = _list_crack_turning_remarks(
         values_by_column["K_max"], values_by_column["K_II_max"], lengths

@@ -217,12 +217,13 @@ class LengthPath:
     def estimate_life_error_by_threshold(
         self, lengths: np.ndarray, cycles: np.ndarray, range_error: float
     ) -> float:
-        """Return the error of ln(life) by loads that fall below the threshold.
+        """Return the error of ln(life) by loads of a spectrum that may fall below the threshold.
 
-        If all ranges fall by the relative ``range_error`` e, the threshold acts like threshold /
-        (1 - e). More loads of a spectrum are then left out, and the life rises. The rise of
-        ln(life) is returned; 0 without a spectrum, without a threshold, or unless 0 < e < 1.
-        ``lengths`` and ``cycles`` (n,) belong to the growth.
+        All ranges of K_I may be too high by the relative ``range_error`` e. Their decrease acts
+        like a threshold raised to threshold / (1 - e). Then more loads cause no growth, and the
+        life is longer. The increase of ln(life) is returned; 0 without a spectrum, without a
+        threshold, or unless 0 < e < 1. ``lengths`` [m] and ``cycles``, both (n,), describe the
+        growth.
         """
         law = self.law
         is_threshold_relevant = law.drive == "spectrum" and law.threshold and cycles[-1] > 0.0
@@ -241,9 +242,9 @@ class LengthPath:
 
 
 def find_nearest_mode_number(sweep_result: SweepResult, omega: float) -> int:
-    """Return the number, from 1, of the mode nearest to a load frequency.
+    """Return the number, from 1, of the mode nearest to a load frequency ``omega`` [rad/s].
 
-    Bilinear frequencies in the first case of the sweep are compared with ``omega`` [rad/s].
+    Compared are the modes' bilinear frequencies for the first crack size of the sweep.
     """
     bilinear_omega_of_modes = np.array(
         [
@@ -333,9 +334,10 @@ def solve_lengths_to_tolerance(
     """Solve crack lengths until interpolation gives the cycles precisely (collective).
 
     The first round has five lengths from ``crack.length`` to ``growth.until``. Up to five further
-    rounds halve intervals. They end when the error of the cycles is below ``growth.life_tolerance``
-    and the error of ln delta K is at most :data:`MAX_ALLOWED_LOG_RANGE_ERROR` (0.05) everywhere.
-    ``folder`` keeps the sweep of round n in growth_n.h5; None keeps nothing.
+    rounds halve intervals. They end when two errors are small. The cycles' relative error is below
+    ``growth.life_tolerance``. For the range delta K of K_I, the error of ln delta K is at most 0.05
+    everywhere (:data:`MAX_ALLOWED_LOG_RANGE_ERROR`). Round n is stored in ``folder``/growth_n.h5;
+    nothing is stored if ``folder`` is None.
 
     Returns
     -------
@@ -424,10 +426,12 @@ def sweep_crack_sizes(
 
     Parameters
     ----------
+    scene : Scene
+        Scene with a table ``[growth]``.
     values_by_key : dict of str to array
-        Values for the axes of the sweep: "crack.length", "crack.depth", "excitation.omega".
+        Values by scene key: "crack.length" and "crack.depth" [m], "excitation.omega" [rad/s].
     folder : path or None
-        Folder for growth_n.h5, which is continued if it exists; None keeps nothing.
+        Folder for the file growth_n.h5. An existing file is continued; None keeps nothing.
     round_number : int
         The number n in the file name.
 

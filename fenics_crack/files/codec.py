@@ -39,10 +39,10 @@ _DTYPE_KINDS_BY_FIELD = {
 
 
 def pack_dataclass(instance: Any, *omitted_names: str) -> Datasets:
-    """Return datasets by field name for a dataclass, without the omitted fields.
+    """Return a dataclass as datasets by field name, without the fields ``omitted_names``.
 
-    Arrays, numbers and words are unchanged; other values become JSON text, with their arrays as
-    further datasets. None, functions and scenes are left out.
+    Arrays, numbers and words are unchanged. Other values become JSON text; arrays inside them
+    become further datasets. Fields that are None, a function or a scene are left out.
     """
     datasets: Datasets = {}
     for field_name in (field.name for field in fields(instance) if field.name not in omitted_names):
@@ -59,16 +59,19 @@ def pack_dataclass(instance: Any, *omitted_names: str) -> Datasets:
 
 
 def to_json_text(value: Any, dataset_name: str, array_by_name: Datasets) -> str:
-    """Return a value as JSON text, without scenes and arrays.
+    """Return a value as JSON text; its arrays are stored separately.
+
+    In the text an array is replaced by its name. A scene is left out, together with its key.
 
     Parameters
     ----------
     value
-        Dataclass, mapping, tuple, array, number, word or None, also within each other.
+        Dataclass, mapping, tuple, array, number, word or None. Dataclasses, mappings and tuples may
+        contain each other.
     dataset_name : str
-        Name of the field; an array within the value is named "name.key" or "name.index".
+        Field name; an array within the value is named "name.key" or "name.index".
     array_by_name : dict
-        Dict to which arrays are added by name; the names stand in the text instead.
+        Dict to which the arrays are added by name.
     """
 
     def to_json_value(value: Any, dataset_name: str) -> Any:
@@ -110,12 +113,12 @@ def unpack_dataclass(
     scene: Scene | None = None,
     **other_fields: Any,
 ) -> DataclassType:
-    """Return a dataclass from datasets by field name; further datasets are ignored.
+    """Return a dataclass from datasets by field name; other datasets are ignored.
 
     Parameters
     ----------
     dataclass_type : type
-        The class.
+        The result's class.
     datasets : mapping
         Datasets by name.
     scene : Scene, optional
@@ -160,9 +163,10 @@ class _DatasetReader(NamedTuple):
         stored_content_by_field: Mapping[str, Any],
         known_value_by_field: Mapping[str, Any],
     ) -> Any:
-        """Return a dataclass from stored contents and known values by field name.
+        """Return a dataclass from stored contents and known values, both by field name.
 
-        Known values are used unchanged; stored contents are converted by :meth:`convert_value`.
+        A known value is used unchanged, even with a stored content for the same field. Stored
+        contents are converted by :meth:`convert_value`.
         """
         field_value_by_name = dict(known_value_by_field)
         for field in fields(dataclass_type):
@@ -234,10 +238,10 @@ class _DatasetReader(NamedTuple):
 
 
 def check_arrays(datasets: Mapping[str, Any]) -> None:
-    """Raise ValueError if an array in datasets has wrong or too large numbers.
+    """Raise ValueError if a dataset's array has numbers that are too large, or the wrong kind.
 
-    Absolute values above ``MAX_ALLOWED_MAGNITUDE`` are too large; nan is allowed. The array's kind,
-    such as whole numbers, must fit the field.
+    The kind, such as whole numbers, must fit the field's name. Absolute values above
+    ``MAX_ALLOWED_MAGNITUDE`` are too large; nan is allowed.
     """
     for name, array in datasets.items():
         if isinstance(array, np.ndarray):

@@ -44,18 +44,29 @@ def read(path: str, max_bytes: int) -> dict[str, np.ndarray]:
 def read_contents_and_arrays(
     file: h5py.File, file_size: int, max_bytes: int
 ) -> tuple[dict, list[np.ndarray]]:
-    """Read the contents from an open file.
+    """Read an open file's contents.
 
-    ValueError for a file with other contents than results, or with more than ``max_bytes`` of
-    numbers. ``file_size`` is in bytes.
+    A sweep's numbers are not read, only their type, shape and offset.
+
+    Parameters
+    ----------
+    file : h5py.File
+        The open file.
+    file_size, max_bytes : int [byte]
+        File size, and maximum size for all numbers.
 
     Returns
     -------
     contents : dict
-        "attributes", "words" and "arrays" (names); for a sweep "columns": type, shape and offset
-        [byte] of each dataset.
+        "attributes" and "words" (texts by name), and "arrays" (array names). For a sweep
+        "columns": each dataset's type, shape and offset [byte] by name.
     arrays : list of array
-        The arrays with numbers; empty for a sweep.
+        The arrays with numbers, in the same order; empty for a sweep.
+
+    Raises
+    ------
+    ValueError
+        The file has other contents than results, or too many numbers.
     """
     if max(len(file), len(file.attrs)) > MAX_ENTRIES_IN_FILE:
         raise ValueError(f"it has more than {MAX_ENTRIES_IN_FILE} datasets or attributes")

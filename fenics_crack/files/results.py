@@ -68,11 +68,12 @@ def save(
     scene : Scene, optional
         Scene of the result.
     watched : mapping of str to array, optional
-        Motion of watched dofs by name, for programs without the structure: coefficients of a
-        solution (2H+1,) and of a curve (n, 2H+1), or displacements in time (n,) [m]. ``load``
-        ignores it.
+        Watched dofs' motion [m] by name, for programs that read the file without the structure.
+        Fourier coefficients with H harmonics for a solution (2H+1,) or a curve (n, 2H+1), or
+        displacements at n instants (n,). ``load`` ignores this.
     errors : str, optional
-        Errors of the numbers, by ``Verification.to_json``, for :func:`fenics_crack.load_run`.
+        The result's estimated errors, as JSON text from ``Verification.to_json``.
+        :func:`fenics_crack.load_run` reads it.
 
     Raises
     ------
@@ -134,9 +135,19 @@ def load(path: str | Path, structure: Structure, contact: OptionalLaw = None) ->
 def unpack_result(
     stored_file: StoredFile, structure: Structure, contact: OptionalLaw = None
 ) -> Result:
-    """Return the result in a result file that was read (collective).
+    """Return the result from a result file that was read (collective).
 
-    ``structure`` and ``contact`` are as in :func:`load`; raises as :func:`load`.
+    Parameters
+    ----------
+    stored_file : StoredFile
+        The file's contents.
+    structure, contact : Structure, ContactLaw or None
+        The result's structure and contact law.
+
+    Raises
+    ------
+    InputError
+        The file has no result, or belongs to another structure or law.
     """
     result_type = result_class(stored_file)
     with stored_file.yield_checked_datasets() as datasets:
@@ -318,15 +329,15 @@ def _unpack_solution(
 def rebuild_solution(
     datasets: Datasets, structure: Structure, contact: OptionalLaw
 ) -> PeriodicSolution:
-    """Rebuild a solution from its gap and force coefficients (collective).
+    """Rebuild a solution from gap and force coefficients (collective).
 
     The displacement follows from the forces by the structure's compliance.
 
     Parameters
     ----------
     datasets : dict
-        Fields of the solution without the displacement, and fields of its stability. Fields of its
-        error report have the prefix "error", with an underscore; ``weight`` belongs to a unilateral
+        Fields of the solution without the displacement, and fields of the stability. Names in the
+        error report begin with "error" and an underscore. ``weight`` belongs to a unilateral
         constraint.
     structure, contact : Structure, ContactLaw or None
         The solution's structure and law.
@@ -334,8 +345,8 @@ def rebuild_solution(
     Raises
     ------
     InputError
-        The structure has another number of pairs, or the displacement of a converged solution does
-        not fit the gaps.
+        The structure has another number of pairs. Or the displacement gives other gaps than the
+        file, for a converged solution.
     ValueError
         The frequency is negative, or the subharmonic below 1.
     """
@@ -400,16 +411,18 @@ def _check_gap_coefficients(
     gap_coefficients: np.ndarray,
     tolerance: float,
 ) -> None:
-    """Raise InputError unless the displacement has the file's gaps (collective).
+    """Raise InputError unless the displacement gives the file's gaps (collective).
+
+    Both are Fourier coefficients with H harmonics.
 
     Parameters
     ----------
     structure : Structure
         Structure with the gaps' definition and clearances.
     displacement_coefficients : (2H+1, n_local) [m]
-        Displacement in Fourier coefficients, computed anew.
+        Displacement computed from the contact forces in the file.
     gap_coefficients : (2H+1, n_pairs) [m]
-        Gaps in Fourier coefficients, from the file.
+        Gaps from the file.
     tolerance : float
         Allowed difference, relative to the norm of the gaps without clearance. Rounding of a common
         motion of both crack faces is added.
@@ -432,9 +445,10 @@ def _check_gap_coefficients(
 
 
 def _pack_curve(curve: ResponseCurve) -> Datasets:
-    """Return a curve as datasets by name, with the special points.
+    """Return a curve as datasets by name, with the special points (bifurcations).
 
-    The stability at special points is left out: on exact orbits, it follows from their multipliers.
+    The stability at special points is left out; for exact orbits it follows from their multipliers,
+    included here.
     """
     special_points = curve.at_bifurcations.part(slice(1, -1))
     datasets = pack_dataclass(curve, *_FIELDS_NOT_STORED, "points")
@@ -457,9 +471,9 @@ def _pack_curve(curve: ResponseCurve) -> Datasets:
 
 
 def _pack_orbit_displacements_and_velocities(curve: ResponseCurve) -> Datasets:
-    """Return exact orbits' states as datasets, by dof instead of by mode.
+    """Return exact orbits' states as datasets: by dof, not by mode.
 
-    A mode computed anew may have the opposite sign, without a way to find out; for dofs
+    A mode that is computed anew may have the opposite sign, and nothing shows this. For dofs,
     :func:`_find_dof_signs` finds the sign.
 
     Returns
@@ -541,7 +555,9 @@ def _unpack_exact_points(
     count_by_prefix: Mapping[str, int],
     shape_by_name: ShapeByName,
 ) -> tuple[ResponseCurve, Sequence[np.ndarray]]:
-    """Rebuild a curve of exact orbits without special points.
+    """Rebuild a curve with exact orbits, and the states at special points.
+
+    Special points are bifurcations. A state has all modes' displacements and velocities.
 
     Parameters
     ----------
@@ -550,22 +566,22 @@ def _unpack_exact_points(
     structure, contact : Structure, ContactLaw or None
         The curve's structure and law.
     count_by_prefix : dict of str to int
-        Point count by the prefix of dataset names: "" for all points, "bifurcation" with an
-        underscore for special points.
+        Point count by dataset name prefix. "" stands for all points, "bifurcation"
+        with an underscore for special points.
     shape_by_name : dict
-        Shapes that datasets must have; further shapes are added before the check.
+        Required shapes by dataset name; further shapes are added before the check.
 
     Returns
     -------
     curve : ResponseCurve
-        Curve without special points.
+        Curve without bifurcations in the list.
     special_states : (m, n_states)
-        States at the m special points, by mode.
+        States at the m special points.
 
     Raises
     ------
     InputError
-        The structure's load, mesh or material differ: the first orbit has a residual above 1e-4.
+        The structure has another load, mesh or material: the first orbit's residual is above 1e-4.
     """
     dof_signs = _find_dof_signs(structure, datasets["couplings"])
     for prefix, count in count_by_prefix.items():
@@ -592,17 +608,34 @@ def _unpack_balance_points(
     count_by_prefix: Mapping[str, int],
     shape_by_name: ShapeByName,
 ) -> tuple[ResponseCurve, Sequence[np.ndarray]]:
-    """Rebuild a curve of harmonic balance without special points (collective).
+    """Rebuild a harmonic balance curve, and the unknowns at special points (collective).
 
-    Parameters are as in :func:`_unpack_exact_points`. InputError if the first solution's gaps in
-    the file differ by more than 1e-4 from those of the displacement computed anew.
+    Special points are bifurcations. The unknowns have H harmonics.
+
+    Parameters
+    ----------
+    datasets : dict
+        The file's datasets by name.
+    structure, contact : Structure, ContactLaw or None
+        The curve's structure and law.
+    count_by_prefix : dict of str to int
+        Point count by dataset name prefix. "" stands for all points, "bifurcation"
+        with an underscore for special points.
+    shape_by_name : dict
+        Required shapes by dataset name; further shapes are added before the check.
 
     Returns
     -------
     curve : ResponseCurve
-        Curve without special points.
+        Curve without bifurcations in the list.
     special_unknowns : list of (2H+1, n_pairs)
-        Unknowns at the special points, with as many harmonics as the curve.
+        Gap coefficients at each special point, with as many harmonics as the curve.
+
+    Raises
+    ------
+    InputError
+        The first solution's displacement, computed anew, gives other gaps than the file. A relative
+        difference of 1e-4 is allowed.
     """
     special_dataset_names = [f"bifurcation_{index}" for index in range(len(datasets["kinds"]))]
     unknowns = datasets["unknowns"]
@@ -641,7 +674,7 @@ def _unpack_states_by_mode(
     curve : ResponseCurve
         Curve with the structure at each parameter value.
     dof_signs : (n_dofs,)
-        From :func:`_find_dof_signs`.
+        Signs 1 or -1 by which the structure's dofs differ from the file's.
     """
     parameter_values = datasets[f"{prefix}values"]
     dof_states = dof_signs * datasets[f"{prefix}states"]
@@ -715,10 +748,11 @@ def _stack_gap_and_load_rows(structure: Structure) -> np.ndarray:
 
 
 def _find_dof_signs(structure: Structure, stored_rows: np.ndarray) -> np.ndarray:
-    """Return signs 1 or -1 (n_local,) for a structure's dofs relative to a file.
+    """Return signs 1 or -1 (n_local,) by which a structure's dofs differ from a file's.
 
-    Modes computed anew may have another sign. ``stored_rows`` are :func:`_stack_gap_and_load_rows`
-    in the file; InputError if load or pairs have changed, by more than 1e-6.
+    A reduced structure's dofs are modes, and a mode computed anew may have the other sign.
+    ``stored_rows`` are the file's rows of :func:`_stack_gap_and_load_rows`. InputError if the load
+    or the pairs differ by more than 1e-6, relative to a row's maximum.
     """
     structure_rows = _stack_gap_and_load_rows(structure)
     if stored_rows.shape != structure_rows.shape:

@@ -187,9 +187,9 @@ def attribute_texts(file: h5py.File) -> dict[str, str]:
 
 
 def locate_column(dataset: h5py.Dataset) -> Column:
-    """Return type, shape and offset in the file of a sweep's dataset.
+    """Return type, shape and offset in the file for a sweep's dataset.
 
-    Numbers are written there later, without HDF5.
+    The offset [byte] is needed since the sweep's numbers are written later, without HDF5.
     """
     return Column(dataset.dtype, dataset.shape, dataset.id.get_offset())
 
@@ -207,7 +207,7 @@ def content_digest(attributes: Mapping[str, str], datasets: Mapping[str, Any]) -
     Parameters
     ----------
     attributes : mapping of str to str
-        From :func:`attribute_texts`.
+        Texts by attribute name, from :func:`attribute_texts`.
     datasets : mapping
         Datasets by name: arrays, numbers, words; None is left out. For a sweep:
         :func:`column_texts`.
@@ -252,9 +252,9 @@ class Column:
     ) -> np.ndarray:
         """Read the dataset's numbers from the file ``path``.
 
-        By default all, in the dataset's shape; otherwise ``count`` numbers (count,) from
-        ``first_index`` on, counted along all axes. OSError or ValueError if the file cannot be
-        read, or ends too early.
+        If ``count`` is None, all numbers from the beginning are returned in the dataset's shape.
+        Otherwise ``count`` numbers (count,) from ``first_index`` on, in the flattened dataset.
+        OSError or ValueError if the file cannot be read, or ends too early.
         """
         start_byte = self.offset + first_index * self.dtype.itemsize
         n_numbers = math.prod(self.shape) if count is None else count
@@ -273,12 +273,12 @@ class StoredFile:
     path : Path
         The file.
     attributes : dict of str to str
-        From :func:`attribute_texts`.
+        Attributes by name; a dataset's attribute has a name like "omega/unit".
     datasets : dict
         Datasets by name: arrays, numbers and words. Empty for a sweep, or if read by
         :func:`read_result_file_without_numbers`.
     columns : dict of str to Column
-        For a sweep: the datasets' type, shape and offset.
+        For a sweep: each dataset's type, shape and offset; otherwise empty.
     """
 
     path: Path
@@ -339,10 +339,10 @@ class StoredFile:
 
     @contextlib.contextmanager
     def yield_checked_datasets(self) -> Iterator[dict[str, Any]]:
-        """Check the numbers, and yield the datasets as a new dict.
+        """Check the numbers, and yield the datasets as a new dict (context manager).
 
-        InputError if :func:`check_arrays` refuses the numbers, or the block raises one of
-        ``DATASET_ERROR_CLASSES``.
+        InputError if :func:`check_arrays` refuses the numbers. Also if the code in the ``with``
+        block raises one of ``DATASET_ERROR_CLASSES``: a dataset does not fit.
         """
         try:
             check_arrays(self.datasets)
@@ -461,9 +461,9 @@ def _stored_file_from_arrays(path: Path, array_by_name: Mapping[str, np.ndarray]
 
 
 def check_shapes(datasets: Mapping[str, Any], shape_by_name: Mapping[str, tuple[int, ...]]) -> None:
-    """Raise ValueError if a dataset has another shape than required.
+    """Raise ValueError if a dataset has another shape than ``shape_by_name`` requires.
 
-    -1 in a shape is any length; a missing dataset is not checked.
+    -1 in a required shape allows any length. A name without a dataset is not checked.
     """
     for name, shape in shape_by_name.items():
         stored_shape = np.shape(datasets[name]) if name in datasets else shape
@@ -476,9 +476,10 @@ def check_shapes(datasets: Mapping[str, Any], shape_by_name: Mapping[str, tuple[
 
 
 def read_result_file_without_numbers(path: str | Path) -> StoredFile:
-    """Read a result file, and keep all but the datasets.
+    """Read a result file, and return the attributes and columns without datasets.
 
-    The last 32 unchanged files are cached. Raises as :func:`read_result_file`.
+    The last 32 files' contents are cached until a file changes. InputError if the file cannot
+    be read, is damaged, has an older version, or comes from another program.
     """
     try:
         file_status = os.stat(path)
@@ -497,9 +498,10 @@ def _read_without_numbers_cached(path: Path, file_identity: tuple[int, ...]) -> 
 
 
 def _list_scene_files(scene: Scene) -> list[tuple[str, str]]:
-    """Return pairs (key, path) for all files that a scene reads.
+    """Return pairs (key, path) for all files that a scene needs.
 
-    The files are those named in the scene, and further files read with them, as for matrices.
+    First come the files named in the scene, then files to which matrix files refer. Of these,
+    ".dof" files are left out if the scene names a dof file.
     """
     named_key_path_pairs = file_keys_and_paths(scene)
     # A named file of dofs takes the place of the file beside the matrices.
