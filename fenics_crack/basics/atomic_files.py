@@ -28,9 +28,9 @@ REPLACED_FILES_FOLDER_NAME = "before"
 
 
 def write_file_whole(path: str | Path, content: bytes | str, key: str = "path") -> None:
-    """Write a file in one step, and make the folder.
+    """Write a file in one step; make a missing folder.
 
-    A failure leaves an earlier file unchanged.
+    If writing fails, an earlier file stays unchanged.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def write_file_whole(path: str | Path, content: bytes | str, key: str = "path") 
     Raises
     ------
     InputError
-        From :func:`report_write_errors`.
+        The file cannot be written; for a full disk a WriteError.
     """
     content_bytes = content.encode() if isinstance(content, str) else content
     if os.path.dirname(os.path.abspath(path)) in DEVICE_FOLDERS:
@@ -56,12 +56,17 @@ def write_file_whole(path: str | Path, content: bytes | str, key: str = "path") 
 
 
 def write_files_together(path_text_pairs: Iterable[tuple[Path, str]]) -> None:
-    """Write all texts to their paths, or none.
+    """Write all texts to the given paths; if this fails, write none.
+
+    Parameters
+    ----------
+    path_text_pairs : iterable of (Path, str)
+        Path and text for each file.
 
     Raises
     ------
     InputError
-        From :func:`report_write_errors`.
+        A file cannot be written; for a full disk a WriteError.
     """
     with complete_files_together():
         for path, content in path_text_pairs:
@@ -70,15 +75,19 @@ def write_files_together(path_text_pairs: Iterable[tuple[Path, str]]) -> None:
 
 @contextlib.contextmanager
 def complete_files_together() -> Iterator[contextlib.ExitStack]:
-    """Rename the files written in a block together at the end, or none.
+    """Keep files written in a block hidden, and rename all to their final names at the end.
 
-    Until then they have hidden names. The context value is the stack of unfinished files; ``close``
-    renames them earlier.
+    If the block fails, none is renamed, and the hidden files are removed.
+
+    Yields
+    ------
+    contextlib.ExitStack
+        The unfinished files; ``close`` renames them before the end.
 
     Raises
     ------
     InputError
-        From :func:`report_write_errors`.
+        A file cannot be written; for a full disk a WriteError.
     """
     with contextlib.ExitStack() as file_stack:
         _OPEN_FILE_STACKS.append(file_stack)
@@ -96,22 +105,24 @@ _OPEN_FILE_STACKS: list[contextlib.ExitStack] = []
 def partial_file(
     path: str | Path, key: str = "path", *, must_be_new: bool = False
 ) -> Iterator[Path]:
-    """Yield a hidden path for a new file, and rename the file after the block.
+    """Yield a hidden path to write in a block, then rename the hidden file to its final path.
 
-    If the block fails, the hidden file is removed. Within :func:`complete_files_together` files are
-    renamed together at the end.
+    If the block fails, the hidden file is removed. Within :func:`complete_files_together`, files
+    are renamed together at the end instead.
 
     Parameters
     ----------
-    path, key
-        Final path, and the name of the option or argument with the path, for an error.
+    path : path
+        Final path.
+    key : str
+        Name of the option or argument with the path, for an error.
     must_be_new : bool
         Raise FileExistsError if a file exists at the path, and leave that file.
 
     Raises
     ------
     InputError
-        From :func:`report_write_errors`.
+        The file cannot be written; for a full disk a WriteError.
     """
     with contextlib.ExitStack() as single_file_stack:
         file_stack = (
@@ -127,9 +138,10 @@ def partial_file(
 
 @contextlib.contextmanager
 def _yield_hidden_path(final_path: Path, *, must_be_new: bool = False) -> Iterator[Path]:
-    """Yield a hidden path beside a file, and rename the hidden file after the block.
+    """Yield a hidden path beside a file, then rename the hidden file to the final path.
 
-    With ``must_be_new`` an existing file stays, and FileExistsError is raised.
+    With ``must_be_new``, FileExistsError is raised if a file exists at the final path. That file
+    stays.
     """
     random_text = os.urandom(4).hex()
     hidden_path = final_path.parent / f".{random_text}.{final_path.name}"
@@ -148,10 +160,17 @@ def _yield_hidden_path(final_path: Path, *, must_be_new: bool = False) -> Iterat
 
 
 def keep_files(file_names: Sequence[str], folder: Path, kept_folder: Path) -> bool:
-    """Keep some files of a folder in another folder, as links or copies.
+    """Keep some files from a folder in another folder, as links or copies.
 
-    In ``kept_folder`` earlier files of these names are replaced, or removed if ``folder`` has no
-    such file. Without any of the files in ``folder``, nothing changes.
+    Parameters
+    ----------
+    file_names : sequence of str
+        Names of the files to keep. Names without a file in ``folder`` are removed from
+        ``kept_folder``. If no name has a file, nothing changes.
+    folder : Path
+        Folder with the files.
+    kept_folder : Path
+        Folder for the links or copies, which replace files with the same names.
 
     Returns
     -------
@@ -187,13 +206,21 @@ def keep_files(file_names: Sequence[str], folder: Path, kept_folder: Path) -> bo
 def replace_files(file_names: Sequence[str], folder: Path, text_by_name: Mapping[str, str]) -> None:
     """Replace the named files in a folder by new texts.
 
-    The earlier files are kept in the inner folder :data:`REPLACED_FILES_FOLDER_NAME`. A file
-    without an entry in ``text_by_name`` is removed.
+    The earlier files are kept in the inner folder "before".
+
+    Parameters
+    ----------
+    file_names : sequence of str
+        Names of the earlier files.
+    folder : Path
+        Folder of the files.
+    text_by_name : dict of str to str
+        New texts by file name. A file in ``file_names`` without a new text is removed.
 
     Raises
     ------
     InputError
-        From :func:`prepare_folder` and :func:`report_write_errors`.
+        A file cannot be written, or the inner folder is a link or a file.
     """
     prepare_folder(folder, (REPLACED_FILES_FOLDER_NAME,), "folder")
     with report_write_errors(folder, "folder"):
@@ -213,14 +240,14 @@ def prepare_folder(
     folder : Path
         The folder, or a link to a folder.
     inner_folder_names : iterable of str
-        Folders below, which are neither made nor may be links.
+        Names of inner folders. None is made; an existing one must be no link and no file.
     key : str
         Name of the option with the folder, for an error.
 
     Raises
     ------
     InputError
-        No file can be written in the folder, or :func:`check_inner_folder` refuses an inner folder.
+        No file can be written in the folder, or an inner folder is a link or a file.
     """
     for name in inner_folder_names:
         check_inner_folder(folder / name, key)
@@ -259,7 +286,7 @@ def make_folder_until_exit() -> Path:
 def remove_file(path: Path, key: str) -> None:
     """Remove a file if it exists.
 
-    ``key`` names the option in an InputError from :func:`report_write_errors`.
+    InputError if the file cannot be removed; ``key`` names the option with the path.
     """
     with report_write_errors(path, key, "a file that can be removed"):
         path.unlink(missing_ok=True)
@@ -280,15 +307,17 @@ def write_bytes_at(file_descriptor: int, content: bytes | memoryview, offset: in
 def report_write_errors(
     path: str | Path, key: str, requirement_text: str = "a file that can be written"
 ) -> Iterator[None]:
-    """Turn an OSError of the block into an InputError that names the file.
+    """Turn an OSError in the block into an InputError that names the file.
 
-    A full disk becomes a WriteError. FileExistsError from ``must_be_new`` in :func:`partial_file`
-    stays.
+    If the disk is full, the error is a WriteError. The FileExistsError due to ``must_be_new`` in
+    :func:`partial_file` is raised unchanged.
 
     Parameters
     ----------
-    path, key
-        The file, and the name of the option or argument with the path.
+    path : path
+        The file.
+    key : str
+        Name of the option or argument with the path.
     requirement_text : str
         Description of an allowed file, for the error.
     """

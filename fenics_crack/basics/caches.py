@@ -90,12 +90,12 @@ def check_private_folder(
     Parameters
     ----------
     folder_path : Path
-        The folder. Folders above may be sticky, like ``/tmp``.
+        The folder. Outer folders writable by others must be sticky, like ``/tmp``.
     forbidden_mode_bits : int
         Mode bits that the folder must not have; by default write permission for group and others.
     makes_folder : bool
-        Make the folder and those above. Otherwise the folder may be missing, and the disk must have
-        room for a cache (4 MiB).
+        Make the folder and its outer folders. If False, the folder may be missing, and the disk
+        must have room for a cache (4 MiB).
 
     Returns
     -------
@@ -136,16 +136,16 @@ def check_private_folder(
 def load_or_compile_form(
     comm: MPI.Comm, record_file: Path, compile_form: Callable[[dict[str, object]], Result]
 ) -> Result:
-    """Load a compiled form from disk, or compile the form (collective).
+    """Load a compiled finite-element form from disk, or compile the form (collective).
 
     Parameters
     ----------
     comm : MPI.Comm
         Communicator of the form's mesh.
     record_file : Path
-        File in the cache that names the form's folder beside it.
+        File in the cache with the name of the folder that holds the compiled form.
     compile_form : callable
-        Function that loads or compiles the form, given options of DOLFINx.
+        Function that loads or compiles the form, given options for DOLFINx.
 
     Returns
     -------
@@ -181,7 +181,12 @@ def load_or_compile_form(
 
 
 def _find_form_folder_and_compiler(record_file: Path) -> tuple[Path, str]:
-    """Find a form's compiled folder, or make a new one for compiling.
+    """Find a finite-element form's compiled folder, or make a new folder for compiling.
+
+    Parameters
+    ----------
+    record_file : Path
+        File with the folder's name, and with name and SHA-256 of each file in it.
 
     Returns
     -------
@@ -204,7 +209,7 @@ def _find_form_folder_and_compiler(record_file: Path) -> tuple[Path, str]:
 
 
 def _form_record_text(form_folder: Path) -> str:
-    """Return the record of a form's folder as text.
+    """Return a text to record the files in a compiled form's folder.
 
     First line: name of the folder. Further lines: SHA-256 and name of each file.
     """

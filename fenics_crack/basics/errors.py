@@ -63,14 +63,16 @@ class InputError(ValueError):
     key : str
         Name of the value, in the words of the scene file or of the argument list.
     value : object
-        The value of this key.
+        The value of this key; None if it is missing.
     allowed : str
-        Description of the allowed values, printed after "must be". "left out with ..." is printed
-        as "not allowed with ...", and "given: a number" as "give a number".
+        Description of the allowed values, printed after "must be". A description "left out with
+        ..."
+        is printed as "not allowed with ...", and "given: a number" as "give a number".
     others : tuple of InputError
-        Errors of further keys of the same scene.
+        Errors of further keys in the same scene.
     example : str or None
-        Lines of a missing table for the scene's file; None: the lines of a new scene.
+        Example lines for the scene's file, if a table is missing. None: lines from the template for
+        new scenes.
     """
 
     others: tuple[InputError, ...] = ()
@@ -81,7 +83,10 @@ class InputError(ValueError):
         self.key, self.value, self.allowed = key, value, allowed
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Prepare the error for other ranks; a value that cannot be pickled becomes a text."""
+        """Prepare the error to be sent to other ranks by ``pickle``.
+
+        A value that cannot be pickled becomes a text.
+        """
         try:
             pickle.dumps(value := self.value)
         except Exception:
@@ -113,7 +118,7 @@ class ConvergenceError(RuntimeError):
     history : tuple of float
         The residual norms of all attempts, in order.
     found : object
-        Result so far, such as an incomplete curve; else None.
+        Result so far, such as an incomplete curve; None without a result.
     """
 
     def __init__(self, message: str, history: Sequence[float] = (), found: object = None) -> None:
@@ -203,9 +208,17 @@ def check_rayleigh_damping_ratios(
 ) -> None:
     """Raise InputError unless Rayleigh damping can have two ratios at two frequencies [rad/s].
 
-    Rayleigh damping has a coefficient for the mass and one for the stiffness. Both are >= 0 if the
-    ratios differ by at most the factor of the frequencies. A relative difference of 1e-15 is
-    allowed.
+    Rayleigh damping has a coefficient for the mass and a coefficient for the stiffness; both must
+    be >= 0.
+    This holds if the higher damping ratio over the lower is at most the higher frequency over the
+    lower. A relative excess up to 1e-15 is allowed.
+
+    Parameters
+    ----------
+    key : str
+        Name of the damping ratios, for the error.
+    damping_ratios, omegas : two floats each
+        Damping ratios, and the frequencies [rad/s] in the same order.
     """
     (low_omega, low_ratio), (high_omega, high_ratio) = sorted(
         zip(omegas, damping_ratios, strict=True)

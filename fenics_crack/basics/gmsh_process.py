@@ -18,10 +18,10 @@ from fenics_crack.basics.machine import report_missing_libraries
 
 @contextmanager
 def keep_interrupt_handler() -> Iterator[None]:
-    """Restore the handler of Ctrl-C after the block, in which gmsh replaces it.
+    """Keep Python's handler of Ctrl-C although gmsh replaces it in the block.
 
-    In a thread other than the main thread, Python forbids to set a handler: there gmsh's request
-    has no effect.
+    The handler is restored after the block. In a thread other than the main thread, Python forbids
+    to set a handler, and gmsh's replacement has no effect.
     """
     interrupt_handler, original_signal_function = signal.getsignal(signal.SIGINT), signal.signal
 

@@ -112,7 +112,8 @@ def report_missing_libraries() -> Iterator[None]:
 def find_c_compiler() -> str:
     """Find the C compiler for DOLFINx, and return the command.
 
-    If the variable CC is set, only this compiler counts; otherwise Python's compiler, gcc or clang.
+    If the variable CC is set, only this compiler is tried. Otherwise Python's compiler
+    is tried, then gcc, then clang.
 
     Raises
     ------
@@ -165,12 +166,12 @@ def check_launcher(
     Parameters
     ----------
     n_ranks : int
-        Number of ranks according to the library. 0 before the library is started: then any mpirun
-        that sets one of the variables is wrong.
+        Number of ranks that the MPI library reports. 0 if the library has not been started: any
+        mpirun that sets one of the variables is then wrong.
     mpi_library : str
         Name of the library, for the error.
     variable_names : sequence of str
-        Environment variables with the number of ranks according to mpirun.
+        Environment variables in which an mpirun gives the number of ranks.
     """
     n_launched_programs = max(
         int(os.environ.get(variable_name, n_ranks)) for variable_name in variable_names
@@ -202,11 +203,11 @@ def is_started_by_mpirun() -> bool:
 
 @contextmanager
 def run_single_threaded() -> Iterator[None]:
-    """Run a block with a single thread of Python, OpenBLAS and OpenMP.
+    """Run a block in which OpenBLAS and OpenMP use a single thread.
 
-    The earlier numbers of threads are restored after the block. A number that the user has set
-    stays: by a variable of :data:`THREAD_COUNT_VARIABLES` (for OpenMP only the first), or in
-    OpenBLAS by threadpoolctl.
+    The earlier settings return after the block. A number of threads chosen by the user stays: in a
+    variable of :data:`THREAD_COUNT_VARIABLES` (for OpenMP only the first variable counts), or by
+    threadpoolctl for OpenBLAS.
     """
     with _lock, ExitStack() as restored_settings:
         if not any(map(os.environ.get, THREAD_COUNT_VARIABLES)):
@@ -227,10 +228,10 @@ def run_single_threaded() -> Iterator[None]:
 
 
 class _OpenBlas(NamedTuple):
-    """Hold a loaded OpenBLAS; Debian and wheels have different names for the functions.
+    """Hold a loaded OpenBLAS library; the function names depend on the build.
 
-    ``name_affixes`` are the prefix and the suffix of a function's name, as "openblas" and "64",
-    with underscores.
+    ``name_affixes`` are prefix and suffix of each function name. "openblas_" and "64_" give
+    "openblas_get_config64_".
     """
 
     library: ctypes.CDLL
@@ -257,9 +258,10 @@ class _OpenBlas(NamedTuple):
 
 @lru_cache(maxsize=1)
 def _load_openblas_with_thread_counts(n_imported_modules: int) -> list[tuple[_OpenBlas, int]]:
-    """Return each OpenBLAS of this process with the default number of threads.
+    """Return each OpenBLAS library in this process, with the default number of threads.
 
-    ``n_imported_modules`` only makes the cache search again after imports.
+    The result is cached. ``n_imported_modules`` is not used otherwise: another number repeats the
+    search.
     """
     openblas_libraries: list[_OpenBlas] = []
     all_affixes = [*product(("openblas_", "scipy_openblas_"), ("", "64_", "_64"))]
@@ -277,9 +279,10 @@ def _load_openblas_with_thread_counts(n_imported_modules: int) -> list[tuple[_Op
 
 @lru_cache(maxsize=1)
 def _load_openmp_libraries(n_imported_modules: int) -> list[ctypes.CDLL]:
-    """Return the OpenMP libraries of this process: GCC's, LLVM's and Intel's.
+    """Return the OpenMP libraries in this process: GCC's, LLVM's and Intel's.
 
-    ``n_imported_modules`` only makes the cache search again after imports.
+    The result is cached. ``n_imported_modules`` is not used otherwise: another number repeats the
+    search.
     """
     openmp_libraries = map(ctypes.CDLL, list_loaded_libraries(r"lib(?:g|i)?omp"))
     return [
@@ -331,7 +334,8 @@ def remaining_address_space() -> float:
 def describe_resource_shortage(error: Exception) -> str:
     """Describe the lack of memory or disk space behind an error; "" for any other error.
 
-    Memory counts as short, too, above 90 % of the process's address space limit.
+    Any error counts as a lack of memory if the peak is above 90 % of the process's address space
+    limit.
     """
     is_reported = any(shortage_text in str(error) for shortage_text in OUT_OF_MEMORY_ERROR_TEXTS)
     # Few libraries name their need.
@@ -348,10 +352,10 @@ def describe_resource_shortage(error: Exception) -> str:
 
 @contextmanager
 def set_one_process_variables() -> Iterator[None]:
-    """Set environment variables for Open MPI without mpirun, during a block.
+    """Set environment variables during a block, so that Open MPI can start without mpirun.
 
-    MPI starts in the block. :data:`ONE_PROCESS_MPI_SETTINGS` has the values. Nothing is set if
-    mpirun has started this process; a variable that the user has set stays.
+    The block starts MPI. The variables are :data:`ONE_PROCESS_MPI_SETTINGS`; one that the user has set
+    stays. If mpirun has started this process, none is set.
     """
     value_by_variable = {} if is_started_by_mpirun() else ONE_PROCESS_MPI_SETTINGS
     added_value_by_variable = {

@@ -38,7 +38,7 @@ class Place(Enum):
 
 
 class ObservableFlag(Flag):
-    """Tables that show an observable by default, and conditions for an observable."""
+    """Tables that show an observable by default, and conditions for computing it."""
 
     IN_FILES_ONLY = 0
     IN_PRINTED_TABLE = auto()
@@ -78,12 +78,12 @@ class Observable:
     place : Place
         Place at which the number is read.
     words, unit : str
-        Description and unit.
+        Label in tables and pictures, and SI unit.
     read_number : callable, optional
-        Function that returns the number, given the object at the place. Default: ``float``, for an
-        entry of :meth:`fenics_crack.BilinearFrequencies.nearest`.
+        Function that takes an object with results at the place, and returns the number. The default
+        ``float`` serves if the object is the number itself.
     flags : ObservableFlag
-        Tables with this number, and conditions.
+        Tables that show the number by default, and conditions for computing it, such as friction.
     """
 
     place: Place
@@ -116,7 +116,7 @@ _make_clamp_row = partial(Observable, Place.CLAMP)
 class Observables:
     """Hold the numbers of a motion at a watched point and at the crack faces.
 
-    Each field's default is the :class:`Observable` with its description.
+    Each field's default is an :class:`Observable`, which describes the number.
     """
 
     omega: Any
@@ -214,8 +214,14 @@ def observable_names(
 ) -> tuple[str, ...]:
     """Return the names of observables at given places, with given flags.
 
-    Without ``places``, all places count. An observable has all ``required_flags`` and none of the
-    ``excluded_flags``.
+    Parameters
+    ----------
+    places : Place
+        Places; none given means all places.
+    required_flags : ObservableFlag
+        Flags that an observable must have, all together.
+    excluded_flags : ObservableFlag
+        Flags that an observable must not have.
     """
     return tuple(
         name
@@ -231,9 +237,15 @@ def read_observables(
 ) -> dict[str, float]:
     """Return the numbers of all observables at a place, by observable name.
 
-    ``place`` is for example ``Place.TIPS`` (crack tips) or ``Place.CLAMP``. ``place_object`` holds
-    the results there; each :attr:`Observable.read_number` takes a number from it. Observables with
-    any of the ``excluded_flags`` are left out.
+    Parameters
+    ----------
+    place : Place
+        The place, such as ``Place.TIPS`` (crack tips) or ``Place.CLAMP``.
+    place_object
+        Object with the results at the place, from which :attr:`Observable.read_number` takes each
+        number.
+    excluded_flags : ObservableFlag
+        Observables with any of these flags are left out.
     """
     names = observable_names(place, excluded_flags=excluded_flags)
     return {name: float(OBSERVABLES_BY_NAME[name].read_number(place_object)) for name in names}

@@ -25,9 +25,9 @@ _progress_functions: list[Callable[[], str]] = []
 
 
 def begin_stage(stage: str) -> None:
-    """Report the name of the work that begins now; "" ends the previous stage.
+    """Report the stage, the name of the work that begins now.
 
-    Progress bars begin after a stage "".
+    An empty name ends the previous stage without a new one, before a progress bar begins.
     """
     _STAGE_LOGGER.debug("%s", ": ".join([*_stage_prefixes, stage]) if stage else "")
 
@@ -89,9 +89,9 @@ class StageLineHandler(logging.Handler):
             self._show_stage("")
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Show the stage in a record in place of the previous stage.
+        """Show the stage in a log record in place of the previous stage.
 
-        ``logging`` holds the handler's lock meanwhile.
+        ``logging`` calls this with the handler's lock held.
         """
         self._show_stage(record.getMessage())
 
@@ -159,5 +159,8 @@ class MessageHandler(logging.StreamHandler):
         return f"{'fenics-crack: warning: ' if is_warning else ''}{record.getMessage()}"
 
     def handleError(self, record: logging.LogRecord) -> None:
-        """Raise the error of writing to standard error, which ``logging`` would print."""
+        """Raise the error of writing to standard error.
+
+        By default, ``logging`` would print the error.
+        """
         raise

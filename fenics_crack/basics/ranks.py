@@ -52,10 +52,11 @@ let them end by themselves.
 def _start_petsc() -> None:
     """Start PETSc with options from a file, the environment and the command line.
 
-    The options are the file ``~/.petscrc``, the variable PETSC_OPTIONS, and this program's
-    arguments from the first ``-crack_`` on; later options take precedence. The working folder is
-    left meanwhile: PETSc would read .petscrc and petscrc there, which can load code. petsc4py would
-    read a petsc.cfg there, with the place of PETSc; slepc4py, too.
+    The file is ``~/.petscrc`` and the variable is PETSC_OPTIONS. From the command line, PETSc gets
+    all arguments from the first ``-crack_`` on. The command line takes precedence over the
+    variable,
+    and the variable over the file. While PETSc starts, the process leaves the working folder. Files
+    ``.petscrc``, ``petscrc`` and ``petsc.cfg`` there would be read otherwise, and can load code.
     """
     user_option_text = os.environ.get("PETSC_OPTIONS", "")
     with leave_working_folder():
@@ -187,8 +188,8 @@ def collect_garbage(comm: MPI.Comm, *, was_stopped: bool = False) -> None:
     """Free PETSc objects that are no longer referenced (collective).
 
     petsc4py does not free objects when Python deletes them, since ranks may do so in different
-    orders. Objects of a single rank are freed, too. With ``was_stopped``, errors of PETSc are
-    ignored: a solver may have been stopped within a step.
+    orders. Freed are the objects on ``comm``, and those on this rank alone. With ``was_stopped``,
+    PETSc errors are ignored: a solver may have been stopped within a step.
     """
     from petsc4py import PETSc
 
@@ -226,10 +227,10 @@ def ignore_stop_signals() -> Iterator[None]:
 
 
 class StopRequest:
-    """Turn Ctrl-C into a request to stop, which the block checks between steps.
+    """Turn Ctrl-C into a request to stop, for the block to check between steps.
 
-    Any of :data:`STOP_SIGNALS` makes the request; a second signal raises KeyboardInterrupt at once.
-    After the block, the request passes to an enclosing StopRequest.
+    Any signal in :data:`STOP_SIGNALS` makes the request; a second signal raises KeyboardInterrupt
+    at once. After the block, the request passes to an enclosing StopRequest.
 
         with StopRequest() as stop:
             while not stop.is_requested(comm): ...

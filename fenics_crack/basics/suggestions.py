@@ -118,10 +118,10 @@ NUMBER_WITH_UNIT_PATTERN = re.compile(r"([+-]?\d*(?:[.,]\d*)?(?:[eE][+-]?\d+)?) 
 def find_similar_names(
     word: object, known_names: Iterable[str], min_likeness: float = MIN_SUGGESTION_LIKENESS
 ) -> list[str]:
-    """Return the known name most similar to a word.
+    """Return the known name most similar to a word, as a list.
 
-    Two names if both are equally similar; an empty list below ``min_likeness`` (ratio of difflib, 0
-    to 1).
+    The list has two names if both are equally similar. It is empty if the likeness of all names is
+    below ``min_likeness``: the ratio in difflib, 0 (different) to 1 (equal).
     """
     import difflib  # takes a while, and mistakes alone need it
 
@@ -143,9 +143,9 @@ def find_similar_or_longer_names(
 ) -> list[str]:
     """Return known names similar to a name, or else longer names.
 
-    In a longer name, a word begins with the name: "tol" finds "tolerance". A name with less than
-    three letters finds no longer name. ``min_likeness`` is the minimum ratio of difflib for similar
-    names.
+    In a longer name, a word begins with the name: "tol" finds "tolerance". For a name with
+    less than three letters, no longer names are returned. ``min_likeness`` is the minimum ratio in
+    difflib for similar names, 0 to 1.
     """
     beginning_pattern = re.compile(f"(^|_){re.escape(name)}", re.IGNORECASE)
     longer_names = [
@@ -157,10 +157,11 @@ def find_similar_or_longer_names(
 
 
 def find_calls_by_synonyms(name: str) -> list[str]:
-    """Return the calls whose search words match most words of a name.
+    """Return calls of the package, such as "fc.solve(scene)", for a foreign name.
 
-    :data:`SEARCH_WORDS_BY_CALL` has the search words. The list is empty if no word matches. If
-    functions ``fc....`` match, methods of a result are left out.
+    :data:`SEARCH_WORDS_BY_CALL` has search words for each call. Returned are the calls whose search
+    words match most words in the name; none if no word matches. If functions ``fc....`` match,
+    methods of a result are left out.
     """
     name_words = re.findall("[a-z0-9]+", re.sub("([A-Z])", r"_\1", name[:100]).lower())
     n_matches_by_call = {
@@ -182,7 +183,7 @@ def find_calls_by_synonyms(name: str) -> list[str]:
 def did_you_mean_text(suggested_names: Sequence[str]) -> str:
     """Return the question "did you mean a or b? " with up to three names.
 
-    "" without names.
+    The text is empty if no name is given.
     """
     return f"did you mean {' or '.join(suggested_names[:3])}? " if suggested_names else ""
 
@@ -190,7 +191,8 @@ def did_you_mean_text(suggested_names: Sequence[str]) -> str:
 def replacement_question_text(name: str, known_names: Sequence[str]) -> str:
     """Return the question "did you mean ...? " for a name missing in the package.
 
-    "" for a private name, or without a suggestion.
+    The text is empty for a private name, or without a suggestion. ``known_names`` are the names in
+    the package.
     """
     if name.startswith("_"):  # notebooks and test programs ask for such names of anything
         return ""
@@ -223,7 +225,8 @@ def check_options(
 ) -> None:
     """Raise InputError for an option that is not in ``option_names``.
 
-    ``owner_words`` name the function or the pictures with these options, for the error.
+    ``options`` are values by option name. ``owner_words`` is text for the error: the function, or
+    the pictures, to which the options belong.
     """
     for key, value in options.items():
         if key not in option_names:
@@ -238,8 +241,8 @@ def check_options(
 def _class_names_of(value: object) -> set[str]:
     """Return the names of a value's classes and base classes.
 
-    Also "Mapping", "Path", "None", "Iterable", "int" and "float" if the value is of this abstract
-    kind.
+    If the value is of one of these abstract kinds, its name is added: "Mapping", "Path", "None",
+    "Iterable", "int" and "float".
     """
     # The name of NumPy's bool_ becomes that of Python's.
     class_names = {base_class.__name__.removesuffix("_") for base_class in type(value).__mro__}
@@ -257,7 +260,7 @@ def _class_names_of(value: object) -> set[str]:
 def fit_argument_to_annotation(
     key: str, value: Any, annotation: str, known_class_names: Collection[str]
 ) -> Any:
-    """Return an argument, or the result of a Run if the annotation requires the result.
+    """Return an argument; if the annotation requires the result of a Run, return this result.
 
     Classes are compared by name: no module is imported for the check.
 
@@ -268,8 +271,8 @@ def fit_argument_to_annotation(
     annotation : str
         Annotation: class names with " | " between them.
     known_class_names : collection of str
-        Class names that can be compared, beside :data:`ARGUMENT_DESCRIPTION_BY_CLASS_NAME`. With
-        any further class in the annotation, or ``str`` alone, nothing is checked.
+        Class names that can be compared, beside those in :data:`ARGUMENT_DESCRIPTION_BY_CLASS_NAME`. If the
+        annotation has any further class, or is ``str`` alone, nothing is checked.
 
     Raises
     ------
@@ -308,8 +311,8 @@ def fit_argument_to_annotation(
 def with_old_names(**new_name_by_old_name: str) -> Callable[[type[Class]], type[Class]]:
     """Return a class decorator that keeps old names of attributes as properties.
 
-    Reading an old name warns with a FutureWarning. Keywords are old names, values are new names. An
-    old name stays for one version (docs/contributing.md, "What stays").
+    ``new_name_by_old_name`` has old names as keywords, and new names as values. Reading an old name
+    warns with a FutureWarning. An old name stays for one version.
     """
 
     def add_old_names(changed_class: type[Class]) -> type[Class]:
@@ -338,7 +341,7 @@ def check_calls(
 ) -> Function:
     """Decorate a function to check arguments, and to suggest corrections in errors.
 
-    A missing or unknown argument raises a TypeError. It suggests another argument, a key of the
+    If an argument is missing or unknown, the TypeError suggests another argument, a key of the
     scene, or another function. A ``comm`` that is no communicator raises an InputError.
 
     Parameters
@@ -346,9 +349,14 @@ def check_calls(
     function : callable
         Function to decorate.
     find_scene_keys : callable, optional
-        Return scene keys similar to an unknown argument's name.
+        Function to return scene keys similar to an unknown argument's name.
     known_class_names : collection of str
         Class names for :func:`fit_argument_to_annotation`, which checks each argument.
+
+    Returns
+    -------
+    callable
+        Function with the same arguments and result, and with the checks.
     """
     from inspect import signature as signature_of  # takes a while: not for the program
 
@@ -446,7 +454,7 @@ def convert_to_unit_or_none(text: str, unit: str) -> float | None:
 
 
 def yield_candidate_values(value: object, unit: str) -> Iterator[object]:
-    """Yield values that may be meant by a wrong value of a scene's key.
+    """Yield values probably meant, given a wrong value for a scene's key.
 
     A text yields, in turn:
 
@@ -470,7 +478,10 @@ def yield_candidate_values(value: object, unit: str) -> Iterator[object]:
 
 
 def format_scene_value(value: object) -> str:
-    """Return a value as text for a scene; a number is shortened if exact: "2.1e+11"."""
+    """Return a value as text for a scene.
+
+    A float is shortened to six digits if this is exact: "2.1e+11".
+    """
     short_number_text = f"{value:g}" if isinstance(value, float) else ""
     return (
         short_number_text

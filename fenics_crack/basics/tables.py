@@ -60,7 +60,7 @@ class Table:
     columns : sequence of str
         Headings with units: "omega [rad/s]".
     rows : sequence of sequences
-        Numbers, words, truth values; nan for an unknown value.
+        Numbers, words and truth values in each row; nan for an unknown value.
     """
 
     columns: Sequence[str]
@@ -70,8 +70,14 @@ class Table:
     def from_dict(cls, values_by_name: Mapping[str, Any], unit_by_name: Mapping[str, str]) -> Table:
         """Return a table from values by name, with units in the headings.
 
-        If any value is a list, all must be lists, and each becomes a column. Otherwise each value
-        becomes a row with the columns "quantity" and "value".
+        Parameters
+        ----------
+        values_by_name : dict
+            Lists by name, which become columns; or single values by name, which become rows with
+            the
+            columns "quantity" and "value". If any value is a list, all must be lists.
+        unit_by_name : dict of str to str
+            Units; a name without an entry has no unit.
         """
         headings = [heading_with_unit(name, unit_by_name.get(name, "")) for name in values_by_name]
         if any(isinstance(column_or_value, list) for column_or_value in values_by_name.values()):
@@ -202,7 +208,7 @@ class Report:
     conclusion : Conclusion
         Parts of the closing sentence, with the answer.
     scene : Scene, optional
-        Scene that selects the units of a printed table with several units.
+        Scene that selects the printed unit if a table has both, such as Hz and rad/s.
     csv_table : Table, optional
         Table for the .csv file; default: ``table``.
     printed_table : Table, optional
@@ -252,9 +258,11 @@ class Described:
     """Base class for a result that can show itself: as a line, a table or a dict."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the result's numbers and words by name, or lists of equal length.
+        """Return the result's numbers and words by name, or lists of equal length by name.
 
-        Units are SI. ``pandas.DataFrame`` takes a dict of lists, and a list of dicts of numbers.
+        Units are SI. ``pandas.DataFrame`` accepts a dict of lists, and a list of several such dicts
+        of
+        numbers.
         """
         raise NotImplementedError
 
@@ -341,9 +349,10 @@ _PREFIX_BY_EXPONENT = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "
 
 
 def choose_factor_and_prefixed_unit(largest_magnitude: float, unit: str) -> tuple[float, str]:
-    """Return the factor to a prefixed unit for numbers, and this unit: (1e6, "µm").
+    """Choose a prefixed unit for numbers: (1e6, "µm") for micrometres.
 
-    ``largest_magnitude`` is the largest absolute number in ``unit``.
+    ``largest_magnitude`` is the largest absolute number in ``unit``. The result is the factor from
+    ``unit`` to the prefixed unit, and the prefixed unit.
     """
     exponent = (
         3 * int(np.floor(np.log10(largest_magnitude) / 3.0))
@@ -377,17 +386,17 @@ def heading_with_unit(quantity_name: str, unit: str) -> str:
 
 
 def choose_frequency_factor_name_unit(in_hertz: bool) -> tuple[float, str, str]:
-    """Return the factor from rad/s, the name and the unit for load frequencies.
+    """Return factor, name and unit to print a load frequency in Hz or rad/s.
 
-    The unit is Hz or rad/s.
+    The factor converts from rad/s to the unit.
     """
     return (0.5 / math.pi, "load frequency", "Hz") if in_hertz else (1.0, "load frequency", "rad/s")
 
 
 def choose_speed_factor_name_unit(in_rpm: bool) -> tuple[float, str, str]:
-    """Return the factor from rad/s, the name and the unit for rotor speeds.
+    """Return factor, name and unit to print a rotor speed in rpm or rad/s.
 
-    The unit is rpm or rad/s.
+    The factor converts from rad/s to the unit.
     """
     return (
         (1.0 / RAD_PER_S_PER_RPM, "rotor speed", "rpm") if in_rpm else (1.0, "rotor speed", "rad/s")
@@ -402,8 +411,12 @@ def format_speed(speed: float, in_rpm: bool) -> str:
 def format_in_unit(factor_name_unit: tuple[float, str, str], *values: float) -> str:
     """Return numbers in an axis' unit as text: "50.1 Hz", "50.1 and 50.3 Hz".
 
-    ``factor_name_unit`` comes from :func:`choose_frequency_factor_name_unit` or
-    :func:`choose_speed_factor_name_unit`.
+    Parameters
+    ----------
+    factor_name_unit : (float, str, str)
+        Factor from ``values`` to the printed unit, name (not printed), and the unit.
+    values : float
+        Numbers, such as frequencies in rad/s.
     """
     factor, _, unit = factor_name_unit
     numbers_text = " and ".join(f"{factor * value:.6g}" for value in values)
@@ -411,9 +424,10 @@ def format_in_unit(factor_name_unit: tuple[float, str, str], *values: float) -> 
 
 
 def add_frequency_entries(values_by_name: dict[str, Any]) -> dict[str, Any]:
-    """Return entries with a frequency after "omega" and revolutions per minute after "speed".
+    """Return a copy of the entries in which frequencies and speeds also have their other unit.
 
-    "frequency" is in Hz, "rpm" in 1/min; "omega" and "speed" are in rad/s, numbers or lists.
+    After "omega" [rad/s] comes "frequency" [Hz], after "speed" [rad/s] comes "rpm" [1/min]. The
+    values are numbers or lists.
     """
     added_name_and_unit_by_name = {
         "omega": ("frequency", RAD_PER_TURN),
@@ -457,7 +471,7 @@ def format_error(error: float) -> str:
 
 
 def describe_omitted_causes(cause_names: Iterable[str]) -> str:
-    """Return text on causes that an error leaves out; "" without causes.
+    """Name the causes left out of an error; "" without causes.
 
     An example is "error due to the mesh not included".
     """
@@ -494,7 +508,7 @@ def _json_value(value: Any) -> Any:
 
 
 def _value_text(value: Any) -> str:
-    """Return a table's value as text: "yes", "no", a number with six digits; "-" for nan."""
+    """Return a table's value as text: a number with six digits; "yes" or "no"; "-" for nan."""
     value = _python_value(value)
     if isinstance(value, bool):
         return "yes" if value else "no"

@@ -92,7 +92,7 @@ def leave_working_folder() -> Iterator[None]:
 def regular_file_size(
     path: str | Path, max_bytes: int | None = MAX_INPUT_FILE_BYTES, *, follows_links: bool = True
 ) -> int:
-    """Return the size of a regular file [byte], or refuse the file.
+    """Return the size [byte] of a regular file, or refuse the file.
 
     Devices and pipes are refused, since they may not end. With ``follows_links=False`` a link is
     refused, too.
@@ -100,7 +100,7 @@ def regular_file_size(
     Raises
     ------
     OSError
-        There is no such file, it is refused, or it is larger than ``max_bytes`` (None: no limit).
+        The file is missing, refused, or larger than ``max_bytes`` (None: no limit).
     """
     try:
         file_status = os.stat(path, follow_symlinks=follows_links)
@@ -116,10 +116,15 @@ def regular_file_size(
 def read_regular_file(
     path: str | Path, max_bytes: int | None = 2**26, *, follows_links: bool = True
 ) -> bytes:
-    """Return the content of a regular file up to ``max_bytes``, by default 64 MiB.
+    """Return the content of a regular file up to ``max_bytes``.
 
-    OSError from :func:`regular_file_size`. The default suits scenes and tables: a million rows have
-    40 MiB.
+    The default, 64 MiB, suits scenes and tables: a million rows have 40 MiB. With
+    ``follows_links=False`` a link is refused.
+
+    Raises
+    ------
+    OSError
+        The file is missing, larger, or no regular file.
     """
     regular_file_size(path, max_bytes, follows_links=follows_links)
     return Path(path).read_bytes()
@@ -128,7 +133,7 @@ def read_regular_file(
 def read_first_bytes(path: str | Path, n_bytes: int) -> bytes:
     """Return the first ``n_bytes`` of a regular file of any size.
 
-    OSError as in :func:`regular_file_size`.
+    OSError if the file is missing, or is a device or a pipe.
     """
     regular_file_size(path, None)
     with open(path, "rb") as file:
@@ -139,7 +144,7 @@ def read_first_bytes(path: str | Path, n_bytes: int) -> bytes:
 def copy_to_temporary_folder(path: str | Path, copy_name: str) -> Iterator[Path]:
     """Copy a file under another name into an empty temporary folder, during a block.
 
-    Yields the path of the copy. OSError as in :func:`regular_file_size`.
+    Yields the copy's path. OSError if the file is missing, too large, or a device or pipe.
     """
     regular_file_size(path)
     with tempfile.TemporaryDirectory() as folder:
@@ -147,10 +152,10 @@ def copy_to_temporary_folder(path: str | Path, copy_name: str) -> Iterator[Path]
 
 
 def max_allowed_unpacked_bytes(packed_bytes: int) -> int:
-    """Return the maximum size [byte] of a compressed file's content.
+    """Return the maximum allowed size [byte] of a compressed file's content.
 
-    50 times ``packed_bytes``, but at least 16 MiB, which take seconds as text, and at most 2 GiB.
-    This program's files take 1 to 10 times.
+    This is 50 times ``packed_bytes``, the size of the compressed file, but at least 16 MiB, and
+    at most 2 GiB. For files of this program, the factor is 1 to 10.
     """
     return min(max(2**24, 50 * packed_bytes), MAX_INPUT_FILE_BYTES)
 
@@ -158,7 +163,7 @@ def max_allowed_unpacked_bytes(packed_bytes: int) -> int:
 def file_sha256(path: str | Path) -> str:
     """Return the SHA-256 of a regular file up to 2 GiB, in hexadecimal digits.
 
-    OSError from :func:`regular_file_size`.
+    OSError if the file is missing, larger, or a device or pipe.
     """
     n_remaining_bytes, hash_object = regular_file_size(path), hashlib.sha256()
     with open(path, "rb") as file:
@@ -190,9 +195,9 @@ def read_utf8_text(path: str | Path) -> str:
 def read_numbered_csv_rows(path: str | Path) -> list[tuple[int, list[str]]]:
     """Return line number and cells for each line of a CSV file.
 
-    Cells are separated by commas, semicolons or tabs, as in the headings. Decimal commas become
-    points. Empty lines, lines that begin with #, and a first column without a heading that numbers
-    the rows from 0 are left out.
+    Cells are separated by commas, semicolons or tabs: the first of these in the headings. Decimal
+    commas become points. Empty lines and lines that begin with # are left out. A first column
+    without a heading is left out if it numbers the rows from 0.
 
     Raises
     ------
@@ -243,7 +248,9 @@ def read_numbered_csv_rows(path: str | Path) -> list[tuple[int, list[str]]]:
 
 
 def _map_decimal_commas_to_points(cells: Sequence[str]) -> dict[str, str]:
-    """Return cells with a decimal comma as keys, with a decimal point as values.
+    """Return the cells with a decimal comma, mapped to texts with a decimal point.
+
+    The result is a dict, such as {"0,5": "0.5"}. Cells without a comma are not in it.
 
     Raises
     ------
@@ -272,9 +279,9 @@ def convert_heading_to_si(heading: str) -> tuple[str, float]:
     Returns
     -------
     heading : str
-        Heading with the SI unit in brackets at the end.
+        Heading with the SI unit in brackets at the end; unchanged if the unit is unknown.
     factor : float
-        Factor for the column's numbers; 1 if the unit is unknown and the heading unchanged.
+        Factor for the column's numbers; 1 if the unit is unknown.
     """
     heading_match = re.fullmatch(r"(.*?)\s*[\[(]\s*([^][()]*?)\s*[])]", heading)
     si_unit, factor = (
@@ -287,7 +294,9 @@ def convert_heading_to_si(heading: str) -> tuple[str, float]:
 def open_lines_and_byte_limit(
     path: str | Path, errors: str = "strict"
 ) -> Iterator[tuple[Iterable[str], int]]:
-    """Open a text file by lines, also one compressed as .gz or .bz2.
+    """Open a text file by lines; the file may be compressed as .gz or .bz2.
+
+    ``errors`` says how to treat bytes that are not UTF-8, as in ``open``.
 
     Yields
     ------
@@ -330,7 +339,7 @@ def parse_number_rows(
 def _yield_limited_lines(file: TextIO, max_characters: int) -> Iterator[str]:
     """Yield the lines of an unpacked file.
 
-    ValueError after more than ``max_characters``.
+    ValueError as soon as the lines have more than ``max_characters`` in sum.
     """
     while line := file.readline(max_characters + 1):
         max_characters -= len(line)
@@ -356,10 +365,10 @@ def run_reader_for_arrays(
     max_seconds : int
         Maximum processor time [s]; the wall-clock time may be four times as long.
     base_memory_bytes : int
-        Address space [byte] beside four times the bytes that the arrays may take. gmsh needs 0.2
-        GiB, h5py half as much.
+        Address space [byte] of the process without the arrays. The limit is this plus four times
+        the largest allowed size of the arrays. gmsh needs 0.2 GiB, h5py half as much.
     **request
-        Further arguments of ``read``, as JSON.
+        Further arguments of ``read``, sent as JSON.
 
     Returns
     -------
@@ -407,10 +416,12 @@ def run_reader_for_arrays(
 def _send_request_for_exit_status(
     reader_file: Path, request_bytes: bytes, array_descriptor: int
 ) -> int:
-    """Send a request to the reader process, and return the exit status of its copy.
+    """Send a request to the reader process, and return the exit status of reading.
 
-    The copy reads the file, while the process waits for further requests. A process that was killed
-    is started again once; 1 without an answer.
+    A forked copy of the reader process reads the file, while the process waits for further
+    requests. If the reader process does not answer, the process is started again once. Without an
+    answer the
+    status is 1.
 
     Parameters
     ----------
@@ -419,7 +430,7 @@ def _send_request_for_exit_status(
     request_bytes : bytes
         Request as JSON.
     array_descriptor : int
-        Descriptor of an open file for the arrays.
+        Descriptor of an open file, into which the copy writes the arrays.
     """
     descriptor_message = socket.SOL_SOCKET, socket.SCM_RIGHTS, array("i", [array_descriptor])
     for _ in range(2):  # the one that waits may have been killed meanwhile
@@ -444,10 +455,11 @@ def _send_request_for_exit_status(
 def _start_reader(
     reader_file: Path, process_id: int, thread_id: int
 ) -> tuple[subprocess.Popen[bytes], socket.socket]:
-    """Start a reader process for ``reader_file``, and return it with a socket to it.
+    """Start a process that reads files with ``reader_file``; return process and socket.
 
-    Each process and thread of this program has its own, by the last two arguments. The reader ends
-    when this socket is closed.
+    The socket sends requests to the process, which ends when the socket is closed. The result is
+    cached: ``process_id`` and ``thread_id`` give each process and thread of this program its own
+    reader.
     """
     environment = {
         name: value

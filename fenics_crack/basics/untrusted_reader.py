@@ -21,9 +21,16 @@ import numpy as np
 
 
 def serve_requests(reader_file: str, request_socket: socket.socket) -> None:
-    """Read a file for each request, in a copy of this process.
+    """Wait for requests, and read a file for each in a forked copy of this process.
 
     The function returns when the socket is closed.
+
+    Parameters
+    ----------
+    reader_file : str
+        Python file with the function ``read``.
+    request_socket : socket
+        Socket from which requests come, and to which the copy's exit status is sent.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program that asks
     end_with_parent()
@@ -56,10 +63,11 @@ def end_with_parent() -> None:
 
 
 def set_resource_limit(resource_number: int, soft_limit: int, margin: int = 0) -> None:
-    """Set a soft limit of this process, and a hard limit higher by ``margin``.
+    """Set a soft limit for a resource of this process, and a hard limit higher by ``margin``.
 
     The system signals at the soft limit, and kills the process at the hard limit. Neither limit
-    exceeds the earlier hard limit.
+    exceeds the earlier hard limit. ``resource_number`` is a constant such as
+    ``resource.RLIMIT_CPU``.
     """
     hard_limit = resource.getrlimit(resource_number)[1]
     if not 0 <= hard_limit <= soft_limit + margin:  # infinity may be negative

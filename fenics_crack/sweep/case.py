@@ -124,7 +124,7 @@ class SweepGeometry:
 
     @cached_property
     def geometry_with_more_modes(self) -> SweepGeometry | None:
-        """This shared structure with the next larger number in ``mode_counts``.
+        """The same structure, reduced to the next larger number of modes in ``mode_counts``.
 
         None if no larger number is left.
         """
@@ -167,12 +167,13 @@ def build_sweep_geometry(
     Parameters
     ----------
     scene : Scene
-        Scene of any of these cases; its clearance does not matter.
+        Any case's scene. The crack clearances in it are replaced by 0.
     comm : MPI.Comm
         Ranks that share the structure.
     case_options : SharedCaseOptions
-        Options. For ``with_reduction_error`` the structure is reduced with a reference structure of
-        more modes; with a tolerance, to the first of several numbers of modes.
+        Options of the sweep. With ``with_reduction_error`` and a tolerance, the structure has the
+        first of several numbers of modes. With ``with_reduction_error`` alone, it keeps a reference
+        structure with more modes.
     last_geometry : SweepGeometry, optional
         Structure at another rotor speed, whose mesh and matrices are used again.
 
@@ -184,8 +185,8 @@ def build_sweep_geometry(
     Raises
     ------
     InputError
-        The structure is too large without a reduction (key ``reduction.method``), or as
-        :func:`prepare`.
+        The structure has too many dofs and is not reduced (key ``reduction.method``), or
+        :func:`prepare` refuses the scene.
     """
     scene = scene.replace({f"{crack_key}.clearance": 0.0 for crack_key in scene.crack_by_name})
     if case_options.has_unit_loads:
@@ -243,8 +244,9 @@ def iterate_geometries_with_more_modes(
 ) -> Iterator[SweepGeometry]:
     """Yield a case's structure with each number of modes that a sweep may use.
 
-    This serves to find the structure with which a stored case was solved. The last structure is
-    reduced as the scene says, as in a sweep without reduction errors.
+    A caller compares a stored case with each structure, to find the one that solved the case. If
+    the tolerance chooses the number of modes, a last structure follows. It is reduced as the
+    scene says, as in a sweep without reduction errors.
     """
     first_geometry = build_sweep_geometry(scene, MPI.COMM_SELF, case_options)
     geometry: SweepGeometry | None = first_geometry
@@ -258,9 +260,10 @@ def iterate_geometries_with_more_modes(
 
 
 def _find_watched_row_by_name(study: Study) -> dict[str, np.ndarray]:
-    """Return rows R (n_dofs,) for watched displacements R u, by name (collective).
+    """Return a row R (n_dofs,) for each watched displacement, by name (collective).
 
-    Names are "tip.ux" for points in ``[output.points]``, and "" for the load's point.
+    R times the structure's displacements u (n_dofs,) is the watched displacement [m]. Names are
+    "tip.ux" for points in ``[output.points]``, and "" for the load's point.
     """
     dof_by_name = {
         watched_displacement.name: watched_displacement.dof
@@ -274,10 +277,11 @@ def _find_watched_row_by_name(study: Study) -> dict[str, np.ndarray]:
 
 
 def _find_load_point_row_by_name(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
-    """Return the row R for the load point's displacement R u (collective).
+    """Return a row R (n_dofs,) for the displacement at the load's point (collective).
 
-    The key is "". For given matrices R selects the dof with the largest load. The dictionary is
-    empty for a mesh whose structure has no watched displacement.
+    R times the structure's displacements u (n_dofs,) is the displacement [m]. The result is a
+    dictionary with the key "". If the scene has matrices, R selects the dof with the largest load.
+    The dictionary is empty for a mesh whose structure has no watched displacement.
     """
     whole_structure = structure.whole
     if whole_structure.watched is not None:
@@ -311,8 +315,6 @@ def solve_chunk(
 ) -> list[CaseValues]:
     """Solve the cases in a chunk one after the other.
 
-    They are solved at given frequencies or at resonances, as the options say.
-
     Parameters
     ----------
     geometry : SweepGeometry
@@ -320,15 +322,15 @@ def solve_chunk(
     chunk : Chunk
         Up to 16 neighbouring cases.
     case_options : SharedCaseOptions
-        Options.
+        Options; ``at_resonance`` solves at resonances in place of the given frequencies.
     may_continue : callable
         Called before each case; False ends the chunk.
 
     Returns
     -------
     list of dict
-        Values by column name for each case tried, in the order of the chunk. Failed cases have the
-        reason in ``status``.
+        Values by column name for each case tried, in the order of the chunk. A failed case has the
+        reason in the column ``status``.
     """
     solver, chunk_case_values = CaseSolver(geometry), []
     has_only_frequencies = case_options.has_only_frequencies_by_position
@@ -363,9 +365,9 @@ def solve_chunk(
 class CaseSolver:
     """Solver for sweep cases with a shared structure.
 
-    Each case starts from the last. The last solution is the initial guess. Cases that differ only
-    in frequency share structure, law and equations. A case that needs more modes for its tolerance
-    gets them, and so do all further cases.
+    Each solution is the initial guess for the next case. Cases that differ only in
+    frequency share structure, contact law and equations. If a case needs more modes for its
+    tolerance, this case and all further cases get them.
     """
 
     def __init__(self, geometry: SweepGeometry) -> None:
@@ -373,14 +375,29 @@ class CaseSolver:
         self.forget_last_case()
 
     def forget_last_case(self) -> None:
-        """Solve the next case from the linear solution."""
+        """Forget the last solution, so that the next case starts from the linear solution."""
         self._last_case_without_frequency: Scene | None = None
         self._last_solution: PeriodicSolution | None = None
 
     def solve_and_observe(self, case: Scene, case_options: SharedCaseOptions) -> CaseValues:
         """Solve a case at its frequency or, if requested, at resonance; return its values.
 
-        Raises as :meth:`solve_at_given_frequency`.
+        Parameters
+        ----------
+        case : Scene
+            The case's scene.
+        case_options : SharedCaseOptions
+            Options; ``at_resonance`` requests the resonance.
+
+        Returns
+        -------
+        dict
+            Values by column name, with the Fourier coefficients "gap" [m] and "force" [N].
+
+        Raises
+        ------
+        InputError, ConvergenceError, LinAlgError
+            The computation has failed.
         """
         solve = (
             self.solve_at_resonance if case_options.at_resonance else self.solve_at_given_frequency
@@ -443,10 +460,10 @@ class CaseSolver:
     def solve_at_resonance(self, case: Scene) -> PeriodicSolution:
         """Solve a case at the resonance nearest to its frequency.
 
-        The phase resonance of the mode with the nearest bilinear frequency is sought. If several
-        modes respond together, the peak of the response curve is used instead. Friction and smooth
-        laws have no phase resonance and use the peak, too. Raises as
-        :meth:`solve_at_given_frequency`.
+        The resonance is a single mode's phase resonance, with the bilinear frequency nearest to the
+        case's frequency. If several modes respond together, the resonance is the peak of the
+        response curve. The peak is also used with friction and with smooth contact laws. If the
+        computation fails, an exception from :data:`SINGLE_COMPUTATION_FAILURES` is raised.
         """
         balance_table = case.harmonic_balance
         self._set_structure_and_law(case)
@@ -470,9 +487,11 @@ class CaseSolver:
     def _find_peak_omega_and_solution(self, problem: Problem) -> tuple[float, PeriodicSolution]:
         """Return frequency and solution at the peak of the response curve.
 
-        The curve covers the mode with the nearest bilinear frequency. It goes from (1 - 2 xi)
-        omega_open to (1 + 2 xi) omega_tied, with the damping ratio xi of the mode. InputError
-        unless 0 < xi < 0.5.
+        The curve covers the mode with the bilinear frequency nearest to the problem's. It goes from
+        (1 - 2 xi) omega_open to (1 + 2 xi) omega_tied. xi is the mode's damping ratio, omega_open
+        and
+        omega_tied are its natural frequencies with open and bonded crack. InputError unless
+        0 < xi < 0.5.
 
         Returns
         -------
@@ -507,9 +526,12 @@ class CaseSolver:
         Returns
         -------
         dict
-            "verdict"; "multiplier", the largest modulus, missing if no multiplier was found;
-            "remark", why stability is undecided, or how more modes contradict the verdict. Empty
-            without a contact law, and for rigid contact between crack faces with mass.
+            "verdict": stable, unstable, irregular or undecided. "multiplier": largest modulus of
+            the
+            Floquet multipliers, missing if they could not be computed. "remark": why stability is
+            undecided, or how more modes contradict the verdict, else "". The dict is empty without
+            a
+            contact law, and for rigid contact between crack faces with mass.
         """
         structure, law, remark_text = solution.structure, solution.contact, ""
         if law is None or (is_rigid(law) and not structure.light_lips):
@@ -542,8 +564,8 @@ def _load_and_nearest_frequency_by_column(
 ) -> CaseValues:
     """Return load frequency and nearest natural frequencies, by column name.
 
-    The natural frequencies belong to the mode with the nearest bilinear frequency. ``omega`` is the
-    load frequency [rad/s].
+    ``omega`` is the load frequency [rad/s]. ``natural_frequencies`` are the structure's. The result
+    has those of the mode whose bilinear frequency is nearest to ``omega``.
     """
     return add_frequency_entries({"omega": omega}) | natural_frequencies.nearest(omega)
 
@@ -551,7 +573,7 @@ def _load_and_nearest_frequency_by_column(
 def _natural_frequency_by_column(natural_frequencies: BilinearFrequencies) -> CaseValues:
     """Return the lowest natural frequencies [rad/s] by column name, such as "omega_open_1".
 
-    If the structure has fewer modes than the table has columns, further columns are missing.
+    Each mode has a frequency with the crack open, one with the crack bonded, and a bilinear one.
     """
     omegas_of_kinds = (
         natural_frequencies.omega_open,
@@ -571,8 +593,9 @@ def _observe_value_by_column(
 ) -> CaseValues:
     """Return a solution's numbers for the sweep's columns, by column name.
 
-    The numbers are indicators and harmonics at the load and named points, numbers of the crack
-    faces, and requested quantities of crack tips or clamp.
+    The load's point and the points in ``[output.points]`` have indicators and harmonics of the
+    displacement. Crack-face indicators follow. Quantities at crack tips and at the clamp
+    are included if the scene requests them.
     """
     row_by_name = _find_load_direction_row_by_name(solution, case) | geometry.watched_row_by_name
     row_matrix = np.reshape([*row_by_name.values()], (len(row_by_name), solution.structure.n_dofs))
@@ -601,11 +624,12 @@ def _observe_value_by_column(
 def _find_load_direction_row_by_name(
     solution: PeriodicSolution, case: Scene
 ) -> dict[str, np.ndarray]:
-    """Return the row R for the load direction's displacement R u.
+    """Return a row R (n_dofs,) for the displacement along the load, at the load's point.
 
-    The key is "". The force's largest Fourier part gives the direction, or the mean if all others
-    are zero. With a force F at x, the load vector f satisfies f . u = F . u(x); so R = f / |F|. The
-    dictionary is empty without a force.
+    R times the structure's displacements u (n_dofs,) is the displacement [m]. The direction is that
+    of the load's largest Fourier part; the mean counts only if all others are zero. With the force
+    vector F at the load's point, the structure's load vector is f, and R = f / |F|. The result is a
+    dictionary with the key "". It is empty without a force.
     """
     force_norms = np.linalg.norm(list_force_harmonic_vectors(case), axis=1)
     part_index = (

@@ -54,8 +54,8 @@ KIND = "sweep"
 class CaseState(IntEnum):
     """Progress of a sweep case, as stored in the column ``state``.
 
-    PENDING: not tried, or damaged. CONVERGED: solved. FAILED: tried without a solution, or natural
-    frequencies only.
+    PENDING: not tried yet, or stored data are damaged. CONVERGED: solved. FAILED: tried without a
+    solution, or only the natural frequencies were requested.
     """
 
     PENDING = 0
@@ -71,9 +71,9 @@ stability."""
 
 
 def column_name_at_load(quantity: str) -> str:
-    """Return the column name for a quantity at the load.
+    """Return the sweep column's name for a quantity at the load's point.
 
-    "amplitude" becomes "response"; other names stay.
+    The quantity "amplitude" has the column "response". Any other column has the quantity's name.
     """
     return "response" if quantity == "amplitude" else quantity
 
@@ -163,9 +163,9 @@ text)."""
 
 
 def unit_and_type_by_column(scene: Scene) -> dict[str, tuple[str, str]]:
-    """Return unit and NumPy type for all columns in a scene's sweep.
+    """Return unit and NumPy type for each column in a scene's sweep, by column name.
 
-    The dictionary includes requested quantities, and named points with columns such as
+    Included are columns for requested quantities, and for points in ``[output.points]``, such as
     "tip.ux.ratio_2_1". The column ``state`` and the checksums are not included.
     """
     requested_quantity_names = (
@@ -193,15 +193,17 @@ class SweepFile:
     Parameters
     ----------
     path : Path
-        File.
+        File path.
     scene : Scene
         Scene with its sweep.
     n_harmonics_upper_bound, n_gap_rows_upper_bound : int
-        Upper bounds over all cases, for the size of the datasets. With 0 gap rows no Fourier
-        coefficients of gaps and forces are stored.
+        Upper bounds over all cases for the harmonic count, and for the gap row count.
+        They set the size of the datasets. With 0 gap rows no Fourier coefficients of gaps and
+        forces are stored.
     omitted_options : sequence of str
-        Names of options left out for the cases: "verdicts", "judged", "vibration_2" (position on
-        the last axis with natural frequencies only).
+        Computations that are left out. "verdicts": stability of each case. "judged": reduction
+        error. "vibration_2": vibration at position 2 on the last axis, where only natural
+        frequencies are computed.
 
     Attributes
     ----------
@@ -258,15 +260,16 @@ class SweepFile:
     def write_pending_cases(
         self, case_numbers: np.ndarray, values_of_cases: Sequence[Mapping[str, Any]]
     ) -> None:
-        """Write those given cases that are still pending.
+        """Write the given cases into the file, except those converged or failed already.
 
         Parameters
         ----------
         case_numbers : (n,) int
-            Numbers of the cases, last axis fastest.
+            Case numbers; the position on the last axis changes fastest.
         values_of_cases : sequence of mappings
-            Values of each case by column name. Converged cases have the coefficients "gap" and
-            "force".
+            Values by column name for each case. Converged cases have the Fourier coefficients "gap"
+            [m]
+            and "force" [N].
 
         Raises
         ------
@@ -285,8 +288,19 @@ class SweepFile:
     ) -> None:
         """Write cases into the file: all values first, then the states.
 
-        Parameters and errors are those of :meth:`write_pending_cases`. A case with the key "gap" is
-        converged, any other case failed.
+        Parameters
+        ----------
+        case_numbers : (n,) int
+            Case numbers; the position on the last axis changes fastest.
+        values_of_cases : sequence of mappings
+            Values by column name for each case. A case with the key "gap" has converged, any other
+            case
+            has failed.
+
+        Raises
+        ------
+        InputError
+            The disk is full, or the file was moved; earlier cases stay written.
         """
         if not self._is_file_still_at_path():
             requirement_text = (
@@ -348,11 +362,13 @@ class SweepFile:
 
         Parameters
         ----------
+        column_name : str
+            Dataset name.
         case_numbers : (n,) int
-            Numbers of the cases, last axis fastest.
+            Case numbers; the position on the last axis changes fastest.
         values : (n, ...)
-            Value of each case; fewer bytes than the dataset has for a case leave the rest
-            unchanged.
+            Value of each case. If it has fewer bytes than the dataset has for a case, the remaining
+            bytes stay unchanged.
         """
         stored_column = self.sweep_header.columns[column_name]
         bytes_per_case = stored_column.n_bytes // self.case_states.size
@@ -404,8 +420,8 @@ def _pad_waves(waves: list[np.ndarray], n_columns: int) -> np.ndarray:
 def _encode_column(column_values: Sequence[Any], column_type: np.dtype[Any]) -> np.ndarray:
     """Return a column's values (n,) in the form stored in the file.
 
-    A text becomes UTF-8, cut between characters to the column's size. None becomes the value that
-    means "no value".
+    A text becomes UTF-8, cut between characters to the column's size. None becomes nan in a column
+    with floats, 0 in a column with whole numbers, and an empty text.
     """
     encoded_column = [
         value.encode()[: column_type.itemsize].decode("utf-8", "ignore").encode()
@@ -426,9 +442,20 @@ def _make_file_and_header_or_none(
     n_gap_rows_upper_bound: int,
     omitted_options: Sequence[str],
 ) -> store.StoredFile | None:
-    """Make a new sweep file with pending cases, and return its header.
+    """Make a new sweep file in which all cases are pending, and return its header.
 
-    None if another program has made the file first. Parameters are those of :class:`SweepFile`.
+    Returns None if another program has made the file first.
+
+    Parameters
+    ----------
+    path : Path
+        File path.
+    scene : Scene
+        Scene with its sweep.
+    n_harmonics_upper_bound, n_gap_rows_upper_bound : int
+        Upper bounds over all cases for the harmonic count, and for the gap row count.
+    omitted_options : sequence of str
+        Computations that are left out, as in :class:`SweepFile`.
     """
     axes_shape = scene.given("sweep").shape
     unit_type_shape_by_dataset = {
@@ -472,8 +499,18 @@ def _write_datasets_and_make_header(
 ) -> store.StoredFile:
     """Write a new sweep file, with zeros, to memory; return its header.
 
-    ``unit_type_shape_by_dataset`` has unit, NumPy type and shape by dataset name. The header refers
-    to ``path``.
+    Parameters
+    ----------
+    memory_file : binary file
+        Open file in memory.
+    path : Path
+        Final file path, to which the header refers.
+    scene : Scene
+        Scene with its sweep.
+    unit_type_shape_by_dataset : dict of str to (str, str, tuple)
+        Unit, NumPy type and shape, by dataset name.
+    omitted_options : sequence of str
+        Computations that are left out, as in :class:`SweepFile`.
     """
     import h5py  # what only reads has its reader
 
@@ -608,10 +645,10 @@ def _read_matching_header(path: Path, scene: Scene) -> store.StoredFile:
 def _check_omitted_options_match(
     sweep_header: store.StoredFile, omitted_options: Sequence[str]
 ) -> None:
-    """Raise InputError if a file was begun with other omitted options.
+    """Raise InputError if other computations were left out when the file was begun.
 
-    The options are those of :class:`SweepFile`. Files from earlier versions do not state them and
-    are accepted.
+    ``omitted_options`` are computations to leave out now, as in :class:`SweepFile`. Files from
+    earlier versions do not state theirs and are accepted.
     """
     stored_option_names = sweep_header.attributes.get("omitted", " ".join(omitted_options)).split()
     changed_option_texts = [
@@ -694,8 +731,15 @@ def _read_columns_and_find_damage_once(
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Read all columns of a sweep's file, and compare states with checksums.
 
-    A case is converged or failed if its checksum fits this state, otherwise pending. Returns are
-    those of :func:`_read_columns_and_find_damage`. A file that cannot be read raises InputError.
+    A file that cannot be read raises InputError.
+
+    Returns
+    -------
+    column_by_name : dict of str to (n_cases,)
+        ``state`` and all columns, without the case checksum. A case is converged or failed if its
+        checksum fits this state, otherwise pending.
+    is_damaged : (n_cases,) bool
+        True for cases whose stored state does not match the checksum.
     """
     try:  # the state first: what is written later counts as pending
         column_by_name = {
@@ -739,10 +783,11 @@ def _read_intact_states(sweep_header: store.StoredFile, scene: Scene) -> np.ndar
 
 
 def read_column_by_name(sweep_header: store.StoredFile, scene: Scene) -> dict[str, np.ndarray]:
-    """Read all columns by name, in the shape of the axes.
+    """Read all columns of a sweep's file by name, in the shape of the axes.
 
-    The column ``state`` is included. Pending cases and missing columns have nan; whole numbers have
-    0, texts are empty. Damaged cases raise InputError.
+    The column ``state`` is included. Pending cases have no values. A missing value is nan; it is 0
+    in a column with whole numbers, and empty in a column with texts. Damaged cases raise
+    InputError.
     """
     flat_column_by_name, is_damaged = _read_columns_and_find_damage(sweep_header, scene)
     axes_shape, column_by_name = scene.given("sweep").shape, {}
@@ -782,15 +827,23 @@ def read_gap_and_force_coefficients(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Read Fourier coefficients of a converged case's gaps [m] and forces [N].
 
-    Each array is (2H+1, n_rows). With friction, tangential rows follow the normal ones. A damaged
-    case raises InputError.
-
     Parameters
     ----------
     path : Path
         The sweep's file.
     index : tuple of int
-        Position on each axis.
+        The case's position on each axis.
+
+    Returns
+    -------
+    gap, force : (2H+1, n_rows)
+        Mean, then cosine and sine for each of H harmonics. Rows are contact pairs; with friction,
+        tangential ones follow the normal ones.
+
+    Raises
+    ------
+    InputError
+        The case's stored data are damaged.
     """
     sweep_header = store.read_result_file_without_numbers(path)
     sweep_header.check_kind(KIND)
@@ -808,8 +861,8 @@ def _read_intact_coefficients(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Read Fourier coefficients of a case's gaps [m] and forces [N].
 
-    Each array is (2H+1, n_rows). The result is None if they cannot be read or do not match the
-    checksum.
+    Each array is (2H+1, n_rows), with H harmonics. ``index`` is the case's position on each axis.
+    The result is None if the arrays cannot be read or do not match the checksum.
     """
     stored_column_by_name, file_path, waves = sweep_header.columns, sweep_header.path, []
     try:

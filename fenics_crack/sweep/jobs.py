@@ -39,7 +39,7 @@ from fenics_crack.sweep.plan import Chunk, Plan
 class MessageTag(IntEnum):
     """Tags of messages from rank 0 to another rank.
 
-    JOB brings a job, END stops the rank.
+    JOB: the message is a job to solve. END: the rank must stop.
     """
 
     JOB = 0
@@ -57,9 +57,9 @@ class Job(NamedTuple):
     Attributes
     ----------
     geometry_number : int
-        Number of the shared structure in the plan.
+        Shared structure's number in the sweep's :class:`Plan`.
     chunk_case_numbers : tuple of (n,) int
-        Case numbers in each chunk, at most 16.
+        Case numbers in each chunk, at most 16 in a chunk.
     """
 
     geometry_number: int
@@ -86,7 +86,7 @@ class Worker:
     def release_geometry(self, *, is_stopped: bool) -> None:
         """Release the memory of the last job's structure.
 
-        ``is_stopped`` is True if a user has stopped the sweep (for :func:`collect_garbage`).
+        ``is_stopped`` is True if a user has stopped the sweep. PETSc errors are then ignored.
         """
         self._geometry_or_error = None
         gc.collect()  # structures and their rotations know each other
@@ -95,10 +95,18 @@ class Worker:
     def iterate_chunk_outcomes(
         self, job: Job, may_continue: Callable[[], bool]
     ) -> Iterator[tuple[np.ndarray, ChunkOutcome]]:
-        """Solve a job's chunks; yield case numbers (n,) and outcome of each.
+        """Solve a job's chunks one after the other.
 
-        ``may_continue`` is called before each chunk and each case; False ends the job, and so does
-        an unexpected exception.
+        ``may_continue`` is called before each chunk and each case; False ends the job. An
+        unexpected
+        exception also ends it.
+
+        Yields
+        ------
+        case_numbers : (n,) int
+            Case numbers, for the cases tried.
+        outcome : list of dict, or Exception
+            Values by column name for each case, or the error that ends the sweep.
         """
         chunks = list(map(self._plan.make_chunk, job.chunk_case_numbers))
         for chunk in chunks:
@@ -115,8 +123,15 @@ class Worker:
     def _build_geometry(self, geometry_number: int, chunks: list[Chunk]) -> None:
         """Build the shared structure for a job's cases.
 
-        ``_geometry_or_error`` gets the structure, or the error if it cannot be built. Nothing is
-        built if the last job had the same structure, or if no case of the chunks is a valid scene.
+        The attribute ``_geometry_or_error`` gets the structure, or the error if it cannot be built.
+        Nothing is built if the last job had the same structure, or if no case is a valid scene.
+
+        Parameters
+        ----------
+        geometry_number : int
+            Structure's number in the plan.
+        chunks : list of Chunk
+            Chunks of the job; the first valid scene gives the structure.
         """
         scene = next(
             (
@@ -145,10 +160,19 @@ class Worker:
     def _solve_chunk(
         self, chunk: Chunk, may_continue: Callable[[], bool]
     ) -> tuple[np.ndarray, ChunkOutcome]:
-        """Solve a chunk; return the numbers (n,) of the cases tried, and the outcome.
+        """Solve a chunk with the structure of the present job.
 
-        If the structure could not be built, each case has the error as its status, or the sweep
-        ends with the error (:data:`ChunkOutcome`).
+        ``may_continue`` is called before each case; False ends the chunk.
+
+        Returns
+        -------
+        case_numbers : (n,) int
+            Case numbers, for the cases tried.
+        outcome : list of dict, or Exception
+            Values by column name for each case. If the structure could not be built, each case has
+            the
+            error in the column ``status``. The outcome is the error itself if the structure is too
+            large and the options end the sweep for this reason.
         """
         geometry_or_error = self._geometry_or_error
         if isinstance(geometry_or_error, SweepGeometry):
@@ -172,9 +196,9 @@ class Worker:
 
 
 def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
-    """Solve the jobs that rank 0 sends, until an END message.
+    """Solve the jobs that rank 0 sends, until a message with the tag END arrives.
 
-    ``comm`` has all ranks of the sweep. Outcomes go back to rank 0.
+    ``comm`` has all ranks of the sweep. Each chunk's outcome goes back to rank 0.
     """
     send_requests: list[MPI.Request] = []
 
@@ -198,10 +222,10 @@ def serve_jobs(worker: Worker, comm: MPI.Comm) -> None:
 
 
 def _receive_message(comm: MPI.Comm, message_status: MPI.Status) -> Any:
-    """Wait for the next message and return its content.
+    """Wait for the next message from any rank, and return its content.
 
-    MPI's own wait keeps a processor busy; this one sleeps. ``message_status`` then has the sender
-    and the tag.
+    Between checks the process sleeps, as MPI's own wait would keep a processor busy.
+    ``message_status`` is filled: it then has the sender and the tag.
     """
     wait_until(lambda: comm.iprobe(status=message_status))
     message_buffer = bytearray(message_status.Get_count(MPI.BYTE))
@@ -349,7 +373,9 @@ class Manager:
     def _receive_outcome(self, comm: MPI.Comm) -> None:
         """Receive a message from another rank, and act on it.
 
-        A chunk's outcome is written to the file; after a finished job the rank gets the next one.
+        A message with a chunk's outcome is written to the file. A message after a finished job
+        sends
+        the next job to that rank.
         """
         message_status = MPI.Status()
         case_numbers_and_outcome = _receive_message(comm, message_status)
@@ -362,10 +388,14 @@ class Manager:
     def _take_next_job(self, rank: int) -> Job | None:
         """Choose the next job for a rank; None if no chunk remains.
 
-        A rank first goes on with the structure (mesh and modes) of its last job. Otherwise it gets
-        a structure that no rank works on, or the structure with most chunks left. A job takes all
-        chunks with a structure if there is one rank, or while more structures than ranks are
-        untouched. Later, jobs shrink so that the ranks finish together.
+        A rank first goes on with the structure (mesh and modes) of its last job. If no chunk of
+        this
+        structure remains, it gets a structure that no rank has worked on. If there is none, it gets
+        the
+        structure with most chunks left. A job takes all chunks of its structure if there is one
+        rank,
+        or if more structures than ranks are untouched. Otherwise it takes fewer chunks, so
+        that the ranks finish together.
         """
         if not self._remaining_case_numbers_by_geometry:
             return None

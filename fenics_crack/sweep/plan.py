@@ -41,9 +41,9 @@ class Chunk(NamedTuple):
     Attributes
     ----------
     case_numbers : (n,) int
-        Numbers of the cases, last axis fastest.
+        Case numbers; the position on the last axis changes fastest.
     scenes_or_reasons : tuple of Scene or str
-        Scene of each case, or the reason why its values make no valid scene.
+        Each case's scene, or the reason why its values make no valid scene.
     """
 
     case_numbers: np.ndarray
@@ -63,11 +63,12 @@ class Plan:
     sweeps_reduction_method : bool
         True if the sweep changes ``reduction.method``.
     has_unit_loads : bool
-        True if structures are built with unit forces, since the sweep changes the force.
+        True if the sweep changes the force, and structures are built with unit forces.
     chunk_case_numbers_by_geometry : list of list of (n,) int
         Case numbers in each chunk of each geometry.
     n_harmonics_upper_bound : int
-        Upper bound for the harmonics in all cases; at least 100 with a tolerance.
+        Upper bound for the harmonics in any case. At least 100 if a case has a tolerance,
+        which may increase the number.
 
     Raises
     ------
@@ -116,10 +117,20 @@ class Plan:
     ) -> list[list[np.ndarray]]:
         """Split case numbers by geometry, then into chunks of at most 16.
 
-        A geometry is a structure shared by several cases. Return for each geometry a list of
-        chunks, arrays of case numbers. Chunks follow the frequency axis if a frequency is swept.
-        Otherwise they follow the last axis without effect on the geometry; if each axis changes the
-        geometry, a chunk is a single case.
+        A geometry is a structure shared by several cases. The cases in a chunk differ only on one
+        axis:
+        the frequency axis if a frequency is swept, otherwise the last axis without effect on the
+        geometry. If each axis changes the geometry, a chunk is a single case.
+
+        Parameters
+        ----------
+        geometry_independent_keys : set of str
+            Scene keys without effect on the geometry.
+
+        Returns
+        -------
+        list of list of (n,) int
+            For each geometry, the case numbers in each chunk.
         """
         swept_keys = list(self._swept_values_by_key)
         independent_axis_indices = [
@@ -165,9 +176,11 @@ class Plan:
 
     @property
     def n_gap_rows_upper_bound(self) -> int:
-        """Upper bound for the number of gap rows in all cases.
+        """Upper bound for the gap rows in any case.
 
-        There is a row for each contact pair; with friction there are two.
+        A contact pair has one row, for the normal gap. With friction it has two, for the normal and
+        the
+        tangential gap.
         """
         return self._n_gap_rows_per_pair * max(
             n_pairs for n_pairs, _ in self.pair_bounds_and_crack_lengths
@@ -177,9 +190,10 @@ class Plan:
     def pair_bounds_and_crack_lengths(self) -> list[tuple[int, float]]:
         """Upper bound for contact pairs, and first crack's length [m], by geometry.
 
-        A geometry is a structure shared by several cases. Both numbers are 0 if all cases with a
-        geometry are refused. The length is 0 without a crack, or if a natural frequency stands for
-        the length. To find the bound, solids are meshed and mesh files read.
+        A geometry is a structure shared by several cases. Both numbers are 0 if no case of the
+        geometry
+        is a valid scene. The length is 0 without a crack. It is also 0 if the scene gives a natural
+        frequency in place of the length. To find the bound, solids are meshed and mesh files read.
         """
         pair_bound_by_mesh: dict[Any, int] = {}
         bounds_and_lengths: list[tuple[int, float]] = []
@@ -221,7 +235,7 @@ class Plan:
     def _scene_or_reason_by_number(self, case_number: int) -> Scene | str:
         """Return a case's scene, or why its values make no valid scene.
 
-        ``case_number`` counts with the last axis fastest.
+        ``case_number`` counts the cases from 0; the position on the last axis changes fastest.
         """
         return self.scene_or_reason_at(np.unravel_index(case_number, self.shape))
 
@@ -236,8 +250,8 @@ class Plan:
 def _find_pair_upper_bound(scene: Scene) -> int:
     """Return an upper bound for a scene's number of contact pairs.
 
-    A solid is meshed and a mesh file is read; other plates need no mesh. A mesh that cannot be made
-    gives 0, since its cases will fail.
+    A solid is meshed, and a mesh file is read; for any other plate the bound needs no mesh. If the
+    mesh cannot be made, the bound is 0, since its cases will fail.
     """
     if scene.structure is not None:
         return table_pair_upper_bound(scene.structure)
@@ -262,9 +276,10 @@ def _find_pair_upper_bound(scene: Scene) -> int:
 def _find_keys_sharing_geometry(scene: Scene, swept_keys: Collection[str]) -> set[str]:
     """Return the scene keys in which cases with a shared structure may differ.
 
-    They are :data:`GEOMETRY_INDEPENDENT_KEYS` and swept crack clearances. Forces are left out if
-    the load is no sum of scaled unit forces: with other loads, harmonics of the force, rotation, or
-    swept keys of the base, loads or rotation.
+    The keys are :data:`GEOMETRY_INDEPENDENT_KEYS` and swept crack clearances (``swept_keys`` are
+    the keys in the sweep). They include the force only if each load is a sum of scaled unit forces.
+    This excludes other loads, harmonics or a wave of the force, rotation, and swept keys of
+    [base], [loads] or [rotation].
     """
     geometry_independent_keys = GEOMETRY_INDEPENDENT_KEYS | {
         swept_key for swept_key in swept_keys if re.fullmatch(r"crack.*\.clearance", swept_key)

@@ -196,9 +196,9 @@ def run_sweep(
 
 
 def can_seek_resonance(scene: Scene) -> bool:
-    """Return True if a scene has contact and no rotation.
+    """Return True if this scene's sweep can solve each case at its resonance.
 
-    Only then a sweep can solve each case at its resonance.
+    The scene must have contact and no rotation.
     """
     return scene.contact is not None and scene.speed == 0.0
 
@@ -270,9 +270,12 @@ class SweepResult(Tabular):
 
     @classmethod
     def from_stored_file(cls, sweep_header: StoredFile) -> SweepResult:
-        """Read a sweep's table, with the file's header.
+        """Read a sweep's table from a file whose header was read already.
 
-        Raises as :meth:`load`.
+        Raises
+        ------
+        InputError
+            The file cannot be read, is damaged, or is no sweep's file.
         """
         scene = scene_of_sweep(sweep_header)
         return cls(sweep_header.path, scene, read_column_by_name(sweep_header, scene))
@@ -304,8 +307,10 @@ class SweepResult(Tabular):
     def error_parts(self) -> np.ndarray:
         """Estimated relative errors by cause and case: (4, n_1, n_2, ...).
 
-        n_i is the number of values on axis i. The four are truncation, reduction, sampling and
-        residual, as in :class:`ErrorReport`. A case without a solution or an estimate has 0.
+        n_i is the number of values on axis i. The four causes are truncation, reduction, sampling
+        and
+        residual, as in :class:`ErrorReport`. The error is 0 in a case without a solution or an
+        estimate.
         """
         return np.nan_to_num(
             [self[f"{error_part_name}_error"] for error_part_name in PART_NAMES_OF_TOTAL_ERROR]
@@ -313,10 +318,11 @@ class SweepResult(Tabular):
 
     @property
     def inexact(self) -> np.ndarray:
-        """True for solved cases with a total error above 5 %.
+        """True for solved cases with a total error above 5 % (``LARGE_ERROR``).
 
-        This bool array has the shape of the axes. The limit ``LARGE_ERROR`` holds for the sum of
-        :attr:`error_parts` in a case.
+        The total error is the sum of :attr:`error_parts` in a case. The bool array has the shape of
+        the
+        axes.
         """
         return self.converged & (self.error_parts.sum(axis=0) > LARGE_ERROR)
 
@@ -356,10 +362,12 @@ class SweepResult(Tabular):
 
     @property
     def contradicted_indices_and_verdicts(self) -> list[tuple[tuple[int, ...], str]]:
-        """Index of each case whose verdict changes with more modes.
+        """Index and text for each case whose verdict changes with more modes.
 
-        A text with the verdict on stability by more modes follows each index (position on each
-        axis). For crack faces without mass, a Newton step with twice the modes finds about two in
+        The index is the position on each axis. The text has the verdict on stability by more modes.
+        For
+        crack faces without mass, the check is a Newton step with twice the modes. It finds about
+        two in
         three such cases. To check a single case, use :func:`fenics_crack.solve`.
         """
         indices_and_statuses = self._find_indices_and_statuses(
@@ -384,14 +392,14 @@ class SweepResult(Tabular):
         ]
 
     def gap(self, index: tuple[int, ...] | int) -> np.ndarray:
-        """Return Fourier coefficients of a converged case's gaps: (2H+1, n_pairs) [m].
+        """Return the normal gaps' Fourier coefficients for a converged case: (2H+1, n_pairs) [m].
 
-        These are the normal gaps.
+        The rows are the mean, then cosine and sine for each of H harmonics.
 
         Parameters
         ----------
         index : tuple of int, or int
-            Position on each axis, or number of the case (last axis fastest).
+            Position on each axis, or case number (last axis fastest).
 
         Raises
         ------
@@ -437,9 +445,18 @@ class SweepResult(Tabular):
     def _restore_solution(
         self, structure: Structure, case: Scene, case_index: tuple[int, ...]
     ) -> PeriodicSolution:
-        """Return a case's stored solution, in its structure built again.
+        """Return a case's stored solution in a structure that was built again.
 
         InputError if the stored Fourier coefficients do not fit the structure.
+
+        Parameters
+        ----------
+        structure : Structure
+            The case's structure, built again.
+        case : Scene
+            The case's scene.
+        case_index : tuple of int
+            The case's position on each axis.
         """
         omega = float(self["omega"][case_index])
         law = scene_contact_law(case, structure)
@@ -467,7 +484,8 @@ class SweepResult(Tabular):
     def _find_converged_index(self, index: tuple[int, ...] | int) -> tuple[int, ...]:
         """Return a converged case's position on each axis; InputError for other cases.
 
-        ``index`` is this position, or the number of the case (last axis fastest).
+        ``index`` is this position, or the case number. In a case number, the position on the last
+        axis changes fastest.
         """
         try:
             raw_index = index if isinstance(index, tuple) else np.unravel_index(index, self.shape)
@@ -492,9 +510,10 @@ class SweepResult(Tabular):
 
     @property
     def quantities(self) -> dict[str, tuple[str, str]]:
-        """Label and unit of the drawn and printed columns, by name.
+        """Label and unit for the drawn and printed columns, by column name.
 
-        The scene's ``[output] quantities`` chooses them, by default a few.
+        The scene's key ``output.quantities`` chooses the columns. Without this key, the columns are
+        those drawn by default.
         """
         label_by_point, label_and_unit_by_column = self.scene.label_by_point_name, {}
         for quantity_name in self.scene.quantities or observable_names(
@@ -521,9 +540,9 @@ class SweepResult(Tabular):
         }
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the table as lists by column.
+        """Return the table as lists by column name.
 
-        The swept keys come first. Each case has a row.
+        The swept keys come first. Each list has one entry for each case.
         """
         axis_columns = zip(*itertools.product(*(axis.values for axis in self.axes)), strict=True)
         values_by_column = {
@@ -647,11 +666,11 @@ class SweepResult(Tabular):
 
 
 def has_omitted_options(sweep_header: StoredFile) -> bool:
-    """Return True for a sweep's file without verdicts, errors or some solutions.
+    """Return True if computations were left out in a sweep's file.
 
-    Other computations than the command ``sweep`` make such files, by the options ``verdicts``,
-    ``judged`` and ``natural`` of :func:`run_sweep`. ``sweep_header`` is the header of any result
-    file.
+    These are stability, the reduction error, or some vibrations: options ``verdicts``, ``judged``
+    and ``natural`` of :func:`run_sweep`. Files of the command ``sweep`` leave out none.
+    ``sweep_header`` may be the header of any result file.
     """
     return sweep_header.kind == KIND and bool(sweep_header.attributes.get("omitted"))
 
@@ -674,9 +693,11 @@ def iterate_texts_by_reason(
     sweep_result : SweepResult
         Source of the swept values.
     indices_and_reasons : sequence of (index, reason)
-        Position on each axis and reason of each case, as from :attr:`SweepResult.failed`.
+        Position on each axis and reason for each case, as in
+        :attr:`SweepResult.failed_indices_and_reasons`.
     outcome_text : str
-        Outcome shared by the cases, for the text: "3 cases {outcome_text}, the first at ...".
+        What happened to the cases, such as "failed". The text of a group begins
+        "3 cases {outcome_text}, the first at ...".
     """
     indices_and_reasons_by_pattern: dict[str, list[tuple[tuple[int, ...], str]]] = {}
     for case_index, reason in indices_and_reasons:
