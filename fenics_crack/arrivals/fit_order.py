@@ -170,7 +170,7 @@ def _fit_best_order(
         wave_residual_square_sums < CONFIDENCE_LEVELS.allowed_cost_difference * variance_ratio
     )
     covariance_factor = finite_ratio = variance_ratio if np.isfinite(variance_ratio) else np.nan
-    if means.freedom_within_groups > 0 and len(means.displacements) > n_unknowns + 1:
+    if means.covariance_degrees_of_freedom > 0 and len(means.displacements) > n_unknowns + 1:
         # An order is not excluded if omitted harmonics explain the difference.
         for order_index, fit in fit_by_index.items():
             costs[order_index], fit_by_index[order_index] = means.find_cost_and_fit_with_omitted(
@@ -264,7 +264,7 @@ class OrderFit:
         Covariance for the coefficients.
     sum_of_squares : float
         Sum of squared residuals, in variances.
-    residual_per_error : (g,)
+    residual_per_displacement_error : (g,)
         Residual of a displacement over the error: 1 + u' / R, with tip radius R and
         u' = du / d alpha. A late arrival also belongs to a larger rotor angle, with another fitted
         displacement.
@@ -275,7 +275,7 @@ class OrderFit:
     coefficients: np.ndarray
     covariance: np.ndarray
     sum_of_squares: float
-    residual_per_error: np.ndarray
+    residual_per_displacement_error: np.ndarray
 
 
 class Sample:
@@ -289,7 +289,7 @@ class Sample:
         Displacements.
     covariance : (g, g) [m^2]
         Covariance of the errors of the displacements, estimated before the fit.
-    freedom_within_groups : int
+    covariance_degrees_of_freedom : int
         Degrees of freedom of this estimate, for instance arrivals less means. 0 without an
         estimate: the covariance then has an unknown factor.
     tip_radius : float [m]
@@ -306,17 +306,17 @@ class Sample:
         nominal_angles: np.ndarray,
         displacements: np.ndarray,
         covariance: np.ndarray,
-        freedom_within_groups: int,
+        covariance_degrees_of_freedom: int,
         tip_radius: float,
     ) -> None:
         self.nominal_angles = nominal_angles
         self.displacements = displacements
-        self.freedom_within_groups = freedom_within_groups
-        self._radius = tip_radius
+        self.covariance_degrees_of_freedom = covariance_degrees_of_freedom
+        self._tip_radius = tip_radius
         self.angles = nominal_angles - displacements / tip_radius
         self.covariance = covariance
         # The error of a probe's angle is common to all means of the probe: nearly singular.
-        self._cholesky_factor = np.linalg.cholesky(
+        self._covariance_cholesky_factor = np.linalg.cholesky(
             covariance + MAX_DEPENDENT_EIGENVALUE_RATIO * np.diag(np.diag(covariance))
         )
 
@@ -330,21 +330,23 @@ class Sample:
         nominal_columns = fourier_basis(order * self.nominal_angles, multiples)
         if np.isinf(condition_number(nominal_columns)) or np.isinf(condition_number(wave_columns)):
             return None
-        residual_per_error = np.ones(len(wave_columns))
+        residual_per_displacement_error = np.ones(len(wave_columns))
         # An arrival late by e [s] has a residual of the size R W e (1 + u' / R): the fit is
         # evaluated at a rotor angle larger by W e.
         for _ in range(2):
-            fitted_residual_per_error = residual_per_error
+            fitted_residual_per_error = residual_per_displacement_error
             (whitened_columns, whitened_displacements) = self._whiten_columns_and_values(
-                wave_columns, self.displacements, residual_per_error
+                wave_columns, self.displacements, residual_per_displacement_error
             )
             coefficients = np.linalg.lstsq(whitened_columns, whitened_displacements, rcond=None)[0]
             quadrature_waves = (
                 wave_columns[:, 1::2] * coefficients[2::2]
                 - wave_columns[:, 2::2] * coefficients[1::2]
             )
-            residual_per_error = 1.0 + order * quadrature_waves @ multiples / self._radius
-            if np.any(residual_per_error <= 0.0):
+            residual_per_displacement_error = (
+                1.0 + order * quadrature_waves @ multiples / self._tip_radius
+            )
+            if np.any(residual_per_displacement_error <= 0.0):
                 return None
         residuals = whitened_displacements - whitened_columns @ coefficients
         covariance = np.linalg.inv(whitened_columns.T @ whitened_columns)
@@ -358,15 +360,19 @@ class Sample:
         )
 
     def _whiten_columns_and_values(
-        self, columns: np.ndarray, values: np.ndarray, residual_per_error: np.ndarray
+        self, columns: np.ndarray, values: np.ndarray, residual_per_displacement_error: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Scale columns and values so that their errors are independent, of variance 1.
 
-        Both are divided by ``residual_per_error`` (g,), then by the Cholesky factor of the
-        covariance. Columns are (g, m), values (g,).
+        Both are divided by ``residual_per_displacement_error`` (g,), then by the Cholesky factor of
+        the covariance. Columns are (g, m), values (g,).
         """
-        columns_and_values = np.column_stack([columns, values]) / residual_per_error[:, None]
-        columns_and_values = solve_triangular(self._cholesky_factor, columns_and_values, lower=True)
+        columns_and_values = (
+            np.column_stack([columns, values]) / residual_per_displacement_error[:, None]
+        )
+        columns_and_values = solve_triangular(
+            self._covariance_cholesky_factor, columns_and_values, lower=True
+        )
         return columns_and_values[:, :-1], columns_and_values[:, -1]
 
     def find_cost_and_fit_with_omitted(self, fit: OrderFit) -> tuple[float, OrderFit]:
@@ -420,9 +426,10 @@ class Sample:
 
         The error comes from three omitted harmonics. Each has several trial amplitudes (standard
         deviations). The probability is the mean over all trials, weighted with their likelihood,
-        for the worst amplitude. nan if ``freedom_within_groups`` is 0: errors are then unknown.
+        for the worst amplitude. nan if ``covariance_degrees_of_freedom`` is 0: errors are then
+        unknown.
         """
-        if self.freedom_within_groups < 1:
+        if self.covariance_degrees_of_freedom < 1:
             return np.nan
         omitted_size_rows = np.array(
             list(
@@ -435,7 +442,7 @@ class Sample:
             fit.coefficients, fit.covariance
         )
         amplitudes, amplitude_errors = compute_amplitudes_and_errors(*estimate_arrays)
-        allowed_deviations = CONFIDENCE_LEVELS.allowed_standard_errors * fitted_errors
+        allowed_deviations = CONFIDENCE_LEVELS.equal_fit_standard_errors * fitted_errors
         upper_cdf, lower_cdf = (
             ndtr((fitted_amplitudes + interval_end - amplitudes) / amplitude_errors)
             for interval_end in (allowed_deviations, -allowed_deviations)
@@ -459,7 +466,10 @@ class Sample:
 
         1e6 times the smallest diagonal entry of the covariance's Cholesky factor.
         """
-        return float(np.diag(self._cholesky_factor).min() / np.sqrt(MAX_DEPENDENT_EIGENVALUE_RATIO))
+        return float(
+            np.diag(self._covariance_cholesky_factor).min()
+            / np.sqrt(MAX_DEPENDENT_EIGENVALUE_RATIO)
+        )
 
     def _solve_with_omitted_harmonics(
         self, fit: OrderFit, omitted_size_rows: np.ndarray
@@ -495,7 +505,7 @@ class Sample:
             wave_columns[:, :n_unknowns].T @ wave_columns[:, :n_unknowns]
         )[1]
         wave_columns, whitened_displacements = self._whiten_columns_and_values(
-            wave_columns, self.displacements, fit.residual_per_error
+            wave_columns, self.displacements, fit.residual_per_displacement_error
         )
         column_scales = np.ones((len(omitted_size_rows), wave_columns.shape[1]))
         column_scales[:, n_unknowns:] = np.repeat(omitted_size_rows, 2, axis=1)
@@ -542,16 +552,18 @@ class Sample:
             0.01).
         """
         n_spare = len(self.displacements) - n_unknowns
-        total_freedom = self.freedom_within_groups + n_spare
-        if self.freedom_within_groups < 1:
+        total_freedom = self.covariance_degrees_of_freedom + n_spare
+        if self.covariance_degrees_of_freedom < 1:
             return (residual_square_sum / n_spare if n_spare else np.inf), np.nan, total_freedom
         if n_spare < 1:
             return 1.0, np.nan, total_freedom
-        chance = float(fdtrc(n_spare, self.freedom_within_groups, residual_square_sum / n_spare))
-        if chance < CONFIDENCE_LEVELS.misfit_errors_significance_level:
+        chance = float(
+            fdtrc(n_spare, self.covariance_degrees_of_freedom, residual_square_sum / n_spare)
+        )
+        if chance < CONFIDENCE_LEVELS.errors_from_misfit_significance_level:
             return residual_square_sum / n_spare, chance, np.inf
         return (
-            (self.freedom_within_groups + residual_square_sum) / total_freedom,
+            (self.covariance_degrees_of_freedom + residual_square_sum) / total_freedom,
             chance,
             total_freedom,
         )
@@ -607,7 +619,7 @@ class ProbeMeans(Sample):
         nominal_angles = arrivals.probes[group_numbers % n_probes] + RAD_PER_TURN * (
             group_numbers // n_probes
         )
-        freedom_within_groups = len(group_indices) - len(group_numbers)
+        covariance_degrees_of_freedom = len(group_indices) - len(group_numbers)
 
         def solve(weights: np.ndarray) -> np.ndarray:
             self.displacements = np.bincount(
@@ -620,7 +632,7 @@ class ProbeMeans(Sample):
         )
         group_columns = np.eye(len(group_numbers))[group_indices]
         self.scatter, covariance = 1.0, np.diag(1.0 / np.bincount(group_indices))
-        if freedom_within_groups > 0:
+        if covariance_degrees_of_freedom > 0:
             self.scatter = max(
                 float(np.sqrt(student_noise.variance)), arrivals.displacement_rounding
             )
@@ -633,7 +645,7 @@ class ProbeMeans(Sample):
             nominal_angles,
             self.displacements,
             covariance,
-            freedom_within_groups,
+            covariance_degrees_of_freedom,
             arrivals.tip_radius,
         )
 

@@ -48,10 +48,10 @@ class ConfidenceLevels:
         with six unknowns.
     misfit_significance_level : float
         Minimum probability that a model makes residuals as large; below, the model is wrong.
-    misfit_errors_significance_level : float
+    errors_from_misfit_significance_level : float
         Probability of a misfit below which errors follow from the misfit, otherwise from the
         scatter.
-    allowed_standard_errors : float
+    equal_fit_standard_errors : float
         Standard deviations within which candidates fit equally well, and correlation is
         insignificant.
     """
@@ -59,16 +59,16 @@ class ConfidenceLevels:
     vibration_significance_level: float = 1e-5
     min_likelihood_gain: float = 60.0
     misfit_significance_level: float = 1e-3
-    misfit_errors_significance_level: float = 1e-2
-    allowed_standard_errors: float = 3.0
+    errors_from_misfit_significance_level: float = 1e-2
+    equal_fit_standard_errors: float = 3.0
 
     @property
     def allowed_cost_difference(self) -> float:
         """Maximum difference in -2 log likelihood between equally good candidates.
 
-        The square of ``allowed_standard_errors``, 9; also for sums of squares in variances.
+        The square of ``equal_fit_standard_errors``, 9; also for sums of squares in variances.
         """
-        return self.allowed_standard_errors**2
+        return self.equal_fit_standard_errors**2
 
 
 CONFIDENCE_LEVELS = ConfidenceLevels()
@@ -298,7 +298,7 @@ class StudentNoise:
         ):
             product_sums, counts = sums_and_counts.T
             max_insignificant_sums = (
-                CONFIDENCE_LEVELS.allowed_standard_errors
+                CONFIDENCE_LEVELS.equal_fit_standard_errors
                 * psi_variance
                 * np.sqrt(counts if lag else 2.0 * counts)
             )

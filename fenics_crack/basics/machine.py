@@ -229,26 +229,28 @@ def run_single_threaded() -> Iterator[None]:
 class _OpenBlas(NamedTuple):
     """Hold a loaded OpenBLAS; Debian and wheels have different names for the functions.
 
-    ``name_affixes`` are the prefix and the suffix of a function's name, as "openblas" and "64",
-    with underscores.
+    ``function_name_affixes`` are the prefix and the suffix of a function's name, as "openblas" and
+    "64", with underscores.
     """
 
     library: ctypes.CDLL
-    name_affixes: tuple[str, str]
+    function_name_affixes: tuple[str, str]
 
     def __call__(self, function_name: str, *arguments: int) -> int:
         """Call a function by the name without prefix and suffix, and return an integer.
 
         A function without a result returns 0.
         """
-        return int(getattr(self.library, function_name.join(self.name_affixes))(*arguments) or 0)
+        return int(
+            getattr(self.library, function_name.join(self.function_name_affixes))(*arguments) or 0
+        )
 
     def default_thread_count(self) -> int:
         """Return the number of threads that OpenBLAS starts by default.
 
         The number of processors, or the maximum of this build if smaller.
         """
-        get_config: Any = getattr(self.library, "get_config".join(self.name_affixes))
+        get_config: Any = getattr(self.library, "get_config".join(self.function_name_affixes))
         get_config.restype = ctypes.c_char_p
         max_threads_match = re.search(rb"MAX_THREADS=(\d+)", get_config())
         n_processors = self("get_num_procs")

@@ -129,7 +129,7 @@ class ProbeDisplacements:
             Predicted displacements, with those of candidates.
         displacement_slopes : (m, n, K)
             Slopes t_k by the harmonics: u = Re sum_k t_k U_k + c.
-        load_induced_changes : (m, n, 3) [m]
+        changes_by_unknown_load : (m, n, 3) [m]
             Changes of the displacements by one prior standard deviation of A, psi and c.
         load_sizes : (m,)
             A; 1 without measured displacements.
@@ -157,14 +157,14 @@ class ProbeDisplacements:
             np.pi / np.sqrt(3.0) * (harmonic_orders * harmonic_terms).sum(axis=2).imag
         )
         constant_change = 10.0 * np.max(np.abs(self._measurement_values), initial=0.0)
-        load_induced_changes = np.stack(
+        changes_by_unknown_load = np.stack(
             [displacements, phase_induced_changes, np.full_like(displacements, constant_change)],
             axis=2,
         )
         return (
             displacements + constant_displacements[:, None],
             displacement_slopes,
-            load_induced_changes,
+            changes_by_unknown_load,
             load_sizes,
         )
 
@@ -247,7 +247,7 @@ class CrackFaceState(NamedTuple):
     ----------
     resonance_state : str
         One of :data:`RESONANCE_STATE_NAMES`: "bilinear" (breathing), "open", "tied" (closed).
-    common_deviation, independent_deviation : float
+    common_resonance_deviation, independent_resonance_deviation : float
         Standard deviations of resonances from the frequency of this state, relative to the
         difference between bonded and open frequency. The first is common to all resonances, the
         second independent. For breathing faces, the deviation for each mode in ``[identify]`` is
@@ -257,8 +257,8 @@ class CrackFaceState(NamedTuple):
     """
 
     resonance_state: str
-    common_deviation: float = 0.0
-    independent_deviation: float = 0.0
+    common_resonance_deviation: float = 0.0
+    independent_resonance_deviation: float = 0.0
     prior_weight: float = 1.0
 
 
@@ -276,7 +276,7 @@ class MeasurementPrediction:
         Predicted values; nan without a prediction.
     covariance : (m, q, q)
         Covariance of the errors of the values.
-    load_induced_changes : (m, q, s)
+    changes_by_unknown_load : (m, q, s)
         Changes of the values by one standard deviation of each unknown load size, load phase and
         constant (:class:`ProbeDisplacements`).
     is_predictable : (q,) bool
@@ -285,7 +285,7 @@ class MeasurementPrediction:
 
     values: np.ndarray
     covariance: np.ndarray
-    load_induced_changes: np.ndarray
+    changes_by_unknown_load: np.ndarray
     is_predictable: np.ndarray
 
 
@@ -331,7 +331,7 @@ class MeasurementPredictor:
             ],
             dtype=bool,
         )
-        self._no_feature_mask = np.zeros(len(self._features), dtype=bool)
+        self._all_false_feature_mask = np.zeros(len(self._features), dtype=bool)
         self._probe_groups = ProbeDisplacements.group_displacements(measured_rows, candidate_rows)
         load_indices = self._feature_predictor.load_indices
         speed_ratios = model.coarse_cases.swept_loads.rotor_speed_ratios
@@ -353,7 +353,7 @@ class MeasurementPredictor:
             if any(measurement.is_resonant for measurement in self.rows)
             else (BREATHING_FACE_STATE,)
         )
-        self._scales_with_load_at_rest = is_response_proportional_to_load(
+        self._is_proportional_to_load_at_rest = is_response_proportional_to_load(
             model.scene.without_rotation()
         )
 
@@ -423,7 +423,7 @@ class MeasurementPredictor:
             point_indices = np.flatnonzero(probabilities > 0.0)
             is_zero_feature = np.any(
                 [
-                    self._no_feature_mask,
+                    self._all_false_feature_mask,
                     *itertools.compress(self._higher_harmonic_masks, are_loads_motionless),
                 ],
                 axis=0,
@@ -444,7 +444,7 @@ class MeasurementPredictor:
         the first (:func:`_list_face_states`), with the largest standard deviation.
         """
         return self._predict_measurements(
-            self._feature_predictor(x), self._no_feature_mask, self._face_states[0]
+            self._feature_predictor(x), self._all_false_feature_mask, self._face_states[0]
         )
 
     def compute_interpolation_and_total_variances(
@@ -466,7 +466,7 @@ class MeasurementPredictor:
         def propagate_to_variances(covariance: np.ndarray) -> np.ndarray:
             changed_prediction = feature_prediction._replace(smooth_form_covariance=covariance)
             prediction = self._predict_measurements(
-                changed_prediction, self._no_feature_mask, self._face_states[0]
+                changed_prediction, self._all_false_feature_mask, self._face_states[0]
             )
             return np.diagonal(prediction.covariance, axis1=1, axis2=2)
 
@@ -680,7 +680,7 @@ class MeasurementPredictor:
                 continue
             row_state = (
                 BREATHING_FACE_STATE
-                if row.rpm == 0.0 and self._scales_with_load_at_rest
+                if row.rpm == 0.0 and self._is_proportional_to_load_at_rest
                 else face_state
             )
             state_index = (
@@ -696,7 +696,9 @@ class MeasurementPredictor:
                 _, open_frequencies, bonded_frequencies = feature_sizes[:, feature_indices].T
                 frequency_split = bonded_frequencies - open_frequencies
                 damping_shift = predictions[:, row_index] * damping_ratio_of_points[:, 0] ** 2
-                common_errors[:, row_index, 0] = row_state.common_deviation * frequency_split
+                common_errors[:, row_index, 0] = (
+                    row_state.common_resonance_deviation * frequency_split
+                )
                 mode_deviation = (
                     identify_table.first_resonance_deviation
                     if row.mode == 1
@@ -706,11 +708,11 @@ class MeasurementPredictor:
                     (state_index == 0) * mode_deviation * frequency_split
                 )
                 independent_variances[:, row_index] = (
-                    row_state.independent_deviation * frequency_split
+                    row_state.independent_resonance_deviation * frequency_split
                 ) ** 2 + damping_shift**2
         for cracked_index, uncracked_index in zip(
-            self._feature_predictor.cracked_indices,
-            self._feature_predictor.uncracked_indices,
+            self._feature_predictor.cracked_frequency_indices,
+            self._feature_predictor.uncracked_frequency_indices,
             strict=True,
         ):
             complex_slopes[:, :, uncracked_index] += (
@@ -785,8 +787,12 @@ def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
     )
     # Open for an unknown part of the period: another part at each resonance, or a common part.
     partly_open_states = (
-        CrackFaceState("bilinear", independent_deviation=resonance_deviation, prior_weight=0.5),
-        CrackFaceState("bilinear", common_deviation=resonance_deviation, prior_weight=0.5),
+        CrackFaceState(
+            "bilinear", independent_resonance_deviation=resonance_deviation, prior_weight=0.5
+        ),
+        CrackFaceState(
+            "bilinear", common_resonance_deviation=resonance_deviation, prior_weight=0.5
+        ),
     )
     face_states = (*partly_open_states, BREATHING_FACE_STATE, *held_states)
     total_weight = sum(face_state.prior_weight for face_state in face_states)
