@@ -51,7 +51,7 @@ def main(
         "opening there [m]": peak.result.face_indicators["opening"],
         "friction would change the amplitude by": errors.relative("amplitude", friction),
         "largest K_I [Pa m^0.5]": intensity.largest[worst],
-        "it is along the front at [m]": intensity.positions[worst],
+        "it is along the front at [m]": intensity.distances_along_crack[worst],
         "largest K_I where the crack is deepest [Pa m^0.5]": intensity.largest[deepest],
         "cycles of growth": growth.life,
         "known within a factor of": growth.factor,

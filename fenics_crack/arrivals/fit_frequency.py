@@ -222,20 +222,20 @@ class _FrequencySearch:
         has_arrival = np.isfinite(displacements)
         self._places, self._omega_bounds = np.nonzero(has_arrival), omega_bounds
         self._arrivals, self._displacements = arrivals, displacements[has_arrival]
-        self._times = arrivals.time[has_arrival] - arrivals.marks[0]
-        self._expected_times = arrivals.expected[has_arrival] - arrivals.marks[0]
-        self._multiples = np.arange(1.0, n_harmonics + 1.0)
+        self._arrival_times = arrivals.time[has_arrival] - arrivals.marks[0]
+        self._expected_arrival_times = arrivals.expected[has_arrival] - arrivals.marks[0]
+        self._harmonic_orders = np.arange(1.0, n_harmonics + 1.0)
         revolution_indices, _ = self._places
         self._duration = float(
             arrivals.marks[revolution_indices.max() + 1] - arrivals.marks[revolution_indices.min()]
         )
-        self._constant_columns = (
+        self._probe_constant_columns = (
             constant_numbers[has_arrival][:, None] == np.unique(constant_numbers[has_arrival])
         ).astype(float)
-        self._n_unknowns = 2 * n_harmonics + 1 + self._constant_columns.shape[1]
+        self._n_unknowns = 2 * n_harmonics + 1 + self._probe_constant_columns.shape[1]
         self._displacement_rounding = arrivals.displacement_rounding
-        self._constants_deviation = constants_deviation * arrivals.tip_radius
-        self._constants_stiffness = 0.0
+        self._probe_constants_deviation = constants_deviation * arrivals.tip_radius
+        self._probe_constants_weight = 0.0
         self._set_constants_stiffness(
             float(
                 np.std(
@@ -243,9 +243,9 @@ class _FrequencySearch:
                 )
             )
         )
-        self._null_noise = fit_noise_by_reweighting(
+        self._noise_without_vibration = fit_noise_by_reweighting(
             lambda weights: self._subtract_constants(self._displacements, weights),
-            np.ones(len(revolution_indices)), self._constant_columns.shape[1],
+            np.ones(len(revolution_indices)), self._probe_constant_columns.shape[1],
             self._displacement_rounding,
         )  # fmt: skip
 
@@ -256,8 +256,10 @@ class _FrequencySearch:
         and the constants' standard deviation d. It is 0 for a single constant or free
         constants.
         """
-        if self._constant_columns.shape[1] > 1:
-            self._constants_stiffness = (displacement_scatter / self._constants_deviation) ** 2
+        if self._probe_constant_columns.shape[1] > 1:
+            self._probe_constants_weight = (
+                displacement_scatter / self._probe_constants_deviation
+            ) ** 2
 
     def _subtract_constants(self, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Fit the constants to values by weighted least squares, and subtract them.
@@ -274,14 +276,16 @@ class _FrequencySearch:
         (n,) or (n, m)
             Values without the constants.
         """
-        weighted_columns = weights[:, None] * self._constant_columns
-        n_constants = self._constant_columns.shape[1]
-        normal_matrix = self._constant_columns.T @ weighted_columns + self._constants_stiffness * (
-            np.eye(n_constants) - 1.0 / n_constants
+        weighted_columns = weights[:, None] * self._probe_constant_columns
+        n_constants = self._probe_constant_columns.shape[1]
+        normal_matrix = (
+            self._probe_constant_columns.T @ weighted_columns
+            + self._probe_constants_weight * (np.eye(n_constants) - 1.0 / n_constants)
         )
         return np.asarray(
             values
-            - self._constant_columns @ np.linalg.solve(normal_matrix, weighted_columns.T @ values)
+            - self._probe_constant_columns
+            @ np.linalg.solve(normal_matrix, weighted_columns.T @ values)
         )
 
     def _fit_harmonics(
@@ -308,7 +312,7 @@ class _FrequencySearch:
             Derivatives of the fit by the coefficients and by the frequency; constants fitted to
             each derivative are subtracted.
         """
-        wave_columns = fourier_basis(omega * times, self._multiples)[:, 1:]
+        wave_columns = fourier_basis(omega * times, self._harmonic_orders)[:, 1:]
         sqrt_weights = np.sqrt(weights)[:, None]
         columns_and_values = self._subtract_constants(
             np.column_stack([wave_columns, values]), weights
@@ -322,7 +326,7 @@ class _FrequencySearch:
             wave_columns[:, 0::2] * coefficients[1::2] - wave_columns[:, 1::2] * coefficients[0::2]
         )
         omega_slope = self._subtract_constants(
-            times * (quadrature_waves @ self._multiples), weights
+            times * (quadrature_waves @ self._harmonic_orders), weights
         )
         return (
             coefficients,
@@ -343,7 +347,7 @@ class _FrequencySearch:
             nonlocal best_omega, fit
             best_omega = omega + omega_unit * float(unit_step[0])
             _, residuals, harmonic_columns = fit = self._fit_harmonics(
-                best_omega, weights, self._displacements, self._times
+                best_omega, weights, self._displacements, self._arrival_times
             )
             weighted_columns = sqrt_weights * harmonic_columns[:, :-1]
             omega_slopes = -omega_unit * sqrt_weights * harmonic_columns[:, -1:]
@@ -373,7 +377,7 @@ class _FrequencySearch:
             Probability of a fitted vibration as significant in noise alone. 1 if the
             constants could explain the vibration, too (:meth:`_constants_absorb_vibration`).
         """
-        weights = self._null_noise.weights
+        weights = self._noise_without_vibration.weights
         refined_omegas_and_fits = [
             self._refine_omega_and_fit(initial_omega, weights)
             for initial_omega in self._find_peak_omegas().tolist()
@@ -402,14 +406,14 @@ class _FrequencySearch:
             self.coefficients @ np.linalg.lstsq(covariance, self.coefficients, rcond=1e-10)[0]
         )
         significance_statistic = max(
-            min(self._null_noise.cost - self.noise.cost, wald_statistic), 0.0
+            min(self._noise_without_vibration.cost - self.noise.cost, wald_statistic), 0.0
         )
         n_resolved_frequencies = max(
             float(np.ptp(self._omega_bounds)) * self._duration / RAD_PER_TURN, 1.0
         )
         chance = min(
             n_resolved_frequencies
-            * float(chdtrc(2 * len(self._multiples) + 1, significance_statistic)),
+            * float(chdtrc(2 * len(self._harmonic_orders) + 1, significance_statistic)),
             1.0,
         )
         return self._build_tip_fit(candidates), 1.0 if self._constants_absorb_vibration(
@@ -441,15 +445,15 @@ class _FrequencySearch:
                 "for a record of this duration"
             )
             raise InputError("high - low", max_omega - min_omega, requirement_text)
-        noise_psi = self._null_noise.psi
+        noise_psi = self._noise_without_vibration.psi
         power = np.zeros(end_step - first_step)
         block_size = 10**6  # frequencies at once, to limit the memory
         for multiple, block_start in itertools.product(
-            self._multiples, range(0, len(power), block_size)
+            self._harmonic_orders, range(0, len(power), block_size)
         ):
             power_block = power[block_start : block_start + block_size]
             spectrum = _compute_spectrum(
-                multiple * omega_step * self._times,
+                multiple * omega_step * self._arrival_times,
                 noise_psi,
                 first_step + block_start,
                 len(power_block),
@@ -497,7 +501,7 @@ class _FrequencySearch:
         allowed_difference = CONFIDENCE_LEVELS.allowed_cost_difference * self.noise.scale**2
         coefficient_rows, residual_rows, columns_of_omegas = zip(
             *[
-                self._fit_harmonics(omega, weights, self._displacements, self._times)
+                self._fit_harmonics(omega, weights, self._displacements, self._arrival_times)
                 for omega in omegas
             ],
             strict=True,
@@ -512,11 +516,13 @@ class _FrequencySearch:
         )
         # Displaced arrivals distinguish aliases, but not reliably: compare at expected arrivals.
         expected_wave = (
-            fourier_basis(omegas[best_index] * self._expected_times, self._multiples)[:, 1:]
+            fourier_basis(omegas[best_index] * self._expected_arrival_times, self._harmonic_orders)[
+                :, 1:
+            ]
             @ coefficient_rows[best_index]
         )
         wave_residuals = [
-            self._fit_harmonics(omega, weights, expected_wave, self._expected_times)[1]
+            self._fit_harmonics(omega, weights, expected_wave, self._expected_arrival_times)[1]
             for omega in omegas
         ]
         is_equivalent |= np.square(wave_residuals) @ weights < allowed_difference
@@ -548,7 +554,8 @@ class _FrequencySearch:
         )
         covariance = block_diag(mean_variance, fit_covariance[:-1, :-1])
         fitted_wave = (
-            fourier_basis(self.omega * self._times, self._multiples)[:, 1:] @ self.coefficients
+            fourier_basis(self.omega * self._arrival_times, self._harmonic_orders)[:, 1:]
+            @ self.coefficients
         )
         weights = self.noise.weights
         mean_displacement = float(weights @ (self._displacements - fitted_wave) / weights.sum())
@@ -556,7 +563,7 @@ class _FrequencySearch:
             order=order,
             order_error=float(np.sqrt(fit_covariance[-1, -1])) / mean_speed,
             speed=mean_speed,
-            multiples=self._multiples,
+            multiples=self._harmonic_orders,
             coefficients=np.append(mean_displacement, self.coefficients),
             covariance=covariance,
             scatter=float(np.sqrt(self.noise.variance)),

@@ -171,7 +171,7 @@ def _fit_best_order(
         wave_residual_square_sums < CONFIDENCE_LEVELS.allowed_cost_difference * variance_ratio
     )
     covariance_factor = finite_ratio = variance_ratio if np.isfinite(variance_ratio) else np.nan
-    if means.freedom_within_groups > 0 and len(means.displacements) > n_unknowns + 1:
+    if means.covariance_degrees_of_freedom > 0 and len(means.displacements) > n_unknowns + 1:
         # An order is not excluded if omitted harmonics explain the difference.
         for order_index, fit in fit_by_index.items():
             costs[order_index], fit_by_index[order_index] = means.find_cost_and_fit_with_omitted(
@@ -273,7 +273,7 @@ class OrderFit:
         Coefficient covariance.
     sum_of_squares : float
         Sum of squared residuals, each in units of the standard deviation.
-    residual_per_error : (g,)
+    residual_per_displacement_error : (g,)
         Residual by an error of 1 in the measured displacement: 1 + u' / R, with tip radius R and
         u' = du / d alpha. The measured displacement also gives the rotor angle alpha, at which the
         fitted displacement u is evaluated.
@@ -284,7 +284,7 @@ class OrderFit:
     coefficients: np.ndarray
     covariance: np.ndarray
     sum_of_squares: float
-    residual_per_error: np.ndarray
+    residual_per_displacement_error: np.ndarray
 
 
 class Sample:
@@ -298,7 +298,7 @@ class Sample:
         Displacements.
     covariance : (g, g) [m^2]
         Covariance of the errors of the displacements, estimated before the fit.
-    freedom_within_groups : int
+    covariance_degrees_of_freedom : int
         Degrees of freedom of this estimate. For means of arrivals: number of arrivals less number
         of means. 0 without an estimate: the covariance is then known but for a factor.
     tip_radius : float [m]
@@ -315,17 +315,17 @@ class Sample:
         nominal_angles: np.ndarray,
         displacements: np.ndarray,
         covariance: np.ndarray,
-        freedom_within_groups: int,
+        covariance_degrees_of_freedom: int,
         tip_radius: float,
     ) -> None:
         self.nominal_angles = nominal_angles
         self.displacements = displacements
-        self.freedom_within_groups = freedom_within_groups
-        self._radius = tip_radius
+        self.covariance_degrees_of_freedom = covariance_degrees_of_freedom
+        self._tip_radius = tip_radius
         self.angles = nominal_angles - displacements / tip_radius
         self.covariance = covariance
         # The error of a probe's angle is common to all means of the probe: nearly singular.
-        self._cholesky_factor = np.linalg.cholesky(
+        self._covariance_cholesky_factor = np.linalg.cholesky(
             covariance + MAX_DEPENDENT_EIGENVALUE_RATIO * np.diag(np.diag(covariance))
         )
 
@@ -340,21 +340,23 @@ class Sample:
         nominal_columns = fourier_basis(order * self.nominal_angles, multiples)
         if np.isinf(condition_number(nominal_columns)) or np.isinf(condition_number(wave_columns)):
             return None
-        residual_per_error = np.ones(len(wave_columns))
+        residual_per_displacement_error = np.ones(len(wave_columns))
         # An arrival late by e [s] has a residual of the size R W e (1 + u' / R): the fit is
         # evaluated at a rotor angle larger by W e.
         for _ in range(2):
-            fitted_residual_per_error = residual_per_error
+            fitted_residual_per_error = residual_per_displacement_error
             (whitened_columns, whitened_displacements) = self._whiten_columns_and_values(
-                wave_columns, self.displacements, residual_per_error
+                wave_columns, self.displacements, residual_per_displacement_error
             )
             coefficients = np.linalg.lstsq(whitened_columns, whitened_displacements, rcond=None)[0]
             quadrature_waves = (
                 wave_columns[:, 1::2] * coefficients[2::2]
                 - wave_columns[:, 2::2] * coefficients[1::2]
             )
-            residual_per_error = 1.0 + order * quadrature_waves @ multiples / self._radius
-            if np.any(residual_per_error <= 0.0):
+            residual_per_displacement_error = (
+                1.0 + order * quadrature_waves @ multiples / self._tip_radius
+            )
+            if np.any(residual_per_displacement_error <= 0.0):
                 return None
         residuals = whitened_displacements - whitened_columns @ coefficients
         covariance = np.linalg.inv(whitened_columns.T @ whitened_columns)
@@ -368,16 +370,20 @@ class Sample:
         )
 
     def _whiten_columns_and_values(
-        self, columns: np.ndarray, values: np.ndarray, residual_per_error: np.ndarray
+        self, columns: np.ndarray, values: np.ndarray, residual_per_displacement_error: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Scale equations so that errors are independent, with variance 1.
 
-        Each equation is divided by its ``residual_per_error`` (g,). The inverse of the covariance's
-        Cholesky factor then multiplies all equations. Given and returned: columns (g, m), the
-        derivatives by the unknowns, and values (g,), the right-hand side.
+        Each equation is divided by its ``residual_per_displacement_error`` (g,). The inverse of the
+        covariance's Cholesky factor then multiplies all equations. Given and returned: columns (g,
+        m), the derivatives by the unknowns, and values (g,), the right-hand side.
         """
-        columns_and_values = np.column_stack([columns, values]) / residual_per_error[:, None]
-        columns_and_values = solve_triangular(self._cholesky_factor, columns_and_values, lower=True)
+        columns_and_values = (
+            np.column_stack([columns, values]) / residual_per_displacement_error[:, None]
+        )
+        columns_and_values = solve_triangular(
+            self._covariance_cholesky_factor, columns_and_values, lower=True
+        )
         return columns_and_values[:, :-1], columns_and_values[:, -1]
 
     def find_cost_and_fit_with_omitted(self, fit: OrderFit) -> tuple[float, OrderFit]:
@@ -434,9 +440,9 @@ class Sample:
         An amplitude is wrong if it is off by over three standard errors; the worst amplitude of the
         fit counts. Each of three omitted harmonics has several trial sizes (standard deviations).
         The probability is the mean over all combinations of sizes, weighted with their likelihood.
-        nan if ``freedom_within_groups`` is 0: errors are then unknown.
+        nan if ``covariance_degrees_of_freedom`` is 0: errors are then unknown.
         """
-        if self.freedom_within_groups < 1:
+        if self.covariance_degrees_of_freedom < 1:
             return np.nan
         omitted_size_rows = np.array(
             list(
@@ -449,7 +455,7 @@ class Sample:
             fit.coefficients, fit.covariance
         )
         amplitudes, amplitude_errors = compute_amplitudes_and_errors(*estimate_arrays)
-        allowed_deviations = CONFIDENCE_LEVELS.allowed_standard_errors * fitted_errors
+        allowed_deviations = CONFIDENCE_LEVELS.equal_fit_standard_errors * fitted_errors
         upper_cdf, lower_cdf = (
             ndtr((fitted_amplitudes + interval_end - amplitudes) / amplitude_errors)
             for interval_end in (allowed_deviations, -allowed_deviations)
@@ -475,7 +481,10 @@ class Sample:
         maximum keeps the normal equations accurate: 1e6 times the smallest diagonal entry of the
         Cholesky factor of ``covariance``.
         """
-        return float(np.diag(self._cholesky_factor).min() / np.sqrt(MAX_DEPENDENT_EIGENVALUE_RATIO))
+        return float(
+            np.diag(self._covariance_cholesky_factor).min()
+            / np.sqrt(MAX_DEPENDENT_EIGENVALUE_RATIO)
+        )
 
     def _solve_with_omitted_harmonics(
         self, fit: OrderFit, omitted_size_rows: np.ndarray
@@ -511,7 +520,7 @@ class Sample:
             wave_columns[:, :n_unknowns].T @ wave_columns[:, :n_unknowns]
         )[1]
         wave_columns, whitened_displacements = self._whiten_columns_and_values(
-            wave_columns, self.displacements, fit.residual_per_error
+            wave_columns, self.displacements, fit.residual_per_displacement_error
         )
         column_scales = np.ones((len(omitted_size_rows), wave_columns.shape[1]))
         column_scales[:, n_unknowns:] = np.repeat(omitted_size_rows, 2, axis=1)
@@ -558,16 +567,18 @@ class Sample:
             below 0.01).
         """
         n_spare = len(self.displacements) - n_unknowns
-        total_freedom = self.freedom_within_groups + n_spare
-        if self.freedom_within_groups < 1:
+        total_freedom = self.covariance_degrees_of_freedom + n_spare
+        if self.covariance_degrees_of_freedom < 1:
             return (residual_square_sum / n_spare if n_spare else np.inf), np.nan, total_freedom
         if n_spare < 1:
             return 1.0, np.nan, total_freedom
-        chance = float(fdtrc(n_spare, self.freedom_within_groups, residual_square_sum / n_spare))
-        if chance < CONFIDENCE_LEVELS.misfit_errors_significance_level:
+        chance = float(
+            fdtrc(n_spare, self.covariance_degrees_of_freedom, residual_square_sum / n_spare)
+        )
+        if chance < CONFIDENCE_LEVELS.errors_from_misfit_significance_level:
             return residual_square_sum / n_spare, chance, np.inf
         return (
-            (self.freedom_within_groups + residual_square_sum) / total_freedom,
+            (self.covariance_degrees_of_freedom + residual_square_sum) / total_freedom,
             chance,
             total_freedom,
         )
@@ -627,7 +638,7 @@ class ProbeMeans(Sample):
         nominal_angles = arrivals.probes[group_numbers % n_probes] + RAD_PER_TURN * (
             group_numbers // n_probes
         )
-        freedom_within_groups = len(group_indices) - len(group_numbers)
+        covariance_degrees_of_freedom = len(group_indices) - len(group_numbers)
 
         def solve(weights: np.ndarray) -> np.ndarray:
             self.displacements = np.bincount(
@@ -640,7 +651,7 @@ class ProbeMeans(Sample):
         )
         group_columns = np.eye(len(group_numbers))[group_indices]
         self.scatter, covariance = 1.0, np.diag(1.0 / np.bincount(group_indices))
-        if freedom_within_groups > 0:
+        if covariance_degrees_of_freedom > 0:
             self.scatter = max(
                 float(np.sqrt(student_noise.variance)), arrivals.displacement_rounding
             )
@@ -653,7 +664,7 @@ class ProbeMeans(Sample):
             nominal_angles,
             self.displacements,
             covariance,
-            freedom_within_groups,
+            covariance_degrees_of_freedom,
             arrivals.tip_radius,
         )
 

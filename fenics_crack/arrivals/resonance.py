@@ -292,7 +292,7 @@ def _differ_significantly(values: np.ndarray, errors: np.ndarray) -> bool:
     pairwise_differences = np.abs(values[:, None] - values)
     return not np.all(
         pairwise_differences
-        <= CONFIDENCE_LEVELS.allowed_standard_errors * np.hypot(errors[:, None], errors)
+        <= CONFIDENCE_LEVELS.equal_fit_standard_errors * np.hypot(errors[:, None], errors)
     )
 
 
@@ -373,7 +373,7 @@ class Resonance:
         if not (is_passed and fit.likelihood_gain > CONFIDENCE_LEVELS.min_likelihood_gain):
             return False
         return (
-            CONFIDENCE_LEVELS.allowed_standard_errors * float(fit.omega_and_damping_errors[1])
+            CONFIDENCE_LEVELS.equal_fit_standard_errors * float(fit.omega_and_damping_errors[1])
             < fit.first_mode.damping_ratio
             < 0.5 * DAMPING_RATIO_BOUNDS[1]
         )

@@ -48,10 +48,10 @@ class ConfidenceLevels:
         high, since about 1e5 resonances are tried, each with six unknowns.
     misfit_significance_level : float
         The model is wrong if residuals as large have a lower probability than this.
-    misfit_errors_significance_level : float
+    errors_from_misfit_significance_level : float
         Standard errors follow from the misfit if its probability is below this. Otherwise the
         errors follow from the scatter.
-    allowed_standard_errors : float
+    equal_fit_standard_errors : float
         Number of standard deviations within which candidates fit equally well, and a correlation
         is insignificant.
     """
@@ -59,17 +59,17 @@ class ConfidenceLevels:
     vibration_significance_level: float = 1e-5
     min_likelihood_gain: float = 60.0
     misfit_significance_level: float = 1e-3
-    misfit_errors_significance_level: float = 1e-2
-    allowed_standard_errors: float = 3.0
+    errors_from_misfit_significance_level: float = 1e-2
+    equal_fit_standard_errors: float = 3.0
 
     @property
     def allowed_cost_difference(self) -> float:
         """Maximum difference in -2 log likelihood between equally good candidates.
 
-        The value is ``allowed_standard_errors`` squared, 9; also for differences between sums of
+        The value is ``equal_fit_standard_errors`` squared, 9; also for differences between sums of
         squared residuals in units of the standard deviation.
         """
-        return self.allowed_standard_errors**2
+        return self.equal_fit_standard_errors**2
 
 
 CONFIDENCE_LEVELS = ConfidenceLevels()
@@ -311,7 +311,7 @@ class StudentNoise:
         ):
             product_sums, counts = sums_and_counts.T
             max_insignificant_sums = (
-                CONFIDENCE_LEVELS.allowed_standard_errors
+                CONFIDENCE_LEVELS.equal_fit_standard_errors
                 * psi_variance
                 * np.sqrt(counts if lag else 2.0 * counts)
             )

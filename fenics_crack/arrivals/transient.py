@@ -81,14 +81,14 @@ class Run:
         self.record = record
         self.has_arrival = np.isfinite(displacements[revolution_slice])
         self.displacements = np.where(self.has_arrival, displacements[revolution_slice], 0.0)
-        self.nominal_angle = arrivals.nominal_angle[revolution_slice]
-        self.expected_times = arrivals.expected[revolution_slice]
-        self.angle = np.where(
-            self.has_arrival, arrivals.angle[revolution_slice], self.nominal_angle
+        self.nominal_rotor_angles = arrivals.nominal_angle[revolution_slice]
+        self.expected_arrival_times = arrivals.expected[revolution_slice]
+        self.arrival_rotor_angles = np.where(
+            self.has_arrival, arrivals.angle[revolution_slice], self.nominal_rotor_angles
         )
         self.revolution_speeds = arrivals.speed[revolution_slice]
         self.displacement_rounding = arrivals.displacement_rounding
-        self.scaled_speed = (self.revolution_speeds - self.revolution_speeds.mean()) / (
+        self.centred_relative_speeds = (self.revolution_speeds - self.revolution_speeds.mean()) / (
             self.revolution_speeds.max() - self.revolution_speeds.min()
         )
 
@@ -112,15 +112,15 @@ class Run:
         """
         column_poles = poles[:, None]
         steady_responses = 1.0 / (1j * order * self._expected_speeds - column_poles)
-        envelopes = np.empty((len(poles), self.angle.size), dtype=complex)
+        envelopes = np.empty((len(poles), self.arrival_rotor_angles.size), dtype=complex)
         envelopes[:, 0] = steady_responses[:, 0]
         for part_slice, _, growths in self._yield_growths(order, poles):
             part_responses = steady_responses[:, part_slice.start : part_slice.stop - 1]
             response_sums = np.cumsum((growths[:, 1:] - growths[:, :-1]) * part_responses, axis=1)
             response_sums += envelopes[:, [part_slice.start]]
             envelopes[:, part_slice.start + 1 : part_slice.stop] = response_sums / growths[:, 1:]
-        envelopes *= -column_poles.real * np.exp(1j * order * self.angle.ravel())
-        return envelopes.reshape(-1, *self.angle.shape)
+        envelopes *= -column_poles.real * np.exp(1j * order * self.arrival_rotor_angles.ravel())
+        return envelopes.reshape(-1, *self.arrival_rotor_angles.shape)
 
     def compute_wave(self, mode: Mode) -> np.ndarray:
         """Return the wave a(t) exp(i p alpha) of a mode for F = 1: (R, P) complex.
@@ -138,7 +138,7 @@ class Run:
         """
         order, mode_pole = mode.order, mode.pole
         steady_responses = 1.0 / (1j * order * self._expected_speeds - mode_pole)
-        envelopes = np.empty((2, self.angle.size), dtype=complex)
+        envelopes = np.empty((2, self.arrival_rotor_angles.size), dtype=complex)
         envelopes[:, 0] = steady_responses[0], steady_responses[0] ** 2
         for part_slice, durations, [growths] in self._yield_growths(order, np.array([mode_pole])):
             growth_and_slope = np.stack([growths, -durations * growths])
@@ -150,14 +150,16 @@ class Run:
             ) / growths[1:]
             part_envelopes[1] += durations[1:] * part_envelopes[0]
             envelopes[:, part_slice.start + 1 : part_slice.stop] = part_envelopes
-        envelopes *= -mode_pole.real * np.exp(1j * order * self.angle.ravel())
+        envelopes *= -mode_pole.real * np.exp(1j * order * self.arrival_rotor_angles.ravel())
         envelopes[1] *= mode_pole
-        return envelopes.reshape(2, *self.angle.shape)
+        return envelopes.reshape(2, *self.arrival_rotor_angles.shape)
 
     @cached_property
     def _expected_speeds(self) -> np.ndarray:
         """Rotor speed from each arrival without vibration to the next: (R P - 1,) [rad/s]."""
-        return np.diff(self.nominal_angle.ravel()) / np.diff(self.expected_times.ravel())
+        return np.diff(self.nominal_rotor_angles.ravel()) / np.diff(
+            self.expected_arrival_times.ravel()
+        )
 
     def _yield_growths(
         self, order: float, poles: np.ndarray
@@ -185,12 +187,15 @@ class Run:
             The growth since the part's first arrival, for each pole.
         """
         omega = float(np.abs(poles).mean())
-        angles_and_times = np.stack([self.nominal_angle.ravel(), self.expected_times.ravel()])
+        angles_and_times = np.stack(
+            [self.nominal_rotor_angles.ravel(), self.expected_arrival_times.ravel()]
+        )
         angles_and_times *= 1.0 - self.record.stiffening(omega / order, omega)
         max_exponent = -float(poles.real.min()) * float(np.ptp(angles_and_times[1]))
         n_parts = int(max_exponent // 300.0) + 1
         edge_indices = [
-            (self.angle.size - 1) * part_index // n_parts for part_index in range(n_parts + 1)
+            (self.arrival_rotor_angles.size - 1) * part_index // n_parts
+            for part_index in range(n_parts + 1)
         ]
         for begin_index, end_index in itertools.pairwise(edge_indices):
             part_slice = slice(begin_index, end_index + 1)
@@ -207,7 +212,7 @@ class Run:
         ``sqrt_weights`` (R, P), square roots of the arrivals' weights. Then both are made
         orthonormal.
         """
-        drifts = np.stack([sqrt_weights, sqrt_weights * self.scaled_speed[:, None]])
+        drifts = np.stack([sqrt_weights, sqrt_weights * self.centred_relative_speeds[:, None]])
         constant_drift, slope_drift = drifts
         constant_drift /= np.sqrt(
             np.maximum((constant_drift * constant_drift).sum(axis=0), SMALLEST_NORMAL)
@@ -551,7 +556,7 @@ class Fit:
     def _split_by_run(self, values: np.ndarray) -> list[np.ndarray]:
         """Split values (n,) of all arrivals by run: (R, P) for each run, 0 without an arrival."""
         split_indices = np.cumsum([int(run.has_arrival.sum()) for run in self._runs])[:-1]
-        run_arrays = [np.zeros(run.nominal_angle.shape) for run in self._runs]
+        run_arrays = [np.zeros(run.nominal_rotor_angles.shape) for run in self._runs]
         for run_array, run, arrival_values in zip(
             run_arrays, self._runs, np.split(values, split_indices), strict=True
         ):
@@ -633,7 +638,7 @@ class Fit:
         mark_shares = interpolate_by_splines(
             mark_numbers,
             np.eye(len(mark_numbers)),
-            self._runs[0].nominal_angle[0] / RAD_PER_TURN % 1.0,
+            self._runs[0].nominal_rotor_angles[0] / RAD_PER_TURN % 1.0,
         ).T
         return self.noise.compute_whiteness_p_value(self.revolutions_and_probes, mark_shares)
 
@@ -651,7 +656,7 @@ class Fit:
         Such probes are a minority, and differ from the median amplitude over five times more than
         all other probes.
         """
-        n_probes = self._runs[0].nominal_angle.shape[1]
+        n_probes = self._runs[0].nominal_rotor_angles.shape[1]
         matrices, vectors = np.zeros((n_probes, 2, 2)), np.zeros((n_probes, 2))
         size_ratios = np.ones(n_probes)
         for run, complex_force, run_weights in zip(

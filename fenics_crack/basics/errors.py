@@ -40,19 +40,19 @@ DISK_FULL_ERROR_NUMBERS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 class Exit(IntEnum):
     """Exit codes of the program.
 
-    DONE: success. FAULT: an error in the program or of the disk. BAD_INPUT: an InputError.
-    NOT_CONVERGED: a result has not converged. MISSED: the error is unknown or above the tolerance.
-    STOPPED: Ctrl-C. READER_GONE: the reader of a pipe has ended. ``--help`` and docs/program.md
-    explain them.
+    DONE: success. PROGRAM_OR_DISK_FAULT: an error in the program or of the disk. BAD_INPUT: an
+    InputError. NOT_CONVERGED: a result has not converged. TOLERANCE_MISSED: the error is unknown or
+    above the tolerance. STOPPED_BY_CTRL_C: Ctrl-C. PIPE_READER_GONE: the reader of a pipe has
+    ended. ``--help`` and docs/program.md explain them.
     """
 
     DONE = 0
-    FAULT = 1
+    PROGRAM_OR_DISK_FAULT = 1
     BAD_INPUT = 2
     NOT_CONVERGED = 3
-    MISSED = 4
-    STOPPED = 130
-    READER_GONE = 141
+    TOLERANCE_MISSED = 4
+    STOPPED_BY_CTRL_C = 130
+    PIPE_READER_GONE = 141
 
 
 class InputError(ValueError):

@@ -230,26 +230,28 @@ def run_single_threaded() -> Iterator[None]:
 class _OpenBlas(NamedTuple):
     """Hold a loaded OpenBLAS library; the function names depend on the build.
 
-    ``name_affixes`` are prefix and suffix of each function name. "openblas_" and "64_" give
-    "openblas_get_config64_".
+    ``function_name_affixes`` are prefix and suffix of each function name. "openblas_" and "64_"
+    give "openblas_get_config64_".
     """
 
     library: ctypes.CDLL
-    name_affixes: tuple[str, str]
+    function_name_affixes: tuple[str, str]
 
     def __call__(self, function_name: str, *arguments: int) -> int:
         """Call a function by the name without prefix and suffix, and return an integer.
 
         A function without a result returns 0.
         """
-        return int(getattr(self.library, function_name.join(self.name_affixes))(*arguments) or 0)
+        return int(
+            getattr(self.library, function_name.join(self.function_name_affixes))(*arguments) or 0
+        )
 
     def default_thread_count(self) -> int:
         """Return the number of threads that OpenBLAS starts by default.
 
         The number of processors, or the maximum of this build if smaller.
         """
-        get_config: Any = getattr(self.library, "get_config".join(self.name_affixes))
+        get_config: Any = getattr(self.library, "get_config".join(self.function_name_affixes))
         get_config.restype = ctypes.c_char_p
         max_threads_match = re.search(rb"MAX_THREADS=(\d+)", get_config())
         n_processors = self("get_num_procs")
@@ -354,8 +356,8 @@ def describe_resource_shortage(error: Exception) -> str:
 def set_one_process_variables() -> Iterator[None]:
     """Set environment variables during a block, so that Open MPI can start without mpirun.
 
-    The block starts MPI. The variables are :data:`ONE_PROCESS_MPI_SETTINGS`; one that the user has set
-    stays. If mpirun has started this process, none is set.
+    The block starts MPI. The variables are :data:`ONE_PROCESS_MPI_SETTINGS`; one that the user has
+    set stays. If mpirun has started this process, none is set.
     """
     value_by_variable = {} if is_started_by_mpirun() else ONE_PROCESS_MPI_SETTINGS
     added_value_by_variable = {

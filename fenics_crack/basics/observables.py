@@ -24,17 +24,17 @@ import numpy as np
 class Place(Enum):
     """Place at which an observable is read; the text goes into the reference."""
 
-    POINT = "each watched point and direction"
-    FACES = "all crack faces"
+    WATCHED_POINT = "each watched point and direction"
+    CRACK_FACES = "all crack faces"
     NEAREST_MODE = "the mode whose bilinear frequency is nearest to the load frequency"
-    TIPS = "the crack tip, or front station, with the largest effective range of K_I"
-    ELLIPSE = "the deepest place and the ends of a half-ellipse"
+    MOST_LOADED_TIP = "the crack tip, or front station, with the largest effective range of K_I"
+    ELLIPSE_ENDS = "the deepest place and the ends of a half-ellipse"
     CLAMP = "the clamp"
 
     @property
     def is_made_on_request(self) -> bool:
         """True if numbers at this place are computed only for a scene that requests them."""
-        return self not in (Place.POINT, Place.FACES, Place.NEAREST_MODE)
+        return self not in (Place.WATCHED_POINT, Place.CRACK_FACES, Place.NEAREST_MODE)
 
 
 class ObservableFlag(Flag):
@@ -79,7 +79,7 @@ class Observable:
         Place at which the number is read.
     words, unit : str
         Label in tables and pictures, and SI unit.
-    read_number : callable, optional
+    read_number_at_place : callable, optional
         Function that takes an object with results at the place, and returns the number. The default
         ``float`` serves if the object is the number itself.
     flags : ObservableFlag
@@ -89,7 +89,7 @@ class Observable:
     place: Place
     words: str
     unit: str
-    read_number: Callable[[Any], Any] = float
+    read_number_at_place: Callable[[Any], Any] = float
     flags: ObservableFlag = IN_FILES_ONLY
 
     def __repr__(self) -> str:
@@ -101,12 +101,17 @@ def _max_vector_norm(vectors: np.ndarray) -> Any:
     return np.linalg.norm(vectors, axis=1).max()
 
 
-_make_point_row, _make_face_row = partial(Observable, Place.POINT), partial(Observable, Place.FACES)
+_make_point_row, _make_face_row = (
+    partial(Observable, Place.WATCHED_POINT),
+    partial(Observable, Place.CRACK_FACES),
+)
 _make_mode_row, _make_tip_row = (
     partial(Observable, Place.NEAREST_MODE),
-    partial(Observable, Place.TIPS),
+    partial(Observable, Place.MOST_LOADED_TIP),
 )
-_make_ellipse_row = partial(Observable, Place.ELLIPSE, unit="Pa m^0.5", flags=REQUIRES_GROWTH_LAW)
+_make_ellipse_row = partial(
+    Observable, Place.ELLIPSE_ENDS, unit="Pa m^0.5", flags=REQUIRES_GROWTH_LAW
+)
 _make_clamp_row = partial(Observable, Place.CLAMP)
 
 
@@ -186,16 +191,16 @@ OBSERVABLES_BY_NAME: dict[str, Observable] = {
     "delta_K_equivalent": _make_tip_row("range of K_I at R = 0 with the same crack growth",
         "Pa m^0.5", lambda tip: tip.equivalent_range, REQUIRES_GROWTH_LAW),
     "delta_K_effective_deepest": _make_ellipse_row("range of K_I while open, at the deepest place",
-        read_number=lambda ellipse: np.ptp(ellipse.deepest_history.K_I.clip(0.0))),
+        read_number_at_place=lambda ellipse: np.ptp(ellipse.deepest_history.K_I.clip(0.0))),
     "delta_K_effective_surface": _make_ellipse_row("range of K_I while open, mean of the ends",
-        read_number=lambda ellipse: np.mean(
+        read_number_at_place=lambda ellipse: np.mean(
             [np.ptp(end.K_I.clip(0.0)) for end in ellipse.end_histories])),
     "delta_K_equivalent_deepest": _make_ellipse_row(
         "range of K_I at R = 0 with the same growth in depth",
-        read_number=lambda ellipse: ellipse.deepest_history.equivalent_range),
+        read_number_at_place=lambda ellipse: ellipse.deepest_history.equivalent_range),
     "delta_K_equivalent_surface": _make_ellipse_row(
         "range of K_I at R = 0 with the same growth along the face",
-        read_number=lambda ellipse: np.mean(
+        read_number_at_place=lambda ellipse: np.mean(
             [end.equivalent_range for end in ellipse.end_histories])),
     "reaction_force": _make_clamp_row("largest force of the clamp", "N",
         lambda reaction: _max_vector_norm(reaction.force)),
@@ -240,12 +245,14 @@ def read_observables(
     Parameters
     ----------
     place : Place
-        The place, such as ``Place.TIPS`` (crack tips) or ``Place.CLAMP``.
+        The place, such as ``Place.MOST_LOADED_TIP`` (crack tips) or ``Place.CLAMP``.
     place_object
-        Object with the results at the place, from which :attr:`Observable.read_number` takes each
-        number.
+        Object with the results at the place, from which :attr:`Observable.read_number_at_place`
+        takes each number.
     excluded_flags : ObservableFlag
         Observables with any of these flags are left out.
     """
     names = observable_names(place, excluded_flags=excluded_flags)
-    return {name: float(OBSERVABLES_BY_NAME[name].read_number(place_object)) for name in names}
+    return {
+        name: float(OBSERVABLES_BY_NAME[name].read_number_at_place(place_object)) for name in names
+    }

@@ -271,8 +271,9 @@ def fit_argument_to_annotation(
     annotation : str
         Annotation: class names with " | " between them.
     known_class_names : collection of str
-        Class names that can be compared, beside those in :data:`ARGUMENT_DESCRIPTION_BY_CLASS_NAME`. If the
-        annotation has any further class, or is ``str`` alone, nothing is checked.
+        Class names that can be compared, beside those in
+        :data:`ARGUMENT_DESCRIPTION_BY_CLASS_NAME`. If the annotation has any further class, or is
+        ``str`` alone, nothing is checked.
 
     Raises
     ------

@@ -247,10 +247,10 @@ class Report:
 
     @property
     def exit_code(self) -> Exit:
-        """Exit code of the command: DONE, MISSED or NOT_CONVERGED."""
+        """Exit code of the command: DONE, TOLERANCE_MISSED or NOT_CONVERGED."""
         if not self.has_converged:
             return Exit.NOT_CONVERGED
-        return Exit.MISSED if self.misses_tolerance else Exit.DONE
+        return Exit.TOLERANCE_MISSED if self.misses_tolerance else Exit.DONE
 
 
 @with_old_names(said="build_conclusion")

@@ -421,9 +421,9 @@ def _yield_node_distance_note(run: Run[Any]) -> Iterator[str]:
     Output points are watched at the nearest nodes. No note is given if all points are nodes.
     """
     distance_by_point = {
-        watched_displacement.name.partition(".")[0]: watched_displacement.distance
+        watched_displacement.name.partition(".")[0]: watched_displacement.distance_to_node
         for watched_displacement in run.watched
-        if watched_displacement.distance > 0
+        if watched_displacement.distance_to_node > 0
     }
     distances_text = ", ".join(
         f"{point_name} {format_quantity(node_distance, 'm')}"

@@ -105,7 +105,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
         _print_to_stderr(
             "standard output is closed; open it, or redirect it to a file: > table.txt"
         )
-        return Exit.FAULT
+        return Exit.PROGRAM_OR_DISK_FAULT
     try:
         arguments = _parse_arguments(command_words)
         return _run_command(arguments)
@@ -113,7 +113,7 @@ def main(command_words: Sequence[str] | None = None) -> int:
         if error.__cause__ is not None and arguments.verbose:
             traceback.print_exception(error.__cause__)
         _print_input_errors((error, *error.others))
-        return Exit.FAULT if isinstance(error, WriteError) else Exit.BAD_INPUT
+        return Exit.PROGRAM_OR_DISK_FAULT if isinstance(error, WriteError) else Exit.BAD_INPUT
     except ConvergenceError as error:
         _print_to_stderr(
             str(error) if isinstance(error, StoppedError) else f"did not converge: {error}"
@@ -124,11 +124,11 @@ def main(command_words: Sequence[str] | None = None) -> int:
         # registered last is called first.
         atexit.register(setattr, sys, "unraisablehook", lambda _: None)
         _print_to_stderr("stopped")
-        _abort_all_ranks(Exit.STOPPED)
-        return Exit.STOPPED
+        _abort_all_ranks(Exit.STOPPED_BY_CTRL_C)
+        return Exit.STOPPED_BY_CTRL_C
     except BrokenPipeError:  # the reader of our output has gone
         _redirect_stdout_to_null()
-        return Exit.READER_GONE
+        return Exit.PIPE_READER_GONE
     except Exception as error:
         if "FromOptions()" in (error_message := str(error).rstrip()):  # a value unknown to PETSc
             requirement_text = (
@@ -143,8 +143,8 @@ def main(command_words: Sequence[str] | None = None) -> int:
             _redirect_stdout_to_null()
         else:
             traceback.print_exc(file=sys.__stderr__)
-        _abort_all_ranks(Exit.FAULT)
-        return Exit.FAULT
+        _abort_all_ranks(Exit.PROGRAM_OR_DISK_FAULT)
+        return Exit.PROGRAM_OR_DISK_FAULT
 
 
 def _abort_all_ranks(exit_code: Exit) -> None:
@@ -273,7 +273,7 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
     has_structure_file = (
         inputs
         and not vars(arguments).get("fresh", True)
-        and (inputs.folder / KEPT_STRUCTURE_FILE_NAME).exists()
+        and (inputs.results_folder / KEPT_STRUCTURE_FILE_NAME).exists()
     )
     needs_mesh = (
         arguments.command not in ("new", "clean")
@@ -337,11 +337,11 @@ def _call_command(
 
     assert console is not None
     if arguments.command not in ("check", "clean"):
-        make_writable_folder(inputs.folder, console.comm)
+        make_writable_folder(inputs.results_folder, console.comm)
     if (is_fresh := vars(arguments).get("fresh")) is not None and inputs.prepared_study is None:
         from fenics_crack.study.shelf import StructureFile
 
-        structure_path = inputs.folder / KEPT_STRUCTURE_FILE_NAME
+        structure_path = inputs.results_folder / KEPT_STRUCTURE_FILE_NAME
         can_read_structure = on_root(
             console.comm, lambda: structure_path.is_file() and not structure_path.is_symlink()
         )

@@ -68,7 +68,7 @@ def run_and_report_function(
     Ctrl-C is ignored while files are written. If Ctrl-C ended the computation, an earlier result
     stays: the new files are named "..._interrupted".
     """
-    folder = inputs.folder
+    folder = inputs.results_folder
     if arguments.command == "curve" and inputs.scene.curve is None:
         from fenics_crack.cli.scenes import make_missing_curve_error
 
@@ -202,7 +202,7 @@ def run_and_report_sweep(_: Namespace, inputs: CommandInputs, console: Console) 
     """Run the command ``sweep``: solve the cases not solved yet, and report all cases."""
     from fenics_crack.sweep.result import run_sweep
 
-    scene, stem_path = inputs.scene, inputs.folder / "sweep"
+    scene, stem_path = inputs.scene, inputs.results_folder / "sweep"
     with console.report_stage("sweep", has_bars=True):
         sweep_result = run_sweep(
             scene, f"{stem_path}.h5", console.comm, progress=console.shows_progress
@@ -216,7 +216,10 @@ def remove_kept_structure(_: Namespace, inputs: CommandInputs, console: Console)
     Earlier commands have written this file, :data:`KEPT_STRUCTURE_FILE_NAME`, to mesh and reduce
     only once.
     """
-    on_root(console.comm, lambda: remove_file(inputs.folder / KEPT_STRUCTURE_FILE_NAME, "--output"))
+    on_root(
+        console.comm,
+        lambda: remove_file(inputs.results_folder / KEPT_STRUCTURE_FILE_NAME, "--output"),
+    )
 
 
 def write_prepared_study(arguments: Namespace, inputs: CommandInputs, console: Console) -> None:
@@ -227,7 +230,7 @@ def write_prepared_study(arguments: Namespace, inputs: CommandInputs, console: C
     from fenics_crack.study.artefact import save_prepared
     from fenics_crack.study.prepare import prepare
 
-    prepared_path = arguments.output or inputs.folder / f"{arguments.scene.stem}.h5"
+    prepared_path = arguments.output or inputs.results_folder / f"{arguments.scene.stem}.h5"
     with console.report_stage("mesh, modes and static solutions"):
         save_prepared(prepare(inputs.scene, console.comm, whole=True), prepared_path)
     console.print_notes(
@@ -246,7 +249,7 @@ def compute_and_report_bladed_disk(
     """
     from fenics_crack.disk.bladed_disk import amplification, nodal_diameters
 
-    scene, comm, folder = inputs.scene, console.comm, inputs.folder
+    scene, comm, folder = inputs.scene, console.comm, inputs.results_folder
     with console.report_stage("nodal diameters"):
         nodal_result = nodal_diameters(scene, comm)
     exit_code = write_and_print_report(
@@ -362,7 +365,7 @@ def identify_and_report_crack(_: Namespace, inputs: CommandInputs, console: Cons
     from fenics_crack.monitoring.identification import identify as search_module  # SciPy
     from fenics_crack.monitoring.identification.report import IdentificationOutput
 
-    scene, folder = inputs.scene, inputs.folder
+    scene, folder = inputs.scene, inputs.results_folder
     measurement_sets = [] if inputs.measurements is None else [inputs.measurements]
     if inputs.arrival_source is not None:
         measurement_sets.append(

@@ -56,7 +56,7 @@ Without the crack, the plate has a bar's longitudinal modes, sin((2 n - 1) pi y 
 def run_and_print_checks(arguments: Namespace, *_: object) -> Exit:
     """Run the command ``doctor``: print a table of all checks of the installation.
 
-    Returns ``Exit.FAULT`` if any check fails, otherwise ``Exit.DONE``.
+    Returns ``Exit.PROGRAM_OR_DISK_FAULT`` if any check fails, otherwise ``Exit.DONE``.
     """
     with report_missing_libraries():
         from fenics_crack.basics.tables import Table  # NumPy
@@ -69,7 +69,11 @@ def run_and_print_checks(arguments: Namespace, *_: object) -> Exit:
         end="",
         flush=True,
     )
-    return Exit.FAULT if any(verdict == "FAULT" for _, verdict, _ in check_rows) else Exit.DONE
+    return (
+        Exit.PROGRAM_OR_DISK_FAULT
+        if any(verdict == "FAULT" for _, verdict, _ in check_rows)
+        else Exit.DONE
+    )
 
 
 def run_and_yield_checks(

@@ -73,7 +73,7 @@ class CommandInputs:
     Attributes
     ----------
     scene : Scene
-    folder : Path
+    results_folder : Path
         Folder for results.
     measurements : Measurements or None
         Measurements for ``identify``.
@@ -88,7 +88,7 @@ class CommandInputs:
     """
 
     scene: Scene
-    folder: Path
+    results_folder: Path
     measurements: Measurements | None = None
     arrival_source: ArrivalSource = None
     uncracked_arrival_source: ArrivalSource = None
@@ -423,7 +423,7 @@ class Console:
         Print how long each stage took.
     picture_format : str
         Ending of pictures: "png", "pdf" or "svg".
-    printed_remarks : set of str
+    printed_remark_texts : set of str
         Remarks that were printed already.
     """
 
@@ -432,7 +432,7 @@ class Console:
     is_quiet: bool
     is_verbose: bool
     picture_format: str = "png"
-    printed_remarks: set[str] = field(default_factory=set)
+    printed_remark_texts: set[str] = field(default_factory=set)
 
     @property
     def shows_progress(self) -> bool:
@@ -453,9 +453,9 @@ class Console:
         unprinted_texts = [
             remark_text
             for remark_text in map(str, remarks)
-            if remark_text not in self.printed_remarks
+            if remark_text not in self.printed_remark_texts
         ]
-        self.printed_remarks.update(unprinted_texts)
+        self.printed_remark_texts.update(unprinted_texts)
         self.print_notes(*(f"remark: {remark_text}" for remark_text in unprinted_texts))
 
     def print_warnings(self, *warning_texts: str) -> None:

@@ -36,7 +36,7 @@ class _PartSurface:
     triangle_centers : (n, 3) [m]
     face_numbers_largest_first : list of int
         Face numbers, the largest face first.
-    face_points : (n_faces, 3) [m]
+    face_center_points : (n_faces, 3) [m]
         Triangle center nearest to each face's center, in the order of
         ``face_numbers_largest_first``.
     """
@@ -47,7 +47,7 @@ class _PartSurface:
     triangle_normals: np.ndarray
     triangle_centers: np.ndarray
     face_numbers_largest_first: list[int]
-    face_points: np.ndarray
+    face_center_points: np.ndarray
 
     def face_area(self, face_number: int) -> float:
         """Return a face's area [m^2]."""
@@ -56,11 +56,11 @@ class _PartSurface:
     def find_end_face_index(self, axis: int, *, at_top: bool) -> int:
         """Find the largest face at an end of the part along an axis.
 
-        ``at_top`` selects the faces with the highest middles (``face_points``) along coordinate
-        ``axis``, 0 to 2, otherwise the lowest, within 0.1 % of the part's length. Returns the index
-        in ``face_numbers_largest_first`` for the largest selected face.
+        ``at_top`` selects the faces with the highest middles (``face_center_points``) along
+        coordinate ``axis``, 0 to 2, otherwise the lowest, within 0.1 % of the part's length.
+        Returns the index in ``face_numbers_largest_first`` for the largest selected face.
         """
-        point_heights = self.face_points[:, axis]
+        point_heights = self.face_center_points[:, axis]
         height_tolerance = 1e-3 * float(np.ptp(self.triangles[..., axis]))
         is_at_end = (
             point_heights > point_heights.max() - height_tolerance
@@ -86,7 +86,7 @@ def _measure_surface(part_path: Path, length_unit: str | None) -> _PartSurface:
         set(face_numbers.tolist()),
         key=lambda face_number: -triangle_areas[face_numbers == face_number].sum(),
     )
-    face_points = []
+    face_center_points = []
     for face_number in face_numbers_largest_first:
         is_on_face = face_numbers == face_number
         face_center = (
@@ -95,7 +95,7 @@ def _measure_surface(part_path: Path, length_unit: str | None) -> _PartSurface:
             / triangle_areas[is_on_face].sum()
         )
         center_distances = np.linalg.norm(triangle_centers[is_on_face] - face_center, axis=1)
-        face_points.append(triangle_centers[is_on_face][center_distances.argmin()])
+        face_center_points.append(triangle_centers[is_on_face][center_distances.argmin()])
     return _PartSurface(
         triangles,
         face_numbers,
@@ -103,7 +103,7 @@ def _measure_surface(part_path: Path, length_unit: str | None) -> _PartSurface:
         triangle_normals,
         triangle_centers,
         face_numbers_largest_first,
-        np.array(face_points),
+        np.array(face_center_points),
     )
 
 
@@ -132,7 +132,7 @@ def _propose_crack(part_surface: _PartSurface, axis: int) -> tuple[np.ndarray, n
     ]
     face_index = int((np.array(axis_components) < 0.7).argmax())
     is_on_face = part_surface.face_numbers == part_surface.face_numbers_largest_first[face_index]
-    target_point = part_surface.face_points[face_index] * (1.0 - axis_direction)
+    target_point = part_surface.face_center_points[face_index] * (1.0 - axis_direction)
     target_point[axis] = bottom_height + PROPOSED_CRACK_HEIGHT_FRACTION * (
         top_height - bottom_height
     )
@@ -170,7 +170,9 @@ def propose_scene_and_draw_faces(part_path: Path, scene_path: Path) -> tuple[str
     part_extents = np.ptp(part_surface.triangles.reshape(-1, 3), axis=0)
     longest_axis = int(part_extents.argmax())
     clamp_point, tip_point = (
-        part_surface.face_points[part_surface.find_end_face_index(longest_axis, at_top=at_top)]
+        part_surface.face_center_points[
+            part_surface.find_end_face_index(longest_axis, at_top=at_top)
+        ]
         for at_top in (False, True)
     )
     crack_point, face_normal, part_depth = _propose_crack(part_surface, longest_axis)
@@ -180,7 +182,7 @@ def propose_scene_and_draw_faces(part_path: Path, scene_path: Path) -> tuple[str
         part_surface.triangles,
         part_surface.face_numbers,
         listed_face_numbers,
-        part_surface.face_points,
+        part_surface.face_center_points,
         path=picture_path,
     )
     face_lines = [
@@ -188,7 +190,7 @@ def propose_scene_and_draw_faces(part_path: Path, scene_path: Path) -> tuple[str
         f"tip = [{_format_vector(tip_point)}]",
     ]
     for face_rank, (face_number, face_point) in enumerate(
-        zip(listed_face_numbers, part_surface.face_points, strict=False), 1
+        zip(listed_face_numbers, part_surface.face_center_points, strict=False), 1
     ):
         area_mm2 = 1e6 * part_surface.face_area(face_number)
         face_lines.append(

@@ -133,11 +133,11 @@ def _front_tables_by_heading(run: Run[Any]) -> dict[str, Table]:
     requested_places = [
         OBSERVABLES_BY_NAME[name].place for name in list_requested_extra_quantities(run.scene)
     ]
-    if run.scene.dimension == 2 or Place.TIPS not in requested_places:
+    if run.scene.dimension == 2 or Place.MOST_LOADED_TIP not in requested_places:
         return {}
     stress_intensities = stress_intensity(run)
     columns_by_name = {
-        "position": stress_intensities.positions,
+        "position": stress_intensities.distances_along_crack,
         **stress_intensities.numbers,
         "K_I while closed": stress_intensities.closed_front_errors,
     }

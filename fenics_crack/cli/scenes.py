@@ -297,7 +297,7 @@ def _crack_and_contact_values_by_label(study: Study, key_figures: KeyFigures) ->
             None if is_rigid_law else float(np.max(contact_law.stiffness))
         ),
         f"static stiffness of the {faces_text}, each pair [N/m]": format_range(
-            key_figures.face_stiffness, ".3g"
+            key_figures.face_stiffness_at_pairs, ".3g"
         ),
         "contact stiffness / static stiffness": (
             None if stiffness_ratio is None else format_range(stiffness_ratio, ".3g")

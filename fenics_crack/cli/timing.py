@@ -59,7 +59,11 @@ def fit_and_report_timing(
     """
     if inputs is None:
         return _fit_and_report_record(arguments, console)
-    scene, result_folder, arrival_source = inputs.scene, inputs.folder, inputs.arrival_source
+    scene, result_folder, arrival_source = (
+        inputs.scene,
+        inputs.results_folder,
+        inputs.arrival_source,
+    )
     timing_table, arrivals_path = scene.given("tip_timing"), result_folder / "arrivals.csv"
     with console.report_stage("arrival times"):
         arrivals_by_blade, run = scene_timing.arrivals_of_blades(

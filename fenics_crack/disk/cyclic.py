@@ -109,11 +109,11 @@ class SectorNumbering:
         self.upper_face_members = upper_face_members[upper_face_members >= 0]
 
     def number_wheel_members(
-        self, n_sectors: int, cracked_places: Sequence[int]
+        self, n_sectors: int, cracked_sectors: Sequence[int]
     ) -> tuple[np.ndarray, np.ndarray]:
         """Number the dofs or nodes of a wheel with N sectors and open cracks.
 
-        A sector has n members: all dofs or all nodes. ``cracked_places`` are the sectors with an
+        A sector has n members: all dofs or all nodes. ``cracked_sectors`` are the sectors with an
         open crack, from 0.
 
         Returns
@@ -128,7 +128,7 @@ class SectorNumbering:
         all_members = np.arange(n_sectors * len(self.member_positions)).reshape(n_sectors, -1)
         owner_sectors = (np.arange(n_sectors)[:, None] + self.belongs_to_next_sector) % n_sectors
         wheel_numbers = self.member_positions + owner_sectors * len(self.own_members)
-        open_entry_index = np.ix_(cracked_places, self.upper_face_members)
+        open_entry_index = np.ix_(cracked_sectors, self.upper_face_members)
         bonded_members = all_members[:, self.own_members].ravel()
         open_members = all_members[open_entry_index]
         wheel_numbers[open_entry_index] = len(bonded_members) + np.arange(
@@ -267,20 +267,21 @@ class Sector:
         inside_stiffness = make_matrix_from_local_rows(
             tied_stiffness[inside_rows][:, inside_rows], MPI.COMM_SELF
         )
-        with Factor(inside_stiffness, definite=True) as inside_factor:
+        with Factor(inside_stiffness, definite=True) as inside_stiffness_factor:
             left_response, right_response = (
-                inside_factor.solve(coupling.T).T for coupling in (left_coupling, right_coupling)
+                inside_stiffness_factor.solve(coupling.T).T
+                for coupling in (left_coupling, right_coupling)
             )
             side_stiffness = (
                 tied_stiffness[side_rows][:, side_rows] + tied_stiffness[right_rows][:, right_rows]
                 - left_coupling.T @ left_response - right_coupling.T @ right_response
             )  # fmt: skip
-            cross_stiffness = (
+            left_right_stiffness = (
                 tied_stiffness[side_rows][:, right_rows] - left_coupling.T @ right_response
             )
             yield NodalDiameterSolver(
-                self, inside_factor, stacked_tie_matrices, inside_rows, side_rows,
-                (left_coupling, right_coupling), side_stiffness, cross_stiffness, 1.0,
+                self, inside_stiffness_factor, stacked_tie_matrices, inside_rows, side_rows,
+                (left_coupling, right_coupling), side_stiffness, left_right_stiffness, 1.0,
             )  # fmt: skip
         inside_stiffness.destroy()
 
@@ -309,7 +310,7 @@ class NodalDiameterSolver:
     ----------
     sector : Sector
         The wheel's sector.
-    inside_factor : Factor
+    inside_stiffness_factor : Factor
         Factor of the inside's stiffness K_ii.
     stacked_tie_matrices : (n_dofs, 2 n_own)
         [T_0, T_1]: u_j = T_0 m_j + T_1 m_(j+1) for the sectors' own dofs m.
@@ -317,20 +318,20 @@ class NodalDiameterSolver:
         Positions among the sector's own dofs: inside, and on the left side.
     left_and_right_couplings : pair of (n_inside, n_side)
         Stiffness K_il [N/m] between inside and left side, then inside and right side.
-    side_stiffness, cross_stiffness : (n_side, n_side) [N/m]
+    side_stiffness, left_right_stiffness : (n_side, n_side) [N/m]
         P and R.
     phase_factor : complex
         e^(it).
     """
 
     sector: Sector
-    inside_factor: Factor
+    inside_stiffness_factor: Factor
     stacked_tie_matrices: sparse.csr_matrix
     inside_rows: np.ndarray
     side_rows: np.ndarray
     left_and_right_couplings: tuple[sparse.csr_matrix, sparse.csr_matrix]
     side_stiffness: np.ndarray
-    cross_stiffness: np.ndarray
+    left_right_stiffness: np.ndarray
     phase_factor: complex
 
     n_null_pivots = 0
@@ -361,7 +362,7 @@ class NodalDiameterSolver:
     @cached_property
     def side_stiffness_inverse(self) -> np.ndarray:
         """Inverse S_n^-1 of the left side's stiffness: (n_side, n_side) [m/N]."""
-        cross_term = np.asarray(self.phase_factor * self.cross_stiffness)
+        cross_term = np.asarray(self.phase_factor * self.left_right_stiffness)
         return np.linalg.inv(np.asarray(self.side_stiffness) + cross_term + cross_term.conj().T)
 
     @cached_property
@@ -382,8 +383,8 @@ class NodalDiameterSolver:
         if not forces.any():
             return forces
         if not np.iscomplexobj(forces):
-            return self.inside_factor.solve(np.ascontiguousarray(forces).T).T
-        real_and_imaginary_columns = self.inside_factor.solve(
+            return self.inside_stiffness_factor.solve(np.ascontiguousarray(forces).T).T
+        real_and_imaginary_columns = self.inside_stiffness_factor.solve(
             np.hstack([forces.real, forces.imag]).T
         ).T
         real_part, imaginary_part = np.split(real_and_imaginary_columns, 2, axis=1)
@@ -536,19 +537,19 @@ class CyclicBasis:
     cyclic_modes : CyclicModes
         Lowest modes of each nodal diameter, together with static responses to the load and to
         forces on sides.
-    opening_responses : (N, n_dofs, m)
+    sector_displacements_by_openings : (N, n_dofs, m)
         Static displacements of all sectors if the crack in sector 0 opens by each of m shapes. To
-        sector 0 ``opening_shapes`` must be added.
-    opening_shapes : (n_dofs, m)
+        sector 0 ``crack_opening_shapes`` must be added.
+    crack_opening_shapes : (n_dofs, m)
         Displacements of the upper crack face relative to the lower face; 0 outside the upper face.
-    cracked_places : tuple of int
+    cracked_sectors : tuple of int
         Sectors with a crack, from 0.
     """
 
     cyclic_modes: CyclicModes
-    opening_responses: np.ndarray
-    opening_shapes: np.ndarray
-    cracked_places: tuple[int, ...]
+    sector_displacements_by_openings: np.ndarray
+    crack_opening_shapes: np.ndarray
+    cracked_sectors: tuple[int, ...]
 
     @property
     def squared_omegas(self) -> np.ndarray:
@@ -595,13 +596,15 @@ class CyclicBasis:
                 if sector.has_single_wave(diameter)
                 else [complex_motion.real, complex_motion.imag]
             )
-        for cracked_sector_index in self.cracked_places:
+        for cracked_sector_index in self.cracked_sectors:
             own_opening = (
                 np.asarray(sector_index == cracked_sector_index)[..., None]
-                * self.opening_shapes[rows]
+                * self.crack_opening_shapes[rows]
             )
             n_sectors_ahead = (sector_index - cracked_sector_index) % sector.n_sectors
-            motion_blocks.append(self.opening_responses[n_sectors_ahead, rows] + own_opening)
+            motion_blocks.append(
+                self.sector_displacements_by_openings[n_sectors_ahead, rows] + own_opening
+            )
         return np.hstack(motion_blocks)
 
     def _yield_sector_projections(
@@ -616,10 +619,12 @@ class CyclicBasis:
         mapped_modes = replace(
             self.cyclic_modes, shapes=tuple(matrix @ shapes for shapes in self.cyclic_modes.shapes)
         )
-        mapped_responses = np.array([matrix @ response for response in self.opening_responses])
-        mapped_openings = matrix @ self.opening_shapes
+        mapped_responses = np.array(
+            [matrix @ response for response in self.sector_displacements_by_openings]
+        )
+        mapped_openings = matrix @ self.crack_opening_shapes
         mapped_basis = CyclicBasis(
-            mapped_modes, mapped_responses, mapped_openings, self.cracked_places
+            mapped_modes, mapped_responses, mapped_openings, self.cracked_sectors
         )
         for sector_index in range(self.cyclic_modes.sector.n_sectors):
             yield (
@@ -639,11 +644,11 @@ class CyclicBasis:
         mass, stiffness = np.eye(len(mass_columns)), np.zeros((len(mass_columns),) * 2)
         mass[:, opening_columns], mass[opening_columns] = mass_columns, mass_columns.T
         stiffness[: opening_columns.start, : opening_columns.start] = np.diag(self.squared_omegas)
-        bond_forces = (sector.stiffness @ self.opening_shapes).T
-        if self.cracked_places:
+        bond_forces = (sector.stiffness @ self.crack_opening_shapes).T
+        if self.cracked_sectors:
             opening_stiffness = [
                 bond_forces @ self.sector_motions(sector_index)[:, opening_columns]
-                for sector_index in self.cracked_places
+                for sector_index in self.cracked_sectors
             ]
             stiffness[opening_columns, opening_columns] = np.vstack(opening_stiffness)
         return 0.5 * (mass + mass.T), 0.5 * (stiffness + stiffness.T)
@@ -685,7 +690,7 @@ def make_cyclic_basis(
     sector: Sector,
     families: int,
     engine_order: int,
-    cracked_places: tuple[int, ...],
+    cracked_sectors: tuple[int, ...],
     comm: MPI.Comm,
 ) -> CyclicBasis:
     """Make a basis for a wheel with cracks under an engine order's load (collective).
@@ -705,7 +710,7 @@ def make_cyclic_basis(
         Number of modes for each nodal diameter.
     engine_order : int
         The load's engine order.
-    cracked_places : tuple of int
+    cracked_sectors : tuple of int
         Sectors with a crack, from 0.
     """
     families = min(families, len(sector.dof_numbering.own_members))
@@ -755,7 +760,7 @@ def make_cyclic_basis(
         side_motions = scipy.fft.irfft(side_motion_waves, sector.n_sectors, axis=0)
         relieved_stiffness += left_forces.T @ side_motions[0] + right_forces.T @ side_motions[1]
         face_shapes = relieved_stiffness[:, :0]
-        if cracked_places:
+        if cracked_sectors:
             face_shapes = _find_opening_shapes(sector, np.hstack(bond_forces), relieved_stiffness)
         side_motions, inside_motions = side_motions @ face_shapes, inside_motions @ face_shapes
         opening_responses = np.zeros((sector.n_sectors, n_dofs, face_shapes.shape[1]))
@@ -770,7 +775,7 @@ def make_cyclic_basis(
     opening_shapes = (
         make_selection_matrix(sector.dof_numbering.upper_face_members, n_dofs).T @ face_shapes
     )
-    return CyclicBasis(cyclic_modes, opening_responses, opening_shapes, cracked_places)
+    return CyclicBasis(cyclic_modes, opening_responses, opening_shapes, cracked_sectors)
 
 
 def _make_diameter_basis(

@@ -62,7 +62,7 @@ class WheelBody(Body):
     """Data for the attributes of a :class:`Wheel`; matrices are made on request."""
 
     sector: Sector
-    cracked_places: tuple[int, ...]
+    cracked_sectors: tuple[int, ...]
     mistuning: np.ndarray
     order: int
     families: int
@@ -98,7 +98,7 @@ class Wheel(Structure):
     body: WheelBody
     families: int = body_property("families")
     sector: Sector = body_property("sector")
-    cracked: tuple[int, ...] = body_property("cracked_places")
+    cracked: tuple[int, ...] = body_property("cracked_sectors")
     mistuning: np.ndarray = body_property("mistuning")
     order: int = body_property("order")
     numbers: np.ndarray = body_property("wheel_dof_numbers")
@@ -161,9 +161,9 @@ class Wheel(Structure):
             nodes=_make_wheel_nodes(sector, cracked, wheel_dof_numbers, own_rows),
             pairs=_make_wheel_pairs(sector, cracked), watched=watched_wheel_dof_weights,
             rotation=rotation, comm=comm,
-            sector=sector, cracked_places=cracked, mistuning=_read_deviations(mistuning, n_sectors),
-            order=order, families=families, wheel_dof_numbers=wheel_dof_numbers,
-            owner_positions=owner_positions,
+            sector=sector, cracked_sectors=cracked,
+            mistuning=_read_deviations(mistuning, n_sectors), order=order, families=families,
+            wheel_dof_numbers=wheel_dof_numbers, owner_positions=owner_positions,
         )  # fmt: skip
         super().__init__(wheel_body)
 
@@ -377,13 +377,13 @@ def _make_sector_loads(sector: Sector, engine_order: int) -> np.ndarray:
 
 
 def _make_wheel_nodes(
-    sector: Sector, cracked_places: tuple[int, ...], wheel_dof_numbers: np.ndarray, own_rows: slice
+    sector: Sector, cracked_sectors: tuple[int, ...], wheel_dof_numbers: np.ndarray, own_rows: slice
 ) -> Nodes:
     """Make the wheel's nodes: turned points, dofs, cells and frames.
 
     Parameters
     ----------
-    cracked_places : tuple of int
+    cracked_sectors : tuple of int
         Sectors with a crack, from 0.
     wheel_dof_numbers : (N, n_sector) int
         The wheel's dof for each sector's dofs.
@@ -397,7 +397,7 @@ def _make_wheel_nodes(
         np.arange(n_sector_nodes)[:, None], sector.side_nodes, sector.crack_face_nodes
     )
     wheel_node_numbers, owner_positions = node_numbering.number_wheel_members(
-        sector.n_sectors, cracked_places
+        sector.n_sectors, cracked_sectors
     )
     sector_index, sector_node_index = divmod(owner_positions[own_rows], n_sector_nodes)
     sector_rotation_matrices = np.array(
@@ -414,13 +414,13 @@ def _make_wheel_nodes(
     return Nodes(points, node_dofs, cells, nodes.vtk_type, frames=node_frames)
 
 
-def _make_wheel_pairs(sector: Sector, cracked_places: tuple[int, ...]) -> Pairs:
+def _make_wheel_pairs(sector: Sector, cracked_sectors: tuple[int, ...]) -> Pairs:
     """Make the contact pairs of all cracked sectors, sector by sector.
 
     Empty pairs without a crack or a mesh. Place names state the blade if several are cracked.
     """
-    pairs, n_cracked_sectors = sector.structure.pairs, len(cracked_places)
-    if not cracked_places or pairs.points is None or pairs.cracks is None:
+    pairs, n_cracked_sectors = sector.structure.pairs, len(cracked_sectors)
+    if not cracked_sectors or pairs.points is None or pairs.cracks is None:
         return Pairs()
     assert pairs.areas is not None and pairs.positions is not None
     n_cracks_per_sector = int(pairs.cracks.max(initial=-1)) + 1
@@ -428,11 +428,11 @@ def _make_wheel_pairs(sector: Sector, cracked_places: tuple[int, ...]) -> Pairs:
     pair_index_by_place_name = {
         place_name + f" of blade {sector_index + 1}" * (n_cracked_sectors > 1): pair_index
         + crack_block_index * len(pairs.points)
-        for crack_block_index, sector_index in enumerate(cracked_places)
+        for crack_block_index, sector_index in enumerate(cracked_sectors)
         for place_name, pair_index in pairs.places.items()
     }
     points = np.concatenate(
-        [sector.turn_points(pairs.points, sector_index) for sector_index in cracked_places]
+        [sector.turn_points(pairs.points, sector_index) for sector_index in cracked_sectors]
     )
     crack_numbers = (pairs.cracks + n_cracks_per_sector * crack_block_indices).ravel()
     areas, positions_along_cracks = (

@@ -109,27 +109,31 @@ class _ColourScale:
         Factor from the SI unit to the unit with a prefix.
     label : str
         Name and unit of the field.
-    levels : (n_steps + 1,)
+    level_borders : (n_colour_steps + 1,)
         Values between which a colour is constant, in the unit with a prefix.
-    n_steps : int
+    n_colour_steps : int
         Number of steps.
-    has_values_beyond : bool
+    has_values_beyond_levels : bool
         True if a value exceeds the last level.
     colour_map : ListedColormap
         One colour for each step.
     """
 
     def __init__(self, fields: PeriodFields) -> None:
-        field_name, unit = fields.colour_name_and_unit
+        field_name, unit = fields.colour_field_name_and_unit
         scale_end, largest_colour_value = fields.colour_scale_end, fields.colour_values.max()
         self.unit_factor, unit = choose_factor_and_prefixed_unit(scale_end, unit)
         self.label = f"{field_name} [{unit}]"
-        self.levels = MaxNLocator(16, steps=[1, 2, 2.5, 5, 10]).tick_values(
+        self.level_borders = MaxNLocator(16, steps=[1, 2, 2.5, 5, 10]).tick_values(
             0.0, self.unit_factor * scale_end
         )
-        self.n_steps = len(self.levels) - 1
-        self.has_values_beyond = bool(self.unit_factor * largest_colour_value > self.levels[-1])
-        self.colour_map = ListedColormap(colormaps["viridis"](np.linspace(0.0, 1.0, self.n_steps)))
+        self.n_colour_steps = len(self.level_borders) - 1
+        self.has_values_beyond_levels = bool(
+            self.unit_factor * largest_colour_value > self.level_borders[-1]
+        )
+        self.colour_map = ListedColormap(
+            colormaps["viridis"](np.linspace(0.0, 1.0, self.n_colour_steps))
+        )
 
 
 class _MovingMesh:
@@ -137,7 +141,7 @@ class _MovingMesh:
 
     Attributes
     ----------
-    line_height : float [m]
+    line_height_above_plate : float [m]
         Distance of lines above a plate, so that the surface does not hide the lines.
     surface, moving_edge_lines, contact_dots, load_arrow
         Moving objects, as pyvista's PolyData.
@@ -152,7 +156,7 @@ class _MovingMesh:
     def __init__(self, plotter: Any, fields: PeriodFields, colour_scale: _ColourScale) -> None:
         self.plotter, self.fields, self.colour_scale = plotter, fields, colour_scale
         mesh = fields.mesh
-        self.line_height = 1e-3 * mesh.size
+        self.line_height_above_plate = 1e-3 * mesh.size
         is_solid = mesh.dimension == 3
         boundary_edges = vtk.find_sharp_edge_nodes(mesh) if is_solid else mesh.boundary_sides
         self._draw_edges(boundary_edges, "rest", 2)
@@ -162,7 +166,7 @@ class _MovingMesh:
         self.surface["shown"] = colour_scale.unit_factor * fields.colour_values[0]
         plotter.add_mesh(
             self.surface, scalars="shown", cmap=colour_scale.colour_map,
-            clim=colour_scale.levels[[0, -1]], n_colors=colour_scale.n_steps,
+            clim=colour_scale.level_borders[[0, -1]], n_colors=colour_scale.n_colour_steps,
             interpolate_before_map=True, show_scalar_bar=False, **UNSHADED_MESH_OPTIONS,
         )  # fmt: skip
         self.moving_edge_lines = [self._draw_edges(boundary_edges, "lips", 2)]
@@ -182,7 +186,9 @@ class _MovingMesh:
             tip_length=0.45, tip_radius=0.16, shaft_radius=0.055
         )
         self.unit_arrow_points = self.load_arrow.points.copy()
-        self.dot_offset_vector = np.array([0.0, 0.0, 0.0 if is_solid else 2.0 * self.line_height])
+        self.dot_offset_vector = np.array(
+            [0.0, 0.0, 0.0 if is_solid else 2.0 * self.line_height_above_plate]
+        )
         self.arrow_starts, self.arrow_vectors = _find_arrow_starts_and_vectors(fields)
         if fields.has_load_arrow:
             plotter.add_mesh(
@@ -213,12 +219,12 @@ class _MovingMesh:
         return edge_lines
 
     def _lift_above_plate(self, points: np.ndarray) -> np.ndarray:
-        """Return a plate's points (n, 2) [m] in space: (n, 3) [m], with z = ``line_height``.
+        """Return a plate's points in space: (n, 3) [m], z is ``line_height_above_plate``.
 
         Points of a solid (n, 3) are returned unchanged.
         """
         return vtk.pad_to_space(points) + (points.shape[1] == 2) * np.array(
-            [0.0, 0.0, self.line_height]
+            [0.0, 0.0, self.line_height_above_plate]
         )
 
     def render_frame_image(self, frame_index: int) -> Image.Image:
@@ -368,14 +374,15 @@ def _fit_camera_and_find_width_ratio(plotter: Any, fields: PeriodFields) -> floa
 def _draw_colour_bar(figure: Figure, colour_scale: _ColourScale) -> None:
     """Draw the colour bar beside the structure; an arrow at the end shows values beyond."""
     mappable = ScalarMappable(
-        BoundaryNorm(colour_scale.levels, colour_scale.n_steps), colour_scale.colour_map
+        BoundaryNorm(colour_scale.level_borders, colour_scale.n_colour_steps),
+        colour_scale.colour_map,
     )
     bar_axes = figure.add_axes((0.845, 0.32, 0.03, 0.49))
     colour_bar = figure.colorbar(
         mappable,
         cax=bar_axes,
-        ticks=colour_scale.levels[::2],
-        extend="max" if colour_scale.has_values_beyond else "neither",
+        ticks=colour_scale.level_borders[::2],
+        extend="max" if colour_scale.has_values_beyond_levels else "neither",
         spacing="proportional",
     )
     colour_bar.set_label(colour_scale.label, fontsize=12)
@@ -387,7 +394,7 @@ class _AnimationPage:
 
     Attributes
     ----------
-    frame_load_periods, frame_values : (n_frames,)
+    frame_times_in_load_periods, frame_values : (n_frames,)
         Position of the dot in each frame: time in load periods, and opening or displacement [m].
     plate_size, plate_corner : (int, int)
         Width and height of the structure's image, and left and top edge of this image [pixels].
@@ -402,7 +409,7 @@ class _AnimationPage:
     def __init__(
         self, solution: PeriodicSolution, fields: PeriodFields, colour_scale: _ColourScale
     ) -> None:
-        self.frame_load_periods = fields.time * solution.omega / (2.0 * np.pi)
+        self.frame_times_in_load_periods = fields.time * solution.omega / (2.0 * np.pi)
         self.plate_size, self.plate_corner = (532, 444), (6, 92)
         self.figure = Figure(figsize=(6.4, 7.4), dpi=100, facecolor="white")
         self.canvas = FigureCanvasAgg(self.figure)
@@ -435,7 +442,7 @@ class _AnimationPage:
             size.
         """
         self.canvas.restore_region(self.background_pixels)
-        load_periods = self.frame_load_periods[frame_index]
+        load_periods = self.frame_times_in_load_periods[frame_index]
         self.wave_dot.set_data([load_periods], [self.frame_values[frame_index]])
         self.time_line.set_xdata([load_periods, load_periods])
         self.caption_artist.set_text(
@@ -506,7 +513,10 @@ class _AnimationPage:
             self.frame_values = np.linalg.norm(fields.displacement, axis=2).max(axis=1)
             quantity = "largest displacement"
             curve_values = np.interp(
-                load_periods, self.frame_load_periods, self.frame_values, period=load_periods[-1]
+                load_periods,
+                self.frame_times_in_load_periods,
+                self.frame_values,
+                period=load_periods[-1],
             )
         axes.axhline(0.0, color=CURVE_COLOUR_CODE_BY_NAME["grey"], lw=0.8)
         axes.plot(load_periods, curve_values, color=CURVE_COLOUR_CODE_BY_NAME["blue"], lw=2)

@@ -983,7 +983,7 @@ def _draw_intensities_of_fronts(
         label = component_name
         for station_indices in intensity.station_indices_by_front.values():
             front_panel.plot(
-                intensity.positions[station_indices],
+                intensity.distances_along_crack[station_indices],
                 np.abs(component_values[:, station_indices]).max(axis=0),
                 color=colour,
                 lw=1.8,

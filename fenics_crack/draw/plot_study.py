@@ -155,9 +155,9 @@ def _draw_density(panel: Axes, identification: Identification, key: str) -> None
     lines_by_branch = {}
     for branch_name, branch in posterior.branch_by_words.items():
         other_axes = tuple(k for k in range(len(branch.axes)) if k != key_index)
-        density = posterior.grid_masses_by_words[branch_name].sum(
+        density = posterior.grid_probabilities_by_words[branch_name].sum(
             axis=other_axes
-        ) / branch.prior_masses.sum(axis=other_axes)
+        ) / branch.prior_probabilities.sum(axis=other_axes)
         unknown_values = np.unique([*branch.axes[key_index], interval_start, interval_end])
         lines_by_branch[branch_name] = (
             unknown_values,

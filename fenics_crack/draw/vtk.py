@@ -483,7 +483,7 @@ class PeriodFields:
     nodal_force_per_pair_force : (n_nodes, n_pairs)
         Force size at each node for a unit contact force on each pair: 1 at the pair's two
         nodes, or at the two nodes in the middle of a solid's patch.
-    pressure_weights : (n_nodes, n_pairs)
+    nodal_weights_of_pair_pressures : (n_nodes, n_pairs)
         Weight of each pair's pressure in the pressure drawn at each node.
     magnification : float
         Factor by which pictures magnify the displacement.
@@ -491,7 +491,7 @@ class PeriodFields:
         Material for stresses; None: no stresses are computed.
     has_load_arrow : bool
         True if one arrow can show the load; False without a load and for a bladed disk.
-    colour_name_and_unit : (str, str)
+    colour_field_name_and_unit : (str, str)
         Name and unit of the field that colours show: von Mises stress with a material, otherwise
         displacement.
     """
@@ -524,21 +524,21 @@ class PeriodFields:
         )
         has_global_frame_only = structure.nodes is None or structure.nodes.frames is None
         self.has_load_arrow = bool(np.any(self.nodal_loads)) and has_global_frame_only
-        self.colour_name_and_unit = (
+        self.colour_field_name_and_unit = (
             ("von Mises stress", "Pa") if material else ("displacement", "m")
         )
         if self.mesh.dimension == 3 and structure.n_pairs:
-            self.nodal_force_per_pair_force, self.pressure_weights = (
+            self.nodal_force_per_pair_force, self.nodal_weights_of_pair_pressures = (
                 self.mesh.pair_centre_and_pressure_matrices
             )
         else:
             self.nodal_force_per_pair_force = _find_nodal_force_per_pair_force(structure)
-            self.pressure_weights = self.nodal_force_per_pair_force * self.pair_areas
-            nodal_area_sums = self.pressure_weights.sum(axis=1, keepdims=True)
+            self.nodal_weights_of_pair_pressures = self.nodal_force_per_pair_force * self.pair_areas
+            nodal_area_sums = self.nodal_weights_of_pair_pressures.sum(axis=1, keepdims=True)
             # Sums at crack tips are 0 but for rounding.
             is_rounding = nodal_area_sums <= 1e-9 * nodal_area_sums.max(initial=0.0)
             nodal_area_sums[is_rounding] = np.inf
-            self.pressure_weights /= nodal_area_sums
+            self.nodal_weights_of_pair_pressures /= nodal_area_sums
 
     @property
     def has_cracks(self) -> bool:
@@ -593,13 +593,14 @@ class PeriodFields:
         pair_forces, displacement = self.contact_forces[frame_index], self.displacement[frame_index]
         grid = make_grid_at_rest(self.mesh)
         # A node half-way between two pairs is closed if both are closed.
-        weight_sums = self.pressure_weights.sum(axis=1)
-        is_closed = self.pressure_weights @ (pair_forces > 0.0) > 0.501 * weight_sums
+        weight_sums = self.nodal_weights_of_pair_pressures.sum(axis=1)
+        is_closed = self.nodal_weights_of_pair_pressures @ (pair_forces > 0.0) > 0.501 * weight_sums
         point_fields = {
             "displacement": pad_to_space(displacement),
             "contact state": np.where(weight_sums > 0.0, 1.0 * is_closed, -1.0),
             "contact force": self.nodal_force_per_pair_force @ pair_forces,
-            "contact pressure": self.pressure_weights @ (pair_forces / self.pair_areas),
+            "contact pressure": self.nodal_weights_of_pair_pressures
+            @ (pair_forces / self.pair_areas),
         }
         if self.material is not None:
             point_fields["stress"] = self.stress[frame_index]
@@ -693,7 +694,7 @@ def write_period(
                 "",
             ]
         )
-        colour_name, colour_unit = fields.colour_name_and_unit
+        colour_name, colour_unit = fields.colour_field_name_and_unit
         script_path = collection_path.with_name(f"{collection_path.stem}_paraview.py")
         script_text = read_packaged_text("draw/paraview_state.txt").format(
             script=script_path.name,

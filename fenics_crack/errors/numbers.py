@@ -125,7 +125,7 @@ def compute_numbers(
         value = float(observation.value)
         min_size = {
             "1": MAX_RELATIVE_ROUNDING_SPREAD,
-            "m": rounding_size * (observable_place is Place.FACES),
+            "m": rounding_size * (observable_place is Place.CRACK_FACES),
         }.get(observation.unit, 0.0)
         if abs(value) > min_size or (observable_place.is_made_on_request and value == 0.0):
             values_by_name[observation.column_name] = value

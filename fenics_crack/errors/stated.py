@@ -656,7 +656,7 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
         )
         values_with_shifted_clearance = self._compute_values_with_shifted_clearance()
         relative_increase_by_name = dict.fromkeys(
-            observable_names(Place.POINT), self._relative_amplitude_added_by_halving
+            observable_names(Place.WATCHED_POINT), self._relative_amplitude_added_by_halving
         )
         closed_front_error_by_name, front_change_by_name = estimate_closed_front_and_mesh_errors(
             study, balance_solution, coarse_study, coarse_solution
@@ -845,7 +845,7 @@ def _without_refused_stress_intensities(study: Study) -> Study:
     try:
         make_requested_rows_and_readers(study)
     except InputError:
-        refused_names = observable_names(Place.TIPS, Place.ELLIPSE)
+        refused_names = observable_names(Place.MOST_LOADED_TIP, Place.ELLIPSE_ENDS)
         kept_names = [name for name in study.scene.quantities or () if name not in refused_names]
         return replace(study, scene=study.scene.replace({"output.quantities": kept_names or None}))
     return study

@@ -334,7 +334,7 @@ def tabulate_ellipses(sweep_result: SweepResult) -> EllipseTable:
     }
     column_by_name = {
         column_name: sweep_result[sweep_name_by_column.get(column_name, column_name)].copy()
-        for column_name in (*GROWTH_SWEEP_COLUMN_NAMES, *observable_names(Place.ELLIPSE))
+        for column_name in (*GROWTH_SWEEP_COLUMN_NAMES, *observable_names(Place.ELLIPSE_ENDS))
     }
     column_by_name["response"] = np.nan_to_num(column_by_name["response"])  # nan if nothing moves
     log_size_grid = np.stack(np.meshgrid(np.log(depths), np.log(lengths), indexing="ij"), axis=-1)

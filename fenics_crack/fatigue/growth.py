@@ -679,7 +679,7 @@ def _make_scene_with_crack_size(
         Crack size; None as depth for a crack through the thickness.
     """
     quantity_names = observable_names(
-        Place.TIPS if depth is None else Place.ELLIPSE,
+        Place.MOST_LOADED_TIP if depth is None else Place.ELLIPSE_ENDS,
         required_flags=ObservableFlag.REQUIRES_GROWTH_LAW,
     )
     return scene.replace(

@@ -63,7 +63,7 @@ class LengthPath:
         Columns :data:`LOG_INTERPOLATED_COLUMN_NAMES` and :data:`VALUE_INTERPOLATED_COLUMN_NAMES`.
     sweep_results : sequence of SweepResult
         Sweeps with the solutions.
-    leading_omega : (k,) [rad/s]
+    omega_with_most_growth : (k,) [rad/s]
         Load frequency with most of the growth at each length.
     law : Growth
         Table ``[growth]``.
@@ -72,7 +72,7 @@ class LengthPath:
     lengths: np.ndarray
     column_by_name: dict[str, np.ndarray]
     sweep_results: Sequence[SweepResult]
-    leading_omega: np.ndarray
+    omega_with_most_growth: np.ndarray
     law: Law
 
     @classmethod
@@ -117,13 +117,15 @@ class LengthPath:
             level_values_by_column["response"]
         )  # nan if nothing moves
         level_cycles = np.ones(1) if law.frequencies is None else np.array(law.cycles)
-        column_by_name, leading_omega = _reduce_load_levels_to_columns(
+        column_by_name, omega_with_most_growth = _reduce_load_levels_to_columns(
             level_values_by_column, law, level_cycles
         )
-        mode_number = find_nearest_mode_number(sweep_results[0], leading_omega[0])
+        mode_number = find_nearest_mode_number(sweep_results[0], omega_with_most_growth[0])
         for column_name in ("omega_open", "omega_bilinear"):
             column_by_name[column_name] = get_level_values(f"{column_name}_{mode_number}")[:, 0]
-        return cls(lengths[length_order], column_by_name, sweep_results, leading_omega, law)
+        return cls(
+            lengths[length_order], column_by_name, sweep_results, omega_with_most_growth, law
+        )
 
     @property
     def not_stable_lengths(self) -> list[float]:
@@ -162,7 +164,7 @@ class LengthPath:
             self,
             lengths=self.lengths[::2],
             column_by_name={name: column[::2] for name, column in self.column_by_name.items()},
-            leading_omega=self.leading_omega[::2],
+            omega_with_most_growth=self.omega_with_most_growth[::2],
         )
 
     def find_load_omega(self, length: float) -> float:
@@ -171,7 +173,7 @@ class LengthPath:
         For a spectrum: the load with most growth at the nearest solved length.
         """
         if self.law.drive == "spectrum":
-            return float(self.leading_omega[np.abs(self.lengths - length).argmin()])
+            return float(self.omega_with_most_growth[np.abs(self.lengths - length).argmin()])
         return float(self.interpolate_column("omega", np.array([length]))[0])
 
     def compute_growth_rates(self, lengths: np.ndarray) -> np.ndarray:
@@ -318,14 +320,14 @@ def _reduce_load_levels_to_columns(
         )[:, 0]
         for column_name in level_values_by_column
     }
-    leading_omega = leading_value_by_column["omega"]
+    omega_with_most_growth = leading_value_by_column["omega"]
     column_by_name["driving"] = largest_equivalent_range[:, 0] * growth_shares.sum(axis=1) ** (
         1.0 / law.exponent
     )
     column_by_name["omega"] = level_cycles.sum() / (
         level_cycles / level_values_by_column["omega"]
     ).sum(axis=1)
-    return leading_value_by_column | column_by_name, leading_omega
+    return leading_value_by_column | column_by_name, omega_with_most_growth
 
 
 def solve_lengths_to_tolerance(
@@ -441,7 +443,9 @@ def sweep_crack_sizes(
         Ctrl-C was pressed.
     """
     observable_places = (
-        (Place.TIPS, Place.ELLIPSE) if "crack.depth" in values_by_key else (Place.TIPS,)
+        (Place.MOST_LOADED_TIP, Place.ELLIPSE_ENDS)
+        if "crack.depth" in values_by_key
+        else (Place.MOST_LOADED_TIP,)
     )
     swept_scene = scene.replace(
         {

@@ -249,9 +249,9 @@ def _build_motion(
         list(factor_by_dof.values()), dtype=float
     )
     return _TipMotion(
-        end_speeds=(rotor_speed, rotor_speed),
+        first_and_last_rotor_speed=(rotor_speed, rotor_speed),
         n_revolutions=n_revolutions,
-        rotor_speeds=np.array([rotor_speed, 2.0 * rotor_speed]),
+        speeds_with_known_vibration=np.array([rotor_speed, 2.0 * rotor_speed]),
         tip_harmonics=np.tile(to_complex(tip_fourier_coefficients), (2, 1)),
         periods_per_revolution=result.base_omega / rotor_speed,
     )
@@ -298,9 +298,12 @@ def _build_run_up_motion(
     tip_harmonics = to_complex(np.asarray(tip_fourier_coefficients)[passed_indices].T).T
     rising_order = slice(None, None, -1 if last_omega < first_omega else 1)
     return _TipMotion(
-        end_speeds=(first_omega / order, float(curve.omega[passed_indices][-1]) / order),
+        first_and_last_rotor_speed=(
+            first_omega / order,
+            float(curve.omega[passed_indices][-1]) / order,
+        ),
         n_revolutions=n_revolutions,
-        rotor_speeds=(curve.omega[passed_indices] / order)[rising_order],
+        speeds_with_known_vibration=(curve.omega[passed_indices] / order)[rising_order],
         tip_harmonics=tip_harmonics[rising_order],
         periods_per_revolution=order / curve.subharmonic,
     )
@@ -379,11 +382,11 @@ class _TipMotion:
 
     Attributes
     ----------
-    end_speeds : (float, float) [rad/s]
+    first_and_last_rotor_speed : (float, float) [rad/s]
         Rotor speed at the beginning, and after all revolutions.
     n_revolutions : int
         Number of revolutions.
-    rotor_speeds : (n,) [rad/s]
+    speeds_with_known_vibration : (n,) [rad/s]
         Increasing speeds with known vibration. The harmonics U_k are linear between two speeds, and
         constant outside all speeds.
     tip_harmonics : (n, H+1) complex [m]
@@ -392,16 +395,16 @@ class _TipMotion:
         Periods q of the response in a revolution.
     """
 
-    end_speeds: tuple[float, float]
+    first_and_last_rotor_speed: tuple[float, float]
     n_revolutions: int
-    rotor_speeds: np.ndarray
+    speeds_with_known_vibration: np.ndarray
     tip_harmonics: np.ndarray
     periods_per_revolution: float
 
     @property
     def angular_acceleration(self) -> float:
         """Return the constant acceleration of the rotor [rad/s^2]; < 0 in a run-down."""
-        begin_speed, end_speed = self.end_speeds
+        begin_speed, end_speed = self.first_and_last_rotor_speed
         return (
             (end_speed - begin_speed)
             * (end_speed + begin_speed)
@@ -411,7 +414,10 @@ class _TipMotion:
     def compute_rotor_speeds(self, rotor_angles: np.ndarray) -> np.ndarray:
         """Return rotor speeds [rad/s] at rotor angles [rad]."""
         return np.asarray(
-            np.sqrt(self.end_speeds[0] ** 2 + 2.0 * self.angular_acceleration * rotor_angles)
+            np.sqrt(
+                self.first_and_last_rotor_speed[0] ** 2
+                + 2.0 * self.angular_acceleration * rotor_angles
+            )
         )
 
     def compute_times(self, rotor_angles: np.ndarray) -> np.ndarray:
@@ -421,7 +427,9 @@ class _TipMotion:
         0 and W(alpha). This formula has no cancellation at small accelerations.
         """
         return np.asarray(
-            2.0 * rotor_angles / (self.end_speeds[0] + self.compute_rotor_speeds(rotor_angles))
+            2.0
+            * rotor_angles
+            / (self.first_and_last_rotor_speed[0] + self.compute_rotor_speeds(rotor_angles))
         )
 
     def bound_backward_slope(self) -> float:
@@ -456,15 +464,19 @@ class _TipMotion:
         The slope includes the change of the harmonics with the speed.
         """
         phase_factors = np.exp(1j * self.periods_per_revolution * rotor_angles)
-        rotor_speeds = self.compute_rotor_speeds(rotor_angles)
+        speeds_with_known_vibration = self.compute_rotor_speeds(rotor_angles)
         lower_speed_indices = np.clip(
-            np.searchsorted(self.rotor_speeds, rotor_speeds) - 1, 0, len(self.rotor_speeds) - 2
+            np.searchsorted(self.speeds_with_known_vibration, speeds_with_known_vibration) - 1,
+            0,
+            len(self.speeds_with_known_vibration) - 2,
         )
         speed_interval_widths = (
-            self.rotor_speeds[lower_speed_indices + 1] - self.rotor_speeds[lower_speed_indices]
+            self.speeds_with_known_vibration[lower_speed_indices + 1]
+            - self.speeds_with_known_vibration[lower_speed_indices]
         )
         interval_fractions = np.clip(
-            (rotor_speeds - self.rotor_speeds[lower_speed_indices]) / speed_interval_widths,
+            (speeds_with_known_vibration - self.speeds_with_known_vibration[lower_speed_indices])
+            / speed_interval_widths,
             0.0,
             1.0,
         )
@@ -480,13 +492,13 @@ class _TipMotion:
             * np.arange(len(interpolated_harmonics))[:, None]
             * interpolated_harmonics
         )
-        is_interpolated = (rotor_speeds > self.rotor_speeds[0]) & (
-            rotor_speeds < self.rotor_speeds[-1]
+        is_interpolated = (speeds_with_known_vibration > self.speeds_with_known_vibration[0]) & (
+            speeds_with_known_vibration < self.speeds_with_known_vibration[-1]
         )
         harmonics_of_slope += (
             np.where(
                 is_interpolated,
-                self.angular_acceleration / (rotor_speeds * speed_interval_widths),
+                self.angular_acceleration / (speeds_with_known_vibration * speed_interval_widths),
                 0.0,
             )
             * harmonic_increments

@@ -367,7 +367,9 @@ def _conclude_from_track(track: TipTrack) -> tuple[Conclusion, Table, list[str],
                 answer_text = f"harmonic {harmonic_multiple:g} is largest at {peak_text}"
                 conclusion = Conclusion("run-up tracked", answer_text)
         elif not np.all(np.isnan(amplitudes)):
-            upper_bounds = amplitudes + CONFIDENCE_LEVELS.allowed_standard_errors * amplitude_errors
+            upper_bounds = (
+                amplitudes + CONFIDENCE_LEVELS.equal_fit_standard_errors * amplitude_errors
+            )
             unclear_harmonic_text = UNCLEAR_HARMONIC_DOUBT_FORMAT.format(
                 format_quantity(float(np.nanmax(upper_bounds)), "m")
             )

@@ -603,7 +603,7 @@ class ObservedMotion:
             point_iterator = (PointDisplacement(dof_record, row) for row in range(len(rows)))
             number_dicts_of_records.append(
                 [
-                    shared_number_by_name | read_observables(Place.POINT, point)
+                    shared_number_by_name | read_observables(Place.WATCHED_POINT, point)
                     for point in point_iterator
                 ]
             )
@@ -667,12 +667,12 @@ def _face_number_by_name(record: Record) -> dict[str, float]:
 
     All are nan without contact pairs, and friction indicators without friction.
     """
-    number_by_name = dict.fromkeys(observable_names(Place.FACES), math.nan)
+    number_by_name = dict.fromkeys(observable_names(Place.CRACK_FACES), math.nan)
     if record.n_pairs:
         missing_requirement_flag = (
             REQUIRES_FRICTION if record.friction_coefficient is None else IN_FILES_ONLY
         )
         number_by_name |= read_observables(
-            Place.FACES, CrackFaces(record), missing_requirement_flag
+            Place.CRACK_FACES, CrackFaces(record), missing_requirement_flag
         )
     return number_by_name | dict(record.exact_number_by_name)

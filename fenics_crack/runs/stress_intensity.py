@@ -31,6 +31,7 @@ from fenics_crack.time.march import TimeHistory
 @with_old_names(
     ahead="growth_directions", one="K_I", two="K_II", three="K_III", closed="closed_front_errors",
     leading="leading_tip_index", fronts="station_indices_by_front", turn="turning_angles",
+    positions="distances_along_crack",
 )  # fmt: skip
 @dataclass(frozen=True, repr=False)
 class StressIntensity(Tabular):
@@ -46,7 +47,7 @@ class StressIntensity(Tabular):
     tips : tuple of str
         Names: "the crack tip", "the left crack tip", "the crack tip of crack 2". A station is named
         by its distance from the front's beginning: "the crack front at 3.2 mm".
-    positions : (n_tips,) [m]
+    distances_along_crack : (n_tips,) [m]
         Distances along the crack; in a solid along the front, from its beginning.
     points, growth_directions : (n_tips, d) [m], (n_tips, d)
         Positions of the tips, and unit vectors in which the cracks run straight on.
@@ -64,7 +65,7 @@ class StressIntensity(Tabular):
 
     time: np.ndarray
     tips: tuple[str, ...]
-    positions: np.ndarray
+    distances_along_crack: np.ndarray
     points: np.ndarray
     growth_directions: np.ndarray
     K_I: np.ndarray

@@ -57,7 +57,7 @@ _CRACK_KEYS_SET_BY_MESH_FILE = (
 KEY_RULES_BY_TABLE: Mapping[str, tuple[Rule, ...]] = {
     "geometry": (Rule("mesh.layout = 'file'", ("width", "height")),),
     "mesh": (
-        Rule("geometry.file", ("layout",), choices=("graded",)),
+        Rule("geometry.file", ("layout",), allowed_choices=("graded",)),
         Rule("contact.pairs = 'mouth'", ("patches",), ", which keeps a single pair"),
         Rule(
             "geometry.kind = 'solid'",
@@ -65,11 +65,11 @@ KEY_RULES_BY_TABLE: Mapping[str, tuple[Rule, ...]] = {
             ": tetrahedra of order 1 are much too stiff",
             (2,),
         ),
-        Rule("geometry.kind = 'solid'", ("layout",), choices=("graded", "file")),
+        Rule("geometry.kind = 'solid'", ("layout",), allowed_choices=("graded", "file")),
         Rule("geometry.kind = 'solid'", ("cells",), ", which is meshed by tetrahedra"),
         Rule("without geometry.file", ("per_turn",), ": only such parts have curved faces"),
     ),
-    "contact": (Rule("[structure]", ("pairs",), choices=("all",)),),
+    "contact": (Rule("[structure]", ("pairs",), allowed_choices=("all",)),),
     "crack": (
         Rule("geometry.kind = 'plate'", kinds.ARBITRARY_PLANE_CRACK_KEYS),
         Rule("mesh.layout = 'file'", _CRACK_KEYS_SET_BY_MESH_FILE),
@@ -85,7 +85,7 @@ KEY_RULES_BY_TABLE: Mapping[str, tuple[Rule, ...]] = {
         Rule("mesh.layout = 'file'", ("inner_radius", "outer_radius")),
         Rule("without mesh.layout = 'file'", ("center", "axis")),
     ),
-    "harmonic_balance": (Rule("contact.friction", ("form",), choices=("condensed",)),),
+    "harmonic_balance": (Rule("contact.friction", ("form",), allowed_choices=("condensed",)),),
     "integration": (
         Rule("[rotation]", ("deflection", "free"), ": the mean load is partly centrifugal"),
     ),

@@ -570,14 +570,14 @@ class Rule(NamedTuple):
         Restricted keys in a table.
     reason : str
         Text after the condition in errors.
-    choices : tuple
+    allowed_choices : tuple
         Allowed values under the condition; empty: the keys are left out.
     """
 
     condition: str
     keys: tuple[str, ...]
     reason: str = ""
-    choices: tuple[Any, ...] = ()
+    allowed_choices: tuple[Any, ...] = ()
 
 
 @cache
@@ -670,13 +670,13 @@ class Table:
             if not condition_holds(rule.condition, table_by_name):
                 continue
             circumstance = rule.condition + rule.reason
-            if not rule.choices:
+            if not rule.allowed_choices:
                 self.forbid_keys(rule.keys, circumstance)
                 continue
-            choices_text = " or ".join(map(repr, rule.choices))
+            choices_text = " or ".join(map(repr, rule.allowed_choices))
             for key in rule.keys:
                 self.require(
-                    getattr(self, key) in (None, *rule.choices),
+                    getattr(self, key) in (None, *rule.allowed_choices),
                     key,
                     f"{choices_text} {add_preposition(circumstance)}",
                 )

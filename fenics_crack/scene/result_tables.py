@@ -538,7 +538,7 @@ class TipTiming(Table):
     """
 
     _KEY_RULES = (
-        Rule("tip_timing.frequencies", ("subharmonic",), choices=(1,)),
+        Rule("tip_timing.frequencies", ("subharmonic",), allowed_choices=(1,)),
         Rule("tip_timing.frequencies", ("orders",)),
     )
 

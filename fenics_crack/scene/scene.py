@@ -413,8 +413,8 @@ _NO_CLAMP_FORCES_REASON_BY_CONDITION: Mapping[str, str] = {
 }
 """Conditions that exclude forces on the clamp, with reasons."""
 _EXCLUSION_REASON_FUNCTION_BY_PLACE: dict[Place, Callable[[Scene], str]] = {
-    Place.TIPS: reason_without_stress_intensity,
-    Place.ELLIPSE: reason_without_elliptical_growth,
+    Place.MOST_LOADED_TIP: reason_without_stress_intensity,
+    Place.ELLIPSE_ENDS: reason_without_elliptical_growth,
     Place.CLAMP: reason_without_clamp_forces,
 }
 """Functions of a scene, by place: return why numbers at this place cannot be computed, or ""."""

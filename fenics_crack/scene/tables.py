@@ -64,7 +64,7 @@ class Geometry(Table):
 
     _KEY_RULES = (
         Rule("without geometry.file", ("unit", "faces")),
-        Rule("geometry.file", ("kind",), choices=("solid",)),
+        Rule("geometry.file", ("kind",), allowed_choices=("solid",)),
         Rule("geometry.file", ("width", "height", "thickness")),
     )
 

@@ -72,19 +72,20 @@ class KeyFigures:
     squared_omega_slopes : (at most 4,)
         S = d(w^2) / d(W^2) of the open modes with frequency w, over the rotor speed W; 0 without
         rotation.
-    face_stiffness : (n_pairs,) [N/m]
+    face_stiffness_at_pairs : (n_pairs,) [N/m]
         Static stiffness of the crack faces at each pair j, 1 / (B^T K^-1 B)_jj. B is the gap matrix
         and K the stiffness matrix.
     contact_stiffness_ratio : (n_pairs,) or None
-        Contact stiffness over ``face_stiffness``; None without a law, or for rigid contact.
+        Contact stiffness over ``face_stiffness_at_pairs``; None without a law, or for rigid
+        contact.
     opening_under_mean_load : float [m]
         Largest static opening of an open crack under the mean load.
     largest_static_gap_motion : float [m]
         Largest static amplitude of an open crack's gaps under the load's harmonics, added up.
-    peak_displacement, peak_gap_motion : float [m]
+    peak_open_crack_displacement, peak_open_crack_gap_motion : float [m]
         Largest amplitudes of the watched displacements and of the gaps. The crack is open, and the
         maximum is over the load frequencies that the scene requests.
-    peak_rotation : float [rad]
+    peak_open_crack_rotation : float [rad]
         Largest amplitude of a watched displacement over its distance from the clamp.
     n_closed_pairs : int
         Number of pairs that are closed under the mean load and the preload alone.
@@ -105,13 +106,13 @@ class KeyFigures:
     omega_bilinear: np.ndarray
     damping_ratios: np.ndarray
     squared_omega_slopes: np.ndarray
-    face_stiffness: np.ndarray
+    face_stiffness_at_pairs: np.ndarray
     contact_stiffness_ratio: np.ndarray | None
     opening_under_mean_load: float
     largest_static_gap_motion: float
-    peak_displacement: float
-    peak_rotation: float
-    peak_gap_motion: float
+    peak_open_crack_displacement: float
+    peak_open_crack_rotation: float
+    peak_open_crack_gap_motion: float
     n_closed_pairs: int
     breathes: bool
     n_modes_below_highest_harmonic: int
@@ -178,14 +179,15 @@ def find_key_figures(study: Study) -> KeyFigures:
         omega_open=modes.omega, omega_tied=bonded_modes.omega,
         omega_bilinear=bilinear_frequencies.omega_bilinear,
         damping_ratios=modal_damping_ratios, squared_omega_slopes=_slopes_of_squared_omegas(modes),
-        face_stiffness=face_stiffness,
+        face_stiffness_at_pairs=face_stiffness,
         contact_stiffness_ratio=None if pair_stiffness is None else pair_stiffness / face_stiffness,
         opening_under_mean_load=float(np.max(-mean_load_gaps, initial=0.0)) + 0.0,
         largest_static_gap_motion=float(
             np.abs(static_complex_amplitudes[1]).sum(axis=0).max(initial=0.0)
         ),
-        peak_displacement=peak_displacement, peak_rotation=peak_rotation,
-        peak_gap_motion=peak_gap_motion, n_closed_pairs=int(is_closed.sum()), breathes=breathes,
+        peak_open_crack_displacement=peak_displacement, peak_open_crack_rotation=peak_rotation,
+        peak_open_crack_gap_motion=peak_gap_motion, n_closed_pairs=int(is_closed.sum()),
+        breathes=breathes,
         n_modes_below_highest_harmonic=_count_modes_below(
             structure, search_modes, highest_harmonic_omega(scene)
         ) if structure.n_pairs else 0,

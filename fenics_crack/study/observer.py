@@ -105,7 +105,7 @@ def observe_quantities(study: Study, motion: ObservedMotion) -> list[ObservedQua
     for watched_displacement, (indicators, _) in zip(
         study.watched, observed_displacements, strict=True
     ):
-        for quantity_name in observable_names(Place.POINT):
+        for quantity_name in observable_names(Place.WATCHED_POINT):
             observable = OBSERVABLES_BY_NAME[quantity_name]
             needs_words = watched_displacement.name or quantity_name == "amplitude"
             words = observable.words + (f", {watched_displacement.words}" if needs_words else "")
@@ -260,7 +260,7 @@ class CrackTipHistory(NamedTuple):
         """
         excluded_flags = IN_FILES_ONLY if self.growth_law is not None else REQUIRES_GROWTH_LAW
         return read_observables(
-            Place.TIPS,
+            Place.MOST_LOADED_TIP,
             self,
             excluded_flags | (REQUIRES_SOLID if self.K_III is None else IN_FILES_ONLY),
         )
@@ -351,7 +351,9 @@ def estimate_closed_front_and_mesh_errors(
     """
     requested_quantity_names = set(list_requested_extra_quantities(study.scene))
     quantity_names = sorted(
-        requested_quantity_names.intersection(observable_names(Place.TIPS, Place.ELLIPSE))
+        requested_quantity_names.intersection(
+            observable_names(Place.MOST_LOADED_TIP, Place.ELLIPSE_ENDS)
+        )
     )
     if study.scene.dimension == 2 or not quantity_names:
         return {}, {}
@@ -444,7 +446,7 @@ def leading_crack_tip_index(tip_histories: list[CrackTipHistory]) -> int:
     return int(
         np.argmax(
             [
-                OBSERVABLES_BY_NAME["delta_K_effective"].read_number(tip_history)
+                OBSERVABLES_BY_NAME["delta_K_effective"].read_number_at_place(tip_history)
                 for tip_history in tip_histories
             ]
         )
@@ -604,7 +606,7 @@ def _make_ellipse_rows_and_reader(study: Study) -> ExtraRows:
             tip_histories[int(station_heights.argmin())],
             [tip_histories[end_index] for end_index in end_indices],
         )
-        return read_observables(Place.ELLIPSE, ellipse_histories)
+        return read_observables(Place.ELLIPSE_ENDS, ellipse_histories)
 
     return ExtraRows(displacement_rows, read_ellipse_numbers)
 
@@ -622,7 +624,8 @@ def _make_clamp_rows_and_reader(study: Study) -> ExtraRows:
 
 
 _MAKE_ROWS_AND_READER_BY_PLACE: dict[Place, Callable[[Study], ExtraRows]] = {
-    Place.TIPS: _make_tip_rows_and_reader, Place.ELLIPSE: _make_ellipse_rows_and_reader,
+    Place.MOST_LOADED_TIP: _make_tip_rows_and_reader,
+    Place.ELLIPSE_ENDS: _make_ellipse_rows_and_reader,
     Place.CLAMP: _make_clamp_rows_and_reader,
-}  # fmt: skip
+}
 """Functions that make the rows for crack tips, ellipse front or clamp, if requested."""

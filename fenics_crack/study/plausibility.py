@@ -95,23 +95,23 @@ class RemarkRule(NamedTuple):
         crack.
     lower_limit, upper_limit : float
         Plausible range; a number outside gets a remark.
-    text_template : str
+    remark_template : str
         Text of the remark, with fields for the number and further values. {kind} is the kind of
         body, {faces} the word for crack faces.
-    number_function : callable, optional
+    compared_number_function : callable, optional
         Function that returns the number, given the key's value and the scene. Some rules also give
         it the structure or the key figures. It may return a tuple: the number, and further values
         for the text. It returns None if the rule does not apply. Default: the key's largest value.
-    factor_by_unit : mapping of str to float
+    factor_by_mistyped_unit : mapping of str to float
         For each unit in which the value may be given by mistake, the factor to the key's unit.
     """
 
     keys_text: str
     lower_limit: float
     upper_limit: float
-    text_template: str
-    number_function: Callable[..., Any] = lambda value, *_: float(np.max(value))
-    factor_by_unit: Mapping[str, float] = MappingProxyType({})
+    remark_template: str
+    compared_number_function: Callable[..., Any] = lambda value, *_: float(np.max(value))
+    factor_by_mistyped_unit: Mapping[str, float] = MappingProxyType({})
 
 
 def remarks_on_scene(
@@ -145,8 +145,8 @@ def _iterate_remarks(
 ) -> Iterator[Remark]:
     """Yield the remarks of several rules on a scene.
 
-    A value may be plausible in another unit of ``factor_by_unit``. The remark then proposes the
-    first such unit.
+    A value may be plausible in another unit of ``factor_by_mistyped_unit``. The remark then
+    proposes the first such unit.
 
     Parameters
     ----------
@@ -161,18 +161,18 @@ def _iterate_remarks(
     body_kind = "structure" if geometry_table is None else geometry_table.kind
     for rule in rules:
         for key, value in _list_first_given_key_and_value(scene, rule.keys_text):
-            number_and_values = rule.number_function(value, scene, *rule_arguments)
+            number_and_values = rule.compared_number_function(value, scene, *rule_arguments)
             checked_number, *further_values = (
                 number_and_values if isinstance(number_and_values, tuple) else (number_and_values,)
             )
             if checked_number is None or rule.lower_limit <= checked_number <= rule.upper_limit:
                 continue
-            remark_text = rule.text_template.format(
+            remark_text = rule.remark_template.format(
                 checked_number, *further_values, kind=body_kind, faces=word_for_crack_faces(scene)
             )
             unit_texts = (
                 f"; is it in {unit}? then give {unit_factor * float(np.max(value)):g}"  # type: ignore[call-overload]
-                for unit, unit_factor in rule.factor_by_unit.items()
+                for unit, unit_factor in rule.factor_by_mistyped_unit.items()
                 if rule.lower_limit <= unit_factor * checked_number <= rule.upper_limit
             )
             remark_text += next(unit_texts, "")
@@ -521,7 +521,7 @@ def _peak_rotation_and_displacement(
     return (
         None
         if has_other_loads_or_no_damping
-        else (key_figures.peak_rotation, key_figures.peak_displacement)
+        else (key_figures.peak_open_crack_rotation, key_figures.peak_open_crack_displacement)
     )
 
 
@@ -551,7 +551,10 @@ def _linear_gap_motion_and_verb(
     """
     if scene.contact is None or scene.structure is not None or key_figures.breathes:
         return None
-    return key_figures.peak_gap_motion, "opens" if key_figures.n_closed_pairs else "closes"
+    return (
+        key_figures.peak_open_crack_gap_motion,
+        "opens" if key_figures.n_closed_pairs else "closes",
+    )
 
 
 # --- tables of remarks ----------------------------------------------------------------------------
@@ -570,14 +573,14 @@ SCENE_REMARK_RULES = (
         1e7,
         1.5e12,
         "in Pa, steel has 2.1e11, and most solids have 1e7 to 1.5e12",
-        factor_by_unit={"GPa": 1e9, "MPa": 1e6},
+        factor_by_mistyped_unit={"GPa": 1e9, "MPa": 1e6},
     ),
     RemarkRule(
         "material.density",
         50.0,
         25000.0,
         "in kg/m^3, steel has 7850, and most solids have 50 to 25000",
-        factor_by_unit={"g/cm^3": 1e3, "t/mm^3": 1e12, "kg/mm^3": 1e9},
+        factor_by_mistyped_unit={"g/cm^3": 1e3, "t/mm^3": 1e12, "kg/mm^3": 1e9},
     ),
     RemarkRule("material.poisson", 0.0, 0.49, "most solids have 0 to 0.49, steel 0.3"),
     *(
@@ -626,14 +629,14 @@ SCENE_REMARK_RULES = (
         0.0,
         MAX_PLAUSIBLE_LENGTH,
         LARGE_ROTOR_REMARK,
-        factor_by_unit=METRES_BY_MISTAKEN_UNIT,
+        factor_by_mistyped_unit=METRES_BY_MISTAKEN_UNIT,
     ),
     RemarkRule(
         "tip_timing.tip_radius",
         0.0,
         MAX_PLAUSIBLE_LENGTH,
         LARGE_ROTOR_REMARK,
-        factor_by_unit=METRES_BY_MISTAKEN_UNIT,
+        factor_by_mistyped_unit=METRES_BY_MISTAKEN_UNIT,
     ),
     RemarkRule(
         "tip_timing.probes",
@@ -647,14 +650,14 @@ SCENE_REMARK_RULES = (
         0.0,
         MAX_PLAUSIBLE_DAMPING,
         USUAL_METAL_DAMPING_REMARK,
-        factor_by_unit={"%": 1e-2},
+        factor_by_mistyped_unit={"%": 1e-2},
     ),
     RemarkRule(
         "growth.rate",
         1e-20,
         1e-9,
         "in m per cycle at 1 MPa m^0.5, steels have 5e-12 to 1.4e-10",
-        factor_by_unit={"mm per cycle": 1e-3},
+        factor_by_mistyped_unit={"mm per cycle": 1e-3},
     ),
     RemarkRule(
         "excitation.wave",
@@ -777,7 +780,11 @@ KEY_FIGURE_REMARK_RULES = (
         math.inf,
         "the law is rounded over {1:.2g} m, and the {faces} "
         "move by {2:.2g} m: contact acts on open {faces}; raise contact.sharpness",
-        lambda k, _, figures: (k * figures.peak_gap_motion, 1.0 / k, figures.peak_gap_motion),
+        lambda k, _, figures: (
+            k * figures.peak_open_crack_gap_motion,
+            1.0 / k,
+            figures.peak_open_crack_gap_motion,
+        ),
     ),
     RemarkRule(
         "crack.clearance excitation.force_mean rotation.rpm rotation.speed",

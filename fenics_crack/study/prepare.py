@@ -60,14 +60,14 @@ class WatchedDisplacement:
         Description, such as "x displacement of tip".
     dof : int
         Number of its dof in the unreduced structure.
-    distance : float [m]
+    distance_to_node : float [m]
         Distance from the point in the scene to the node used.
     """
 
     name: str
     words: str
     dof: int
-    distance: float = 0.0
+    distance_to_node: float = 0.0
 
     def column_name(self, quantity: str) -> str:
         """Return the column name of this displacement's quantity: "tip.ux.ratio_2_1".

@@ -70,9 +70,9 @@ class SharedCaseOptions:
         cases fail.
     at_resonance : bool
         True if each case is solved at the resonance nearest to its frequency.
-    with_verdicts : bool
+    assesses_stability : bool
         True if the stability of each case is assessed.
-    with_reduction_error : bool
+    estimates_reduction_error : bool
         True if the reduction error of each case is estimated.
     has_only_frequencies_by_position : tuple of bool
         For each position on the last axis, True if only natural frequencies are computed.
@@ -81,8 +81,8 @@ class SharedCaseOptions:
     has_unit_loads: bool
     ends_at_large_structure: bool = False
     at_resonance: bool = False
-    with_verdicts: bool = True
-    with_reduction_error: bool = True
+    assesses_stability: bool = True
+    estimates_reduction_error: bool = True
     has_only_frequencies_by_position: tuple[bool, ...] = (False,)
 
 
@@ -109,7 +109,7 @@ class SweepGeometry:
         If "" is missing, each case has its own row, in the direction of its load.
     unreduced_study : Study
         Study before reduction.
-    mode_counts : tuple of int
+    remaining_mode_counts : tuple of int
         Number of modes in ``study``, then larger numbers to try if a case misses its tolerance.
         Empty if the tolerance does not choose the number.
     """
@@ -120,22 +120,22 @@ class SweepGeometry:
     bilinear_frequencies: BilinearFrequencies
     watched_row_by_name: dict[str, np.ndarray]
     unreduced_study: Study
-    mode_counts: tuple[int, ...] = ()
+    remaining_mode_counts: tuple[int, ...] = ()
 
     @cached_property
     def geometry_with_more_modes(self) -> SweepGeometry | None:
-        """The same structure, reduced to the next larger number of modes in ``mode_counts``.
+        """The same structure with the next number of modes in ``remaining_mode_counts``.
 
         None if no larger number is left.
         """
-        if len(self.mode_counts) < 2:
+        if len(self.remaining_mode_counts) < 2:
             return None
-        study_with_more_modes = reduce_to_modes(self.unreduced_study, self.mode_counts[1])
+        study_with_more_modes = reduce_to_modes(self.unreduced_study, self.remaining_mode_counts[1])
         return replace(
             self,
             study=study_with_more_modes,
             watched_row_by_name=_find_watched_row_by_name(study_with_more_modes),
-            mode_counts=self.mode_counts[1:],
+            remaining_mode_counts=self.remaining_mode_counts[1:],
         )
 
     @property
@@ -171,9 +171,9 @@ def build_sweep_geometry(
     comm : MPI.Comm
         Ranks that share the structure.
     case_options : SharedCaseOptions
-        Options of the sweep. With ``with_reduction_error`` and a tolerance, the structure has the
-        first of several numbers of modes. With ``with_reduction_error`` alone, it keeps a reference
-        structure with more modes.
+        Options of the sweep. With ``estimates_reduction_error`` and a tolerance, the structure has
+        the first of several numbers of modes. With ``estimates_reduction_error`` alone, it keeps a
+        reference structure with more modes.
     last_geometry : SweepGeometry, optional
         Structure at another rotor speed, whose mesh and matrices are used again.
 
@@ -205,14 +205,15 @@ def build_sweep_geometry(
     unreduced_study = prepare(
         scene, comm, whole=True, like=None if last_geometry is None else last_geometry.study
     )
-    mode_counts = (
+    remaining_mode_counts = (
         candidate_mode_counts(unreduced_study, MAX_MODES_FOR_MANY_SOLUTIONS)
-        if case_options.with_reduction_error
+        if case_options.estimates_reduction_error
         else []
     )
     # Natural frequencies have no error of their own: they are of many modes.
     many_mode_study = reduce_study(
-        unreduced_study, with_reference=case_options.with_reduction_error and not mode_counts
+        unreduced_study,
+        with_reference=case_options.estimates_reduction_error and not remaining_mode_counts,
     )
     structure = many_mode_study.structure
     if not is_small(structure):
@@ -226,7 +227,11 @@ def build_sweep_geometry(
     crack_lengths = [crack.length for crack in many_mode_study.scene.crack_by_name.values()]
     crack_length = crack_lengths[0] if crack_lengths and crack_lengths[0] is not None else np.nan
     natural_frequencies = bilinear_frequencies(structure)
-    study = reduce_to_modes(unreduced_study, mode_counts[0]) if mode_counts else many_mode_study
+    study = (
+        reduce_to_modes(unreduced_study, remaining_mode_counts[0])
+        if remaining_mode_counts
+        else many_mode_study
+    )
     watched_row_by_name = _find_watched_row_by_name(study)
     return SweepGeometry(
         study,
@@ -235,7 +240,7 @@ def build_sweep_geometry(
         natural_frequencies,
         watched_row_by_name,
         unreduced_study,
-        tuple(mode_counts),
+        tuple(remaining_mode_counts),
     )
 
 
@@ -253,9 +258,9 @@ def iterate_geometries_with_more_modes(
     while geometry is not None:
         yield geometry
         geometry = geometry.geometry_with_more_modes
-    if first_geometry.mode_counts:
+    if first_geometry.remaining_mode_counts:
         yield build_sweep_geometry(
-            scene, MPI.COMM_SELF, replace(case_options, with_reduction_error=False)
+            scene, MPI.COMM_SELF, replace(case_options, estimates_reduction_error=False)
         )
 
 
@@ -419,9 +424,9 @@ class CaseSolver:
             | solution.to_dict()
             | {"gap": solution.row_gap_coefficients, "force": solution.row_force_coefficients}
         )
-        if not case_options.with_reduction_error:
+        if not case_options.estimates_reduction_error:
             value_by_column.pop("reduction_error")
-        if case_options.with_verdicts and case.harmonic_balance.error:
+        if case_options.assesses_stability and case.harmonic_balance.error:
             value_by_column |= self.assess_stability_by_name(solution)
             value_by_column["status"] += value_by_column.pop("remark", "")
         return value_by_column

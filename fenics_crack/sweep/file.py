@@ -92,7 +92,7 @@ LABEL_AND_UNIT_BY_FREQUENCY_COLUMN = {
 """Label and unit of the columns with natural frequencies, by column name ("omega_open_1")."""
 UNIT_BY_OUTPUT_POINT_QUANTITY = {
     name: UNIT_BY_DICT_ENTRY_NAME[name]
-    for name in observable_names(Place.POINT)
+    for name in observable_names(Place.WATCHED_POINT)
     if name != "ratio_half_1"
 }
 """Units of the quantities stored for each point and direction, by quantity name.
@@ -117,7 +117,7 @@ UNIT_AND_NUMPY_TYPE_BY_COLUMN: dict[str, tuple[str, str]] = {
     **{
         name: (UNIT_BY_DICT_ENTRY_NAME[name], "f8")
         for name in observable_names(
-            Place.FACES, Place.NEAREST_MODE, excluded_flags=REQUIRES_FRICTION
+            Place.CRACK_FACES, Place.NEAREST_MODE, excluded_flags=REQUIRES_FRICTION
         )
     },
     **{name: (unit, "f8") for name, (_, unit) in LABEL_AND_UNIT_BY_FREQUENCY_COLUMN.items()},

@@ -174,8 +174,8 @@ def run_sweep(
             plan.has_unit_loads,
             ends_at_large_structure=not plan.sweeps_reduction_method,
             at_resonance=sweep_table.at_resonance,
-            with_verdicts=verdicts,
-            with_reduction_error=judged,
+            assesses_stability=verdicts,
+            estimates_reduction_error=judged,
             has_only_frequencies_by_position=tuple(
                 position in natural for position in range(last_axis_length)
             ),
@@ -521,7 +521,7 @@ class SweepResult(Tabular):
         ):
             label = OBSERVABLES_BY_NAME[quantity_name].words
             unit = OBSERVABLES_BY_NAME[quantity_name].unit
-            if OBSERVABLES_BY_NAME[quantity_name].place is not Place.POINT:
+            if OBSERVABLES_BY_NAME[quantity_name].place is not Place.WATCHED_POINT:
                 label_and_unit_by_column[quantity_name] = label, unit
             elif label_by_point:
                 label_and_unit_by_column |= {

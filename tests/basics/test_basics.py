@@ -265,7 +265,7 @@ def test_entries_of_contact(results: dict[str, Any]) -> None:
     free_linear_solution = fc.solve_linear(
         fc.Structure.from_matrices(np.eye(1), np.eye(1), gap=None), 0.5
     )
-    of_faces = observable_names(Place.FACES, excluded_flags=ObservableFlag.REQUIRES_FRICTION)
+    of_faces = observable_names(Place.CRACK_FACES, excluded_flags=ObservableFlag.REQUIRES_FRICTION)
     assert (
         entries.keys() - free_linear_solution.to_dict().keys()
         == {*of_faces}

@@ -87,7 +87,7 @@ def test_patches_of_a_solid() -> None:
     mesh, force = fields.mesh, fields.contact_forces
     facets = mesh.crack_face_sides
     assert len(
-        np.setdiff1d(np.flatnonzero(fields.pressure_weights.any(axis=1)), facets)
+        np.setdiff1d(np.flatnonzero(fields.nodal_weights_of_pair_pressures.any(axis=1)), facets)
     )  # of edges
     first_side, two = (mesh.points[facets[:, k]] - mesh.points[facets[:, 0]] for k in (1, 2))
     areas = 0.5 * np.linalg.norm(np.cross(first_side, two), axis=1)

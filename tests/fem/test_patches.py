@@ -123,7 +123,7 @@ def test_pressures_are_drawn_between_middles(scene: Scene) -> None:
     grid = pyvista.wrap(fields.make_frame_grid(0))
     shown_cells = np.flatnonzero(grid["contact state"] >= 0.0)
     full_cells = shown_cells[
-        fields.pressure_weights[shown_cells].sum(axis=1) > 0.9
+        fields.nodal_weights_of_pair_pressures[shown_cells].sum(axis=1) > 0.9
     ]  # next to the front half of it
     assert grid["contact pressure"][full_cells] == pytest.approx(STRESS, rel=1e-4)
     assert np.all(grid["contact state"][shown_cells] == 1.0)

@@ -128,12 +128,12 @@ def test_a_front_that_breathes(tmp_path: Path) -> None:
     assert stress_intensity.largest == pytest.approx(stress_intensity.largest[::-1], rel=0.02)
     assert stress_intensity.largest[6] < 0.8 * stress_intensity.largest[0]
     assert stress_intensity.growth_directions[6] == pytest.approx([0.0, 0.0, -1.0], abs=1e-6)
-    assert stress_intensity.positions[-1] == pytest.approx(
+    assert stress_intensity.distances_along_crack[-1] == pytest.approx(
         18.176e-3, rel=1e-3
     )  # half of an ellipse
     assert (
         stress_intensity.tips[6]
-        == f"the crack front at {stress_intensity.positions[6] * 1e3:.4g} mm"
+        == f"the crack front at {stress_intensity.distances_along_crack[6] * 1e3:.4g} mm"
     )
     assert set(stress_intensity.numbers) >= {"K_max", "K_II_max", "K_III_max"}
     fc.write_fronts(stress_intensity, tmp_path / "fronts.vtu")

@@ -75,7 +75,9 @@ def test_of_what_nothing_holds() -> None:
     elastic_shapes = shapes[:, 2:]
     compliance = (elastic_shapes / squares[2:]) @ elastic_shapes.T
     assert list(figures.omega_open[:2]) == [0.0, 0.0]
-    assert figures.face_stiffness[0] == pytest.approx(1.0 / (gap @ compliance @ gap), rel=1e-9)
+    assert figures.face_stiffness_at_pairs[0] == pytest.approx(
+        1.0 / (gap @ compliance @ gap), rel=1e-9
+    )
     assert figures.largest_static_gap_motion == pytest.approx(
         abs(gap @ compliance @ force), rel=1e-9
     )
@@ -84,7 +86,7 @@ def test_of_what_nothing_holds() -> None:
     modal_response = 1.0 / (omega**2 - 1.1**2 + 0.2j * omega * 1.1)
     modal_response[4:] = 1.0 / omega[4:] ** 2  # only four modes move, the others follow
     gap_response = gap @ (shapes * modal_response) @ shapes.T @ force
-    assert figures.peak_gap_motion == pytest.approx(abs(gap_response), rel=1e-7)
+    assert figures.peak_open_crack_gap_motion == pytest.approx(abs(gap_response), rel=1e-7)
 
 
 def test_all_harmonics_of_a_load_count() -> None:
@@ -101,7 +103,7 @@ def test_all_harmonics_of_a_load_count() -> None:
         modal_response = 1.0 / (squares - omega**2 + 0.2j * np.sqrt(squares) * omega)
         return float(abs(gap @ (shapes * modal_response) @ shapes.T @ force))
 
-    assert figures.peak_gap_motion == pytest.approx(
+    assert figures.peak_open_crack_gap_motion == pytest.approx(
         moved(1.1, first_force) + moved(3.3, third), rel=1e-9
     )
     assert figures.largest_static_gap_motion == pytest.approx(
@@ -148,7 +150,9 @@ def test_against_dense_algebra() -> None:
     )
     gap = structure.gap.toarray()
     compliance = gap.T @ np.linalg.solve(stiffness, gap)
-    np.testing.assert_allclose(figures.face_stiffness, 1.0 / np.diag(compliance), rtol=1e-9)
+    np.testing.assert_allclose(
+        figures.face_stiffness_at_pairs, 1.0 / np.diag(compliance), rtol=1e-9
+    )
     np.testing.assert_allclose(
         figures.contact_stiffness_ratio, 1e11 * np.diag(compliance), rtol=1e-9
     )
@@ -169,8 +173,12 @@ def test_against_dense_algebra() -> None:
     motion = np.linalg.solve(
         dynamic + 2000.0j * rates, structure.force[1] - 1j * structure.force[2]
     )
-    assert figures.peak_displacement == pytest.approx(abs(motion[structure.watched_dof]), rel=1e-3)
-    assert figures.peak_gap_motion == pytest.approx(np.abs(gap.T @ motion).max(), rel=2e-2)
+    assert figures.peak_open_crack_displacement == pytest.approx(
+        abs(motion[structure.watched_dof]), rel=1e-3
+    )
+    assert figures.peak_open_crack_gap_motion == pytest.approx(
+        np.abs(gap.T @ motion).max(), rel=2e-2
+    )
 
 
 @pytest.mark.usefixtures("predicted_errors")
@@ -180,7 +188,9 @@ def test_lips_that_never_meet_or_part(share: float) -> None:
     free_figures = figures_of(PAPER)
     assert free_figures.breathes and free_figures.n_closed_pairs == 0
     law = fc.UnilateralPenalty(1e11)
-    distant_scene = PAPER.replace({"crack.clearance": share * free_figures.peak_gap_motion})
+    distant_scene = PAPER.replace(
+        {"crack.clearance": share * free_figures.peak_open_crack_gap_motion}
+    )
     open_solution = fc.solve_harmonic_balance(fc.build_structure(distant_scene), 2000.0, law)
     is_touching = np.abs(open_solution.force_coefficients).max() > 1e-6
     assert figures_of(distant_scene).breathes == is_touching == (share < 1.0)
@@ -241,7 +251,7 @@ def test_uncracked_plate() -> None:
     """Frequencies alone; nothing meets or parts."""
     scene = PAPER.replace({"crack": None, "contact": None})
     figures = figures_of(scene)
-    assert figures.n_face_elements is None and not figures.face_stiffness.size
+    assert figures.n_face_elements is None and not figures.face_stiffness_at_pairs.size
     np.testing.assert_array_equal(figures.omega_open, figures.omega_tied)
     assert not remarks_on_scene(scene, key_figures=figures)
 

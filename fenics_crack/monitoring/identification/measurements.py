@@ -437,7 +437,9 @@ class Measurements(Tabular):
         elif probe_statistics.scatter <= arrivals.displacement_rounding:
             raise InputError("noise", None, "given in s, since these arrivals have no scatter")
         elif np.isnan(
-            variance_factor := student_variance_ratio(probe_statistics.freedom_within_groups)
+            variance_factor := student_variance_ratio(
+                probe_statistics.covariance_degrees_of_freedom
+            )
         ):
             arrivals_text = format_count(int(n_arrivals_of_probes.sum()), "arrival")
             probes_text = format_count(len(n_arrivals_of_probes), "probe")

@@ -154,10 +154,11 @@ class FeaturePredictor:
         the frequency of the same mode without the crack.
     is_known : (f,) bool
         True for a feature that the solved cases can predict.
-    cracked_indices : list of int
+    cracked_frequency_indices : list of int
         Indices of the natural frequencies with the crack.
-    uncracked_indices : list of int
-        For each of ``cracked_indices``, index of the same mode's frequency without the crack.
+    uncracked_frequency_indices : list of int
+        For each of ``cracked_frequency_indices``, index of the same mode's frequency without the
+        crack.
     load_indices : list of int
         For each feature, index of its load among the solved loads.
     """
@@ -170,14 +171,14 @@ class FeaturePredictor:
         ]
         self.model = model
         self.features = tuple(dict.fromkeys([*features, *uncracked_features]))
-        self.cracked_indices = [
+        self.cracked_frequency_indices = [
             feature_index
             for feature_index, feature in enumerate(self.features)
             if feature.is_cracked_frequency
         ]
-        self.uncracked_indices = [
+        self.uncracked_frequency_indices = [
             self.features.index(self.features[cracked_index].uncracked_frequency_feature)
-            for cracked_index in self.cracked_indices
+            for cracked_index in self.cracked_frequency_indices
         ]
         coarse_cases = model.coarse_cases
         self.load_indices = [
@@ -220,7 +221,9 @@ class FeaturePredictor:
             for interpolation in interpolations
         ]
         self.is_known = np.all(known_columns, axis=0).reshape(-1, 2).all(axis=1)
-        self.is_known[self.cracked_indices] &= self.is_known[self.uncracked_indices]
+        self.is_known[self.cracked_frequency_indices] &= self.is_known[
+            self.uncracked_frequency_indices
+        ]
 
     def __call__(self, x: np.ndarray) -> FeaturePrediction:
         """Predict natural frequencies and harmonics at values x (m, d) of the unknowns.
@@ -257,7 +260,9 @@ class FeaturePredictor:
             prior_sensitivities
             * np.where(is_uncracked, 1.0, feature_values * smoothing_factors)[..., None]
         )
-        feature_values[:, self.cracked_indices] += feature_values[:, self.uncracked_indices]
+        feature_values[:, self.cracked_frequency_indices] += feature_values[
+            :, self.uncracked_frequency_indices
+        ]
         squared_errors = np.sum(interpolation_errors**2, axis=1)
         feature_errors = np.concatenate(
             [
@@ -303,7 +308,9 @@ class FeaturePredictor:
         feature_values = np.stack(
             [feature.get_node_values(solved_cases) for feature in self.features], axis=1
         )
-        feature_values[:, self.cracked_indices] -= feature_values[:, self.uncracked_indices]
+        feature_values[:, self.cracked_frequency_indices] -= feature_values[
+            :, self.uncracked_frequency_indices
+        ]
         return split_complex_columns(
             feature_values
             * self._compute_smoothing_factors(

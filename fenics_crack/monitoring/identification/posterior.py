@@ -212,7 +212,7 @@ class Likelihood:
         degrees_of_freedom = (
             len(self.measurement_values)
             - n_fitted_unknowns
-            - self.predictor(x[:1]).load_induced_changes.shape[2]
+            - self.predictor(x[:1]).changes_by_unknown_load.shape[2]
         )
         return chi_squares, np.asarray(chdtrc(max(degrees_of_freedom, 1), chi_squares))
 
@@ -244,7 +244,7 @@ def compute_scaled_covariance(
     is_predictable_pair = np.outer(prediction.is_predictable, prediction.is_predictable)
     prediction_covariance = (
         prediction.covariance
-        + prediction.load_induced_changes @ prediction.load_induced_changes.transpose(0, 2, 1)
+        + prediction.changes_by_unknown_load @ prediction.changes_by_unknown_load.transpose(0, 2, 1)
     )
     vague_deviations = np.where(
         prediction.is_predictable, 0.0, 10.0 * (np.abs(measurement_values) + measurement_deviations)
@@ -299,7 +299,7 @@ class PosteriorBranch:
     grid_log_likelihood : (n_1, ..., n_d)
         Log-likelihood at the grid points, convolved with the distribution of a real crack about the
         equivalent straight, sharp crack.
-    prior_masses : (n_1, ..., n_d)
+    prior_probabilities : (n_1, ..., n_d)
         Prior probability of each grid point; the sum is 1.
     """
 
@@ -309,7 +309,7 @@ class PosteriorBranch:
         self.axes: tuple[np.ndarray, ...] = ()
         if n_unknowns == 0:
             self.grid_log_likelihood = likelihood(np.zeros((1, 0))).reshape(())
-            self.prior_masses = np.ones(())
+            self.prior_probabilities = np.ones(())
             self.optima = [Optimum(np.zeros(0), float(self.grid_log_likelihood), np.zeros((0, 0)))]
             return
         first_grid = build_first_grid(unknown_grid)
@@ -333,7 +333,7 @@ class PosteriorBranch:
             for axis, values in zip(first_grid.axes, np.vstack(added_values).T, strict=True)
         )
         axis_weights = [trapezoid(np.eye(len(axis)), axis) / np.ptp(axis) for axis in self.axes]
-        self.prior_masses = reduce(np.multiply.outer, axis_weights)
+        self.prior_probabilities = reduce(np.multiply.outer, axis_weights)
         grid_points = UnknownGrid(self.axes).nodes
         # Far below the maximum, log L is interpolated on the first grid, not computed again.
         neighbourhood_maxima = maximum_filter(first_grid_log_likelihood, size=3, mode="nearest")
@@ -356,7 +356,7 @@ class PosteriorBranch:
             likelihood, grid_points[is_evaluated]
         )
         self.grid_log_likelihood = _convolve_with_crack_deviations(
-            refined_log_likelihood.reshape(self.prior_masses.shape),
+            refined_log_likelihood.reshape(self.prior_probabilities.shape),
             self.axes,
             axis_weights,
             model.compute_deviations_from_equivalent_crack(grid_points),
@@ -365,7 +365,7 @@ class PosteriorBranch:
     @property
     def log_evidence(self) -> float:
         """Return the log of the evidence, the integral of the likelihood over the prior."""
-        return float(logsumexp(self.grid_log_likelihood, b=self.prior_masses))
+        return float(logsumexp(self.grid_log_likelihood, b=self.prior_probabilities))
 
     def get_unknown_values_by_key(self, x: np.ndarray) -> dict[str, Any]:
         """Return the values of all unknowns by key.
@@ -583,8 +583,9 @@ class Posterior:
         log_evidences = [branch.log_evidence for branch in self.branch_by_words.values()]
         log_evidence_sum = logsumexp(log_evidences)
         self.log_evidence = float(log_evidence_sum - np.log(len(log_evidences)))
-        self.grid_masses_by_words = {
-            words_text: np.exp(branch.grid_log_likelihood - log_evidence_sum) * branch.prior_masses
+        self.grid_probabilities_by_words = {
+            words_text: np.exp(branch.grid_log_likelihood - log_evidence_sum)
+            * branch.prior_probabilities
             for words_text, branch in self.branch_by_words.items()
         }
         """Probability of each grid point, by text values; the sum over all is 1."""
@@ -592,7 +593,7 @@ class Posterior:
             [branch.grid_log_likelihood.ravel() for branch in self.branch_by_words.values()]
         )
         self._mass_of_points = np.concatenate(
-            [point_masses.ravel() for point_masses in self.grid_masses_by_words.values()]
+            [point_masses.ravel() for point_masses in self.grid_probabilities_by_words.values()]
         )
 
     @property
@@ -675,7 +676,9 @@ class Posterior:
                     branch.grid_log_likelihood, None, neighbour_footprint, None, "constant", -np.inf
                 )
                 is_unresolved |= branch.grid_log_likelihood - neighbour_maxima > 2.0
-            unresolved_sum += float(np.sum(self.grid_masses_by_words[words_text][is_unresolved]))
+            unresolved_sum += float(
+                np.sum(self.grid_probabilities_by_words[words_text][is_unresolved])
+            )
         return unresolved_sum
 
     def find_region_border_log_likelihood(self, probability: float) -> float:
@@ -737,7 +740,7 @@ class Posterior:
                 np.moveaxis(point_masses, unknown_index, 0)
                 .reshape(point_masses.shape[unknown_index], -1)
                 .sum(axis=1)
-                for point_masses in self.grid_masses_by_words.values()
+                for point_masses in self.grid_probabilities_by_words.values()
             ]
         )
         sorted_value_indices = np.argsort(unknown_values, kind="stable")
@@ -779,7 +782,7 @@ class Posterior:
             part_numbers, n_parts = label(is_inside, structure=np.ones((3,) * is_inside.ndim))
             for part_number in range(1, n_parts + 1):
                 is_part_point = part_numbers == part_number
-                point_masses = self.grid_masses_by_words[words_text][is_part_point]
+                point_masses = self.grid_probabilities_by_words[words_text][is_part_point]
                 if point_masses.sum() >= min_probability:
                     part_points = UnknownGrid(branch.axes).nodes[is_part_point.ravel()]
                     part_middle = point_masses @ part_points / point_masses.sum()
@@ -814,8 +817,8 @@ class Posterior:
                 axis=tuple(range(2, point_array.ndim))
             )
             for point_array in (
-                self.grid_masses_by_words[words_text],
-                self.branch_by_words[words_text].prior_masses,
+                self.grid_probabilities_by_words[words_text],
+                self.branch_by_words[words_text].prior_probabilities,
             )
         )
         return pair_mass, pair_mass / pair_prior

@@ -128,7 +128,7 @@ class ProbeDisplacements:
             Predicted displacements.
         displacement_slopes : (m, n, K)
             Slopes t_k by the harmonics: u = Re sum_k t_k U_k + c.
-        load_induced_changes : (m, n, 3) [m]
+        changes_by_unknown_load : (m, n, 3) [m]
             Changes of the displacements by one prior standard deviation of A, psi and c.
         load_sizes : (m,)
             Size A; 1 without measured displacements.
@@ -156,14 +156,14 @@ class ProbeDisplacements:
             np.pi / np.sqrt(3.0) * (harmonic_orders * harmonic_terms).sum(axis=2).imag
         )
         constant_change = 10.0 * np.max(np.abs(self._measurement_values), initial=0.0)
-        load_induced_changes = np.stack(
+        changes_by_unknown_load = np.stack(
             [displacements, phase_induced_changes, np.full_like(displacements, constant_change)],
             axis=2,
         )
         return (
             displacements + constant_displacements[:, None],
             displacement_slopes,
-            load_induced_changes,
+            changes_by_unknown_load,
             load_sizes,
         )
 
@@ -250,9 +250,9 @@ class CrackFaceState(NamedTuple):
     ----------
     resonance_state : str
         "bilinear" (breathing), "open" or "tied" (closed), from :data:`RESONANCE_STATE_NAMES`.
-    common_deviation : float
+    common_resonance_deviation : float
         Standard deviation of an error common to all resonances.
-    independent_deviation : float
+    independent_resonance_deviation : float
         Standard deviation of an error that each resonance has alone. For breathing faces, each mode
         has a further error, with the standard deviation in ``[identify]``.
     prior_weight : float
@@ -260,8 +260,8 @@ class CrackFaceState(NamedTuple):
     """
 
     resonance_state: str
-    common_deviation: float = 0.0
-    independent_deviation: float = 0.0
+    common_resonance_deviation: float = 0.0
+    independent_resonance_deviation: float = 0.0
     prior_weight: float = 1.0
 
 
@@ -279,7 +279,7 @@ class MeasurementPrediction:
         Predicted values; nan without a prediction.
     covariance : (m, q, q)
         Covariance of the errors of the values.
-    load_induced_changes : (m, q, s)
+    changes_by_unknown_load : (m, q, s)
         Changes of the values by one standard deviation of the fitted load. The s columns are size,
         phase and constant for each group of displacements (:class:`ProbeDisplacements`).
     is_predictable : (q,) bool
@@ -288,7 +288,7 @@ class MeasurementPrediction:
 
     values: np.ndarray
     covariance: np.ndarray
-    load_induced_changes: np.ndarray
+    changes_by_unknown_load: np.ndarray
     is_predictable: np.ndarray
 
 
@@ -334,7 +334,7 @@ class MeasurementPredictor:
             ],
             dtype=bool,
         )
-        self._no_feature_mask = np.zeros(len(self._features), dtype=bool)
+        self._all_false_feature_mask = np.zeros(len(self._features), dtype=bool)
         self._probe_groups = ProbeDisplacements.group_displacements(measured_rows, candidate_rows)
         load_indices = self._feature_predictor.load_indices
         speed_ratios = model.coarse_cases.swept_loads.rotor_speed_ratios
@@ -356,7 +356,7 @@ class MeasurementPredictor:
             if any(measurement.is_resonant for measurement in self.rows)
             else (BREATHING_FACE_STATE,)
         )
-        self._scales_with_load_at_rest = is_response_proportional_to_load(
+        self._is_proportional_to_load_at_rest = is_response_proportional_to_load(
             model.scene.without_rotation()
         )
 
@@ -427,7 +427,7 @@ class MeasurementPredictor:
             point_indices = np.flatnonzero(probabilities > 0.0)
             is_zero_feature = np.any(
                 [
-                    self._no_feature_mask,
+                    self._all_false_feature_mask,
                     *itertools.compress(self._higher_harmonic_masks, are_loads_motionless),
                 ],
                 axis=0,
@@ -448,7 +448,7 @@ class MeasurementPredictor:
         the first motion in :func:`_list_face_states`, with the largest standard deviation.
         """
         return self._predict_measurements(
-            self._feature_predictor(x), self._no_feature_mask, self._face_states[0]
+            self._feature_predictor(x), self._all_false_feature_mask, self._face_states[0]
         )
 
     def compute_interpolation_and_total_variances(
@@ -470,7 +470,7 @@ class MeasurementPredictor:
         def propagate_to_variances(covariance: np.ndarray) -> np.ndarray:
             changed_prediction = feature_prediction._replace(smooth_form_covariance=covariance)
             prediction = self._predict_measurements(
-                changed_prediction, self._no_feature_mask, self._face_states[0]
+                changed_prediction, self._all_false_feature_mask, self._face_states[0]
             )
             return np.diagonal(prediction.covariance, axis1=1, axis2=2)
 
@@ -695,7 +695,7 @@ class MeasurementPredictor:
                 continue
             row_state = (
                 BREATHING_FACE_STATE
-                if row.rpm == 0.0 and self._scales_with_load_at_rest
+                if row.rpm == 0.0 and self._is_proportional_to_load_at_rest
                 else face_state
             )
             state_index = (
@@ -711,7 +711,9 @@ class MeasurementPredictor:
                 _, open_frequencies, bonded_frequencies = feature_sizes[:, feature_indices].T
                 frequency_split = bonded_frequencies - open_frequencies
                 damping_shift = predictions[:, row_index] * damping_ratio_of_points[:, 0] ** 2
-                common_errors[:, row_index, 0] = row_state.common_deviation * frequency_split
+                common_errors[:, row_index, 0] = (
+                    row_state.common_resonance_deviation * frequency_split
+                )
                 mode_deviation = (
                     identify_table.first_resonance_deviation
                     if row.mode == 1
@@ -721,11 +723,11 @@ class MeasurementPredictor:
                     (state_index == 0) * mode_deviation * frequency_split
                 )
                 independent_variances[:, row_index] = (
-                    row_state.independent_deviation * frequency_split
+                    row_state.independent_resonance_deviation * frequency_split
                 ) ** 2 + damping_shift**2
         for cracked_index, uncracked_index in zip(
-            self._feature_predictor.cracked_indices,
-            self._feature_predictor.uncracked_indices,
+            self._feature_predictor.cracked_frequency_indices,
+            self._feature_predictor.uncracked_frequency_indices,
             strict=True,
         ):
             complex_slopes[:, :, uncracked_index] += (
@@ -801,8 +803,12 @@ def _list_face_states(model: ForwardModel) -> tuple[CrackFaceState, ...]:
     )
     # Open for an unknown part of the period: another part at each resonance, or a common part.
     partly_open_states = (
-        CrackFaceState("bilinear", independent_deviation=resonance_deviation, prior_weight=0.5),
-        CrackFaceState("bilinear", common_deviation=resonance_deviation, prior_weight=0.5),
+        CrackFaceState(
+            "bilinear", independent_resonance_deviation=resonance_deviation, prior_weight=0.5
+        ),
+        CrackFaceState(
+            "bilinear", common_resonance_deviation=resonance_deviation, prior_weight=0.5
+        ),
     )
     face_states = (*partly_open_states, BREATHING_FACE_STATE, *held_states)
     total_weight = sum(face_state.prior_weight for face_state in face_states)

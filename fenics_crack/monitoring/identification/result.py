@@ -346,9 +346,9 @@ class Identification(Tabular):
         ):
             data_by_name[f"words_{branch_number}"] = words_text
             data_by_name[f"log_likelihood_{branch_number}"] = branch.grid_log_likelihood
-            data_by_name[f"probability_{branch_number}"] = self.posterior.grid_masses_by_words[
-                words_text
-            ]
+            data_by_name[f"probability_{branch_number}"] = (
+                self.posterior.grid_probabilities_by_words[words_text]
+            )
             for unknown_key, axis_values in zip(self.unknown, branch.axes, strict=True):
                 data_by_name[f"{unknown_key}_{branch_number}"] = axis_values
         summary_text = json.dumps(self.summary(), indent=1, ensure_ascii=False)
