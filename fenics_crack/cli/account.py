@@ -269,8 +269,8 @@ def yield_nonunique_contact_force_warning(solution: PeriodicSolution) -> Iterato
     """Yield a warning if friction is so large that contact forces are nearly ambiguous.
 
     Above a critical coefficient of friction, the contact forces at an instant may not be unique.
-    The warning begins at half the critical coefficient. Without friction, or if
-    the motion was not integrated exactly, no warning is given.
+    The warning begins at half the critical coefficient. Without friction, or if the motion was not
+    integrated exactly, no warning is given.
     """
     exact_flow = solution.assessment.flow
     if exact_flow is None or exact_flow.friction_law is None:

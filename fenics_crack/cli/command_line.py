@@ -91,9 +91,8 @@ stopped by Ctrl-C; 1 a full disk, too little memory, or a fault of the program.
 def main(command_words: Sequence[str] | None = None) -> int:
     """Run a command of the program and return the exit code, equal on all ranks.
 
-    ``command_words`` are the words after the program's name; None: from the command line.
-    Errors are printed, not raised. SystemExit is raised only for --help and for words refused by
-    the
+    ``command_words`` are the words after the program's name; None: from the command line. Errors
+    are printed, not raised. SystemExit is raised only for --help and for words refused by the
     parser.
     """
     gc.set_threshold(10_000)  # each search visits over 100,000 lasting objects: search less often
@@ -180,8 +179,7 @@ def _arguments_before_petsc() -> list[str]:
     """Return the words of the command line before the first PETSc option, ``-crack_...``.
 
     PETSc reads all words from this option on. Raises InputError for a PETSc option with a prefix
-    not
-    in :data:`PETSC_OPTION_PREFIXES`.
+    not in :data:`PETSC_OPTION_PREFIXES`.
     """
     for argument in (petsc_arguments := _petsc_arguments()):
         if argument.startswith("-crack_") and not argument.startswith(PETSC_OPTION_PREFIXES):
@@ -383,8 +381,8 @@ class OrderRangeAction(argparse.Action):
     ) -> None:
         """Append the engine orders FIRST to LAST to the assignments of ``--set``.
 
-        argparse calls this with ``order_range``, the two numbers. Raises InputError unless
-        1 <= FIRST <= LAST <= :data:`MAX_ENGINE_ORDER`.
+        argparse calls this with ``order_range``, the two numbers. Raises InputError unless 1 <=
+        FIRST <= LAST <= :data:`MAX_ENGINE_ORDER`.
         """
         first_order, last_order = order_range
         if not 1 <= first_order <= last_order <= MAX_ENGINE_ORDER:

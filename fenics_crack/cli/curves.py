@@ -245,9 +245,9 @@ def tabulate_special_points(
 ) -> Table:
     """Tabulate a curve's ends, largest response, bifurcations and changes of stability.
 
-    The largest response is the first watched dof's. A curve over the load frequency has
-    columns in rad/s and in Hz; a run-up also has the speed, in rad/s and rpm.
-    ``columns_by_heading`` are the indicators (n_points,) by heading; None: computed here.
+    The largest response is the first watched dof's. A curve over the load frequency has columns in
+    rad/s and in Hz; a run-up also has the speed, in rad/s and rpm. ``columns_by_heading`` are the
+    indicators (n_points,) by heading; None: computed here.
     """
     curve = run.result
     columns_by_heading = _parameter_columns_by_heading(curve) | (
@@ -297,8 +297,7 @@ def _interpolate_peak_columns(
     columns_by_heading : dict of str to (n_points,)
         Columns at all points. The parameter, and load frequency over natural frequency, are
         interpolated linearly. The amplitude is the peak's. All further columns are taken at the
-        point
-        nearest to the peak.
+        point nearest to the peak.
     """
     neighbour_slice = slice(max(peak.index - 1, 0), peak.index + 2)
     parameter_sorting = np.argsort(run.result.values[neighbour_slice])
@@ -374,8 +373,7 @@ def _indicator_columns_by_heading(
 
     Indicators are amplitudes, harmonic ratios, opening and further quantities. The last columns are
     natural frequencies of the mode nearest to the load. ``curve`` is the run's curve, or a part
-    with
-    fewer points.
+    with fewer points.
     """
     columns_by_heading = {
         heading_with_unit(observation.column_name, observation.unit): observation.value

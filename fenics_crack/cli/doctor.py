@@ -77,8 +77,8 @@ def run_and_yield_checks(
 ) -> Iterator[tuple[str, str, bool]]:
     """Run checks in order, and yield the result of each.
 
-    A check fails by an exception, or by a warning of the program. If an earlier check had the
-    same fault, the text is "same fault as above".
+    A check fails by an exception, or by a warning of the program. If an earlier check had the same
+    fault, the text is "same fault as above".
 
     Parameters
     ----------

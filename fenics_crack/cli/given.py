@@ -181,8 +181,8 @@ def _yield_further_errors(
     - An unknown key is removed.
     - A wrong word is replaced by the suggestion in the error.
 
-    Once a template's value is in the scene, only missing and unknown keys are reported:
-    errors about wrong values may be due to the template. A key that fails again ends the search.
+    Once a template's value is in the scene, only missing and unknown keys are reported: errors
+    about wrong values may be due to the template. A key that fails again ends the search.
     """
     corrected_values_by_key, reported_keys = {**changes_by_key}, {"scene"}
     suggestions_text, has_no_template_value = "", True
@@ -253,8 +253,8 @@ def _find_campbell_speeds_or_none(arguments: Namespace, scene: Scene) -> np.ndar
     """Return a Campbell diagram's speeds (n_speeds,) [rad/s]; None for other commands.
 
     The option ``--speeds`` START STOP COUNT is in rpm if the scene's speed is, otherwise in rad/s.
-    By default, 13 speeds go from 0 to 1.5 times the scene's. Raises InputError unless
-    0 <= START < STOP and COUNT >= 2.
+    By default, 13 speeds go from 0 to 1.5 times the scene's. Raises InputError unless 0 <= START <
+    STOP and COUNT >= 2.
     """
     if arguments.command != "campbell":
         return None
@@ -390,8 +390,8 @@ def select_blades(
 def parse_changes(assignments: Sequence[str]) -> dict[str, Any]:
     """Parse the assignments ``key=value`` of ``--set`` into values by full key.
 
-    A value is TOML, or otherwise a word. The word ``none`` becomes None, to
-    remove the key. Raises InputError for an assignment without key or "=".
+    A value is TOML, or otherwise a word. The word ``none`` becomes None, to remove the key. Raises
+    InputError for an assignment without key or "=".
     """
     values_by_key: dict[str, Any] = {}
     for assignment in assignments:
@@ -479,8 +479,7 @@ class Console:
         """Print the progress of the code in a ``with`` block, and the duration if verbose.
 
         ``stage_name`` is the printed name. If the code shows progress bars, ``has_bars`` is True:
-        then,
-        or if quiet, no progress is printed. Without a terminal, a message appears every few
+        then, or if quiet, no progress is printed. Without a terminal, a message appears every few
         seconds.
         """
         start_time = time.perf_counter()

@@ -62,9 +62,8 @@ class _PartSurface:
             Coordinate axis, 0 to 2.
         at_top : bool
             True for the end with the highest coordinate, False for the lowest. A face is at this
-            end if
-            the entry in ``face_points`` is within 0.1 % of the part's length from the extreme
-            entry.
+            end if the entry in ``face_points`` is within 0.1 % of the part's length from the
+            extreme entry.
 
         Returns
         -------

@@ -370,9 +370,8 @@ def _compute_linear_response(
 def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
     """Draw the quantities of a sweep over one or two axes.
 
-    The horizontal axis is the load frequency; if not swept, the longest axis. The second axis
-    is the next longest. Up to 6 values on the second axis are lines; from 4 values on, a map is
-    drawn.
+    The horizontal axis is the load frequency; if not swept, the longest axis. The second axis is
+    the next longest. Up to 6 values on the second axis are lines; from 4 values on, a map is drawn.
     Each combination of values on further axes has separate pictures, for the first 12 combinations.
     Raises InputError if no axis has two numbers, or no case has converged.
     """

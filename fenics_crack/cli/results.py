@@ -160,9 +160,8 @@ def _collect_doubts_by_name(run: Run[PeriodicSolution]) -> dict[str, object]:
         "unknown_error": reason why the error is unknown. "remarks": unusual values in the scene.
         "from_rest": outcome of a motion from rest, unless the motion settles to the solution.
         "rest_amplitude": half the peak-to-peak displacement [m] after this motion has settled.
-        Empty
-        texts, zeros and nan are left out.
-        "total_error" and "displacement_error" are nan, and exist only if the error is unknown.
+        Empty texts, zeros and nan are left out. "total_error" and "displacement_error" are nan, and
+        exist only if the error is unknown.
     """
     stability = run.result.stability
     doubts_by_name: dict[str, object] = {

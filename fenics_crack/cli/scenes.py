@@ -197,8 +197,7 @@ def _mesh_error_texts_by_label(mesh_errors: Verification) -> dict[str, str | Non
     """Return the errors of frequencies due to the mesh as texts, by label.
 
     If the errors are unknown, the text has the reason. Without a resonance, the resonance's error
-    is
-    None. The dict is empty for given matrices, without a mesh.
+    is None. The dict is empty for given matrices, without a mesh.
     """
     if mesh_errors.scene.structure is not None:
         return {}

@@ -160,10 +160,8 @@ def list_skipped_peak_remarks(sweep_result: SweepResult) -> list[str]:
 
     Across a resonance peak, the phase falls by a quarter turn between the half-power points. If the
     phase falls by more between two neighbouring cases, a peak lies between them. The phase rises
-    instead
-    if the rotor speed is swept under a constant load frequency. A single remark describes all
-    skipped
-    peaks; without any, the list is empty.
+    instead if the rotor speed is swept under a constant load frequency. A single remark describes
+    all skipped peaks; without any, the list is empty.
     """
     axis_indices = [
         axis_index

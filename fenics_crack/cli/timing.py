@@ -194,9 +194,8 @@ def _yield_timing_warnings(
     """Yield warnings about measured arrivals, or about the run of computed arrivals.
 
     Measured arrivals are in doubt if the measured rotor speed is below half or above twice the
-    scene's
-    speed. A run is in doubt with another scene, an early end, a large error or an unstable orbit.
-    ``run`` is the run used to compute the arrivals; None for measured arrivals.
+    scene's speed. A run is in doubt with another scene, an early end, a large error or an unstable
+    orbit. ``run`` is the run used to compute the arrivals; None for measured arrivals.
     """
     if run is None:
         yield from scene_timing.list_arrival_remarks(arrivals)

@@ -78,7 +78,7 @@ class FacePoints(Axis):
 class MeshFile(Axis):
     """Mesh file in ``[identify.meshes]``, with values for the unknowns of the identification.
 
-    ``key`` is the file's path, ``values`` are pairs of name and number:
+    ``key`` is the file's path, ``values`` are pairs of name and number, such as
     ``(("crack.length", 0.005),)``.
     """
 
@@ -503,8 +503,7 @@ def hertz_field(
     """Return a field for frequencies in Hz.
 
     The same quantity in rad/s has the key ``omega_key``. If the frequency in Hz is given,
-    ``omega_key``
-    is set, too.
+    ``omega_key`` is set, too.
     """
     return twin_field(omega_key, RAD_PER_TURN, requirement_text, is_allowed, "Hz")
 
@@ -878,8 +877,7 @@ class Table:
         """Raise InputError if a key has another value than None or the default.
 
         The error says that the key must be left out, with the ``circumstance``: "left out with
-        [disk]".
-        A circumstance may also begin with "without".
+        [disk]". A circumstance may also begin with "without".
         """
         for key in keys:
             is_absent = getattr(self, key) in (None, self.field_by_key()[key].default)
@@ -929,8 +927,7 @@ class Table:
         """Return changes by key, in which the twin of each changed key becomes None.
 
         The twin is the same quantity in another unit. Raises InputError if a key and its twin are
-        both
-        changed.
+        both changed.
         """
         cls.forbid_both_twins(changes)
         twin_key_by_key = cls.twin_key_by_key()

@@ -237,8 +237,7 @@ def _split_changed_key(full_key: str, value: object) -> tuple[str, int | None, s
 
     The position counts from 1; None for a table outside lists. The key is empty if the change
     removes the whole table, by ``value`` None. Raises InputError for an unknown key, or if the
-    table
-    cannot be removed.
+    table cannot be removed.
     """
     table_name, list_position, key_in_table = _split_key(full_key)
     table_class = TABLE_CLASS_BY_NAME.get(table_name)

@@ -91,8 +91,8 @@ class Curve(Table):
         """Parameter's name in the equations, start and stop of the range.
 
         The parameter "frequency" becomes "omega", and "rpm" becomes "speed", with start and stop in
-        rad/s.
-        If ``at`` is "resonance", the name is "resonance", and the range is the load factor's.
+        rad/s. If ``at`` is "resonance", the name is "resonance", and the range is the load
+        factor's.
         """
         if self.parameter == "rpm":
             return "speed", RAD_PER_S_PER_RPM * self.start, RAD_PER_S_PER_RPM * self.stop
@@ -455,8 +455,7 @@ class Identify(Table):
         """Raise InputError if ``meshes`` is not a full grid of parameter values.
 
         All meshes have the same parameters, each with 4 or more values. Each combination of values
-        has
-        exactly one mesh.
+        has exactly one mesh.
         """
         allowed_names = {
             Crack.full_key(crack_key)

@@ -397,8 +397,7 @@ class Excitation(Table, PeriodicLoad):
         """Return the excitation with the load frequency at a rotor speed [rad/s].
 
         The frequency omega is ``order`` times the speed. Raises InputError if ``frequency`` or
-        ``omega``
-        was given, too.
+        ``omega`` was given, too.
         """
         if "_inferred_keys" not in vars(self):
             self.forbid_keys(
@@ -414,10 +413,8 @@ class Excitation(Table, PeriodicLoad):
         """Return changes by key, in which contradicting keys become None.
 
         A changed frequency in Hz removes the frequency in rad/s, and vice versa. A changed
-        frequency
-        removes the engine order, and a changed order the frequency. If ``current_values`` have
-        both, as
-        for a bladed disk at rest, both stay.
+        frequency removes the engine order, and a changed order the frequency. If ``current_values``
+        have both, as for a bladed disk at rest, both stay.
         """
         frequency_keys = ("omega", "frequency")
         changed_frequency_keys = {key for key in frequency_keys if changes.get(key) is not None}
@@ -713,8 +710,7 @@ class Disk(Table):
         """Relative stiffness deviation of each sector: (sectors,).
 
         The key ``mistuning`` has the deviations. Without this key, they are random: normally
-        distributed
-        with standard deviation ``deviation``, from the random seed ``seed``.
+        distributed with standard deviation ``deviation``, from the random seed ``seed``.
         """
         if self.mistuning is not None:
             return np.array(self.mistuning)
