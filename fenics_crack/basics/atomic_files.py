@@ -108,7 +108,7 @@ def partial_file(
     """Yield a hidden path to write in a block, then rename the hidden file to its final path.
 
     If the block fails, the hidden file is removed. Within :func:`complete_files_together`, files
-    are renamed together at the end instead.
+    are renamed together at the end instead, except with ``must_be_new``.
 
     Parameters
     ----------

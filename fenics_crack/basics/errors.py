@@ -66,8 +66,7 @@ class InputError(ValueError):
         The value of this key; None if it is missing.
     allowed : str
         Description of the allowed values, printed after "must be". A description "left out with
-        ..."
-        is printed as "not allowed with ...", and "given: a number" as "give a number".
+        ..." is printed as "not allowed with ...", and "given: a number" as "give a number".
     others : tuple of InputError
         Errors of further keys in the same scene.
     example : str or None
@@ -209,9 +208,8 @@ def check_rayleigh_damping_ratios(
     """Raise InputError unless Rayleigh damping can have two ratios at two frequencies [rad/s].
 
     Rayleigh damping has a coefficient for the mass and a coefficient for the stiffness; both must
-    be >= 0.
-    This holds if the higher damping ratio over the lower is at most the higher frequency over the
-    lower. A relative excess up to 1e-15 is allowed.
+    be >= 0. This holds if the higher damping ratio over the lower is at most the higher frequency
+    over the lower. A relative excess up to 1e-15 is allowed.
 
     Parameters
     ----------

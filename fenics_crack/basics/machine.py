@@ -112,8 +112,8 @@ def report_missing_libraries() -> Iterator[None]:
 def find_c_compiler() -> str:
     """Find the C compiler for DOLFINx, and return the command.
 
-    If the variable CC is set, only this compiler is tried. Otherwise Python's compiler
-    is tried, then gcc, then clang.
+    If the variable CC is set, only this compiler is tried. Otherwise Python's compiler is tried,
+    then gcc, then clang.
 
     Raises
     ------

@@ -54,9 +54,9 @@ def _start_petsc() -> None:
 
     The file is ``~/.petscrc`` and the variable is PETSC_OPTIONS. From the command line, PETSc gets
     all arguments from the first ``-crack_`` on. The command line takes precedence over the
-    variable,
-    and the variable over the file. While PETSc starts, the process leaves the working folder. Files
-    ``.petscrc``, ``petscrc`` and ``petsc.cfg`` there would be read otherwise, and can load code.
+    variable, and the variable over the file. While PETSc starts, the process leaves the working
+    folder. Files ``.petscrc``, ``petscrc`` and ``petsc.cfg`` there would be read otherwise, and can
+    load code.
     """
     user_option_text = os.environ.get("PETSC_OPTIONS", "")
     with leave_working_folder():

@@ -143,8 +143,8 @@ def find_similar_or_longer_names(
 ) -> list[str]:
     """Return known names similar to a name, or else longer names.
 
-    In a longer name, a word begins with the name: "tol" finds "tolerance". For a name with
-    less than three letters, no longer names are returned. ``min_likeness`` is the minimum ratio in
+    In a longer name, a word begins with the name: "tol" finds "tolerance". For a name with less
+    than three letters, no longer names are returned. ``min_likeness`` is the minimum ratio in
     difflib for similar names, 0 to 1.
     """
     beginning_pattern = re.compile(f"(^|_){re.escape(name)}", re.IGNORECASE)

@@ -74,8 +74,7 @@ class Table:
         ----------
         values_by_name : dict
             Lists by name, which become columns; or single values by name, which become rows with
-            the
-            columns "quantity" and "value". If any value is a list, all must be lists.
+            the columns "quantity" and "value". If any value is a list, all must be lists.
         unit_by_name : dict of str to str
             Units; a name without an entry has no unit.
         """
@@ -261,8 +260,7 @@ class Described:
         """Return the result's numbers and words by name, or lists of equal length by name.
 
         Units are SI. ``pandas.DataFrame`` accepts a dict of lists, and a list of several such dicts
-        of
-        numbers.
+        of numbers.
         """
         raise NotImplementedError
 

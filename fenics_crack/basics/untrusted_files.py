@@ -154,8 +154,8 @@ def copy_to_temporary_folder(path: str | Path, copy_name: str) -> Iterator[Path]
 def max_allowed_unpacked_bytes(packed_bytes: int) -> int:
     """Return the maximum allowed size [byte] of a compressed file's content.
 
-    This is 50 times ``packed_bytes``, the size of the compressed file, but at least 16 MiB, and
-    at most 2 GiB. For files of this program, the factor is 1 to 10.
+    This is 50 times ``packed_bytes``, the size of the compressed file, but at least 16 MiB, and at
+    most 2 GiB. For files of this program, the factor is 1 to 10.
     """
     return min(max(2**24, 50 * packed_bytes), MAX_INPUT_FILE_BYTES)
 
@@ -420,8 +420,7 @@ def _send_request_for_exit_status(
 
     A forked copy of the reader process reads the file, while the process waits for further
     requests. If the reader process does not answer, the process is started again once. Without an
-    answer the
-    status is 1.
+    answer the status is 1.
 
     Parameters
     ----------

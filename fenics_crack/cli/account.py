@@ -148,7 +148,7 @@ def yield_large_error_warning(
     scene : Scene
         Scene of the solution.
     report : ErrorReport
-        Estimated errors, relative to the gaps' root mean square motion B^T u.
+        Estimated errors, divided by the gaps' root mean square motion.
     n_harmonics : int
         Number of harmonics in the solution.
     location_text : str
@@ -198,9 +198,16 @@ def yield_instability_warning(
 ) -> Iterator[str]:
     """Yield a warning if a solution is unstable, irregular or undecided.
 
-    Irregular means that no periodic orbit was found and disturbances grow. ``stability`` None gives
-    no warning. ``motion_text`` describes the motion seen in a test in place of an unstable
-    solution; empty if unknown.
+    Irregular means that no periodic orbit was found and disturbances grow.
+
+    Parameters
+    ----------
+    scene, run : Scene, Run
+        Scene and run with the solution.
+    stability : Stability or None
+        Verdict on stability; None gives no warning.
+    motion_text : str
+        Motion in a test started near the unstable solution, in words; empty if unknown.
     """
     if stability is None or stability.verdict == "stable":
         return
@@ -234,8 +241,9 @@ def yield_instability_warning(
 def list_friction_line_notes_and_warnings(run: Run[Any]) -> tuple[list[str], list[str]]:
     """Describe friction along lines in a solid, and warn if the sliding direction turns.
 
-    At each contact pair friction acts along a fixed direction. The warning is given if sliding
-    across exceeds :data:`MAX_TRUSTED_TRANSVERSE_SLIDING_RATIO`, 0.3, of sliding along the lines.
+    At each contact pair friction acts along a fixed line. Sliding across this line has no friction.
+    The warning is given if sliding across exceeds :data:`MAX_TRUSTED_TRANSVERSE_SLIDING_RATIO`,
+    0.3, times sliding along the line.
 
     Returns
     -------
@@ -260,10 +268,11 @@ def list_friction_line_notes_and_warnings(run: Run[Any]) -> tuple[list[str], lis
 
 
 def yield_nonunique_contact_force_warning(solution: PeriodicSolution) -> Iterator[str]:
-    """Yield a warning if friction nearly makes contact forces ambiguous at an instant.
+    """Yield a warning if friction is so large that contact forces are nearly ambiguous.
 
-    The limit is half the critical coefficient of friction. Above the critical coefficient, forces
-    may not be unique. Without friction, or without an exact flow, no warning is given.
+    Above a critical coefficient of friction, the contact forces at an instant may not be unique.
+    The warning begins at half the critical coefficient. Without friction, or if the motion was not
+    integrated exactly, no warning is given.
     """
     exact_flow = solution.assessment.flow
     if exact_flow is None or exact_flow.friction_law is None:
@@ -283,8 +292,8 @@ def yield_mode_dependence_warning(
 ) -> Iterator[str]:
     """Yield a warning if the verdict on stability changes with more modes.
 
-    The nearest orbit with twice the modes or more is compared with the ``verdict``. No warning is
-    given if this orbit agrees, or is not known.
+    ``verdict`` is compared with the stability of the nearest orbit with at least twice the modes.
+    No warning is given if both agree, or if this orbit is not known.
     """
     assessment_with_more_modes = solution.assessment.more_modes
     if assessment_with_more_modes is not None and (
@@ -298,10 +307,10 @@ def yield_mode_dependence_warning(
 
 
 def describe_departing_motions(solution: PeriodicSolution, watched_dof: int) -> str:
-    """Describe the motions reached from an unstable or irregular solution (collective).
+    """Describe the motions started near an unstable or irregular solution (collective).
 
-    The text has the half peak-to-peak displacement at ``watched_dof``, for periodic motions and for
-    motions still varying. The text is empty if no motion was found.
+    The text has the half peak-to-peak displacement at ``watched_dof`` for each periodic motion, and
+    for motions still varying at the end. The text is empty if no motion was found.
     """
     departing_motions: list[tuple[bool, int, np.ndarray]] = []
     with suppress(ConvergenceError, InputError):
@@ -378,15 +387,15 @@ def make_report(
 ) -> Report:
     """Build a run's report, with notes common to all kinds of runs (collective).
 
-    Common notes describe friction along lines, watched nodes away from the output points, and
-    quantities with a stated error that lacks a cause. In a table of quantities, the closing
-    sentence becomes the last row.
+    Common notes are about friction along lines, output points away from nodes, and causes missing
+    in a stated error. In a table of quantities, the closing sentence becomes the last row.
 
     Parameters
     ----------
     run : Run
+        Run with the result.
     table : Table
-        Table for files; the first column "name" marks a table of quantities.
+        Table for files; a table of quantities if the first column is "name".
     notes, warnings : iterable of str
         Notes and warnings for one kind of run.
     report_fields
@@ -440,10 +449,10 @@ def _yield_node_distance_note(run: Run[Any]) -> Iterator[str]:
 
 
 def _quantity_text_tables_by_heading(run: Run[Any], table: Table) -> dict[str, Table]:
-    """Tabulate quantities as text for the report page.
+    """Tabulate quantities as text for the report page, by heading.
 
-    "Requested by the scene" has the quantities in ``output.quantities``, left out without any; "In
-    numbers" has all.
+    "In numbers" has all quantities. "Requested by the scene" has the quantities in
+    ``output.quantities``; without any, this table is omitted.
     """
     requested_names = run.scene.quantities or ()
     requested_rows = [
@@ -479,13 +488,14 @@ def yield_natural_frequencies(
     Parameters
     ----------
     frequencies_by_name : dict of str to ndarray
-        Result of :meth:`BilinearFrequencies.nearest`, in rad/s.
+        Result of :meth:`BilinearFrequencies.nearest`: frequencies [rad/s] and ratios.
 
     Yields
     ------
     name, words, unit : str
-        "omega_open" in rad/s, then "frequency_open" in Hz.
+        Name, description and unit: "omega_open" in rad/s, then "frequency_open" in Hz.
     value : ndarray
+        Numbers in this unit.
     """
     for quantity_name in observable_names(Place.NEAREST_MODE):
         observable, value = OBSERVABLES_BY_NAME[quantity_name], frequencies_by_name[quantity_name]
@@ -501,14 +511,22 @@ def yield_natural_frequencies(
 def select_printed_quantities(table: Table, scene: Scene, place_flag: ObservableFlag) -> Table:
     """Select the quantities of a result's table to print.
 
-    Print the quantities in ``output.quantities`` of the scene. Without this key, print the
-    quantities shown by default in tables of the kind ``place_flag``
-    (:class:`ObservableFlag`). Frequencies and speeds keep the scene's unit only.
+    Print the quantities in ``output.quantities`` of the scene. Without this key, print the default
+    quantities. Each frequency and each speed is printed in a single unit, the scene's.
 
     If the first column is "name", each row is a quantity. Rows on the computation, such as
-    harmonics, follow :data:`DESCRIPTION_UNIT_AND_PRINT_LEVEL_BY_QUANTITY`; rows with nan are left
-    out, and so is the column "name". Otherwise each column is a quantity; all columns besides
-    quantities stay.
+    harmonics, follow :data:`DESCRIPTION_UNIT_AND_PRINT_LEVEL_BY_QUANTITY`. Rows with nan and the
+    column "name" are left out. If there is no column "name", each column may be a quantity. All
+    columns besides quantities stay.
+
+    Parameters
+    ----------
+    table : Table
+        All quantities.
+    scene : Scene
+        Scene with the keys and units.
+    place_flag : ObservableFlag
+        Flag for the kind of table; selects the default quantities.
     """
     requested_names, default_names = scene.quantities, observable_names(required_flags=place_flag)
     table = _round_to_zero(table)
@@ -541,8 +559,8 @@ def select_printed_quantities(table: Table, scene: Scene, place_flag: Observable
 def _round_to_zero(table: Table) -> Table:
     """Replace rounding errors in a table by 0.
 
-    Rounding errors are absolute values up to 1e-15 in :data:`UNITS_ROUNDED_TO_ZERO`. Units come
-    from the column "unit", or from headings, "gap [m]".
+    A value with a unit in :data:`UNITS_ROUNDED_TO_ZERO` is a rounding error up to 1e-15 of this
+    unit. Units come from the column "unit", or from headings, "gap [m]".
     """
     column_units = [heading.partition("[")[2].rstrip("]") for heading in table.columns]
     unit_column_index = table.columns.index("unit") if "unit" in table.columns else None
@@ -570,7 +588,8 @@ def _round_to_zero(table: Table) -> Table:
 def make_printed_table(report: Report) -> Table:
     """Return the table printed for a report.
 
-    If the report has a scene, frequencies and speeds keep the scene's unit only.
+    If the report has a scene, each frequency and each speed is printed in a single unit. The unit
+    is the scene's: Hz or rad/s for a frequency, rpm or rad/s for a speed.
     """
     table, scene = report.printed_table or report.table, report.scene
     if scene is None:
@@ -581,7 +600,9 @@ def make_printed_table(report: Report) -> Table:
 def _is_in_unused_unit(name: str, unit: str, scene: Scene) -> bool:
     """Return True for a frequency or speed in a unit not used in the scene.
 
-    A scene in Hz does not use rad/s, and vice versa; a scene in rpm does not use "speed" [rad/s].
+    Frequencies [rad/s] are named "omega", frequencies [Hz] "frequency". Speeds [rad/s] are named
+    "speed", speeds [1/min] "rpm". The scene uses a single unit for frequencies, and a single unit
+    for speeds.
     """
     unused_name_prefix, unused_unit = (
         ("omega", "rad/s") if scene.is_frequency_in_hertz else ("frequency", "Hz")
@@ -610,10 +631,10 @@ def _select_columns(table: Table, is_selected: Callable[[str, str], bool]) -> Ta
 
 
 def tabulate_known_quantities_as_text(table: Table) -> Table:
-    """Tabulate quantities with values as text, "7.916 µm"; leave out nan.
+    """Tabulate quantities with values as text, "7.916 µm"; omit quantities with the value nan.
 
-    ``table`` has the columns name, description, value and unit. Relative quantities become
-    percentages: "5.7 %". Further columns, errors and causes, are copied.
+    ``table`` has the columns name, description, value and unit. A relative quantity becomes a
+    percentage: "5.7 %". Further columns, for errors and causes, are copied.
     """
     known_rows = [
         table_row[1:] for table_row in _round_to_zero(table).rows if table_row[2] == table_row[2]
@@ -627,7 +648,8 @@ def tabulate_known_quantities_as_text(table: Table) -> Table:
 def _format_value(description: str, quantity_value: Any, unit: str) -> Any:
     """Return a quantity's value with unit as text.
 
-    Numbers with a description "relative ..." become percentages, True and False "yes" and "no".
+    A number becomes a percentage if the description begins with "relative". True and False become
+    "yes" and "no".
     """
     is_finite_number = isinstance(quantity_value, float) and np.isfinite(quantity_value)
     if is_finite_number and unit in UNITS_ROUNDED_TO_ZERO:

@@ -91,8 +91,9 @@ stopped by Ctrl-C; 1 a full disk, too little memory, or a fault of the program.
 def main(command_words: Sequence[str] | None = None) -> int:
     """Run a command of the program and return the exit code, equal on all ranks.
 
-    ``command_words`` replace the words of the command line, without the program's name. Errors are
-    printed, not raised; only --help and words refused by the parser raise SystemExit.
+    ``command_words`` are the words after the program's name; None: from the command line. Errors
+    are printed, not raised. SystemExit is raised only for --help and for words refused by the
+    parser.
     """
     gc.set_threshold(10_000)  # each search visits over 100,000 lasting objects: search less often
     atexit.register(gc.freeze)  # no search at exit: the system frees all memory
@@ -180,8 +181,8 @@ def _parse_arguments(command_words: Sequence[str] | None) -> argparse.Namespace:
 def _arguments_before_petsc() -> list[str]:
     """Return the words of the command line before the first PETSc option, ``-crack_...``.
 
-    PETSc reads all later words itself, as in scripts (``basics/ranks.py``). Raises InputError for a
-    prefix not in :data:`PETSC_OPTION_PREFIXES`.
+    PETSc reads all words from this option on. Raises InputError for a PETSc option with a prefix
+    not in :data:`PETSC_OPTION_PREFIXES`.
     """
     for argument in (petsc_arguments := _petsc_arguments()):
         if argument.startswith("-crack_") and not argument.startswith(PETSC_OPTION_PREFIXES):
@@ -317,10 +318,24 @@ def _run_command(arguments: argparse.Namespace) -> Exit:
 def _call_command(
     arguments: argparse.Namespace, inputs: CommandInputs | None, console: Console | None
 ) -> Exit | None:
-    """Make the results folder and the stored structure ready, and call a command.
+    """Prepare the results folder and the stored structure, and call a command.
 
-    ``inputs`` is None without a scene. Without ``--fresh``, the command may read the meshed and
-    reduced structure stored in the folder by an earlier command. Returns None for exit code 0.
+    The stored structure is a meshed and reduced structure, left in the folder by an earlier
+    command. The command may read it unless the option ``--fresh`` is set.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Arguments of the command.
+    inputs : CommandInputs or None
+        Scene and further inputs; None for a command without a scene.
+    console : Console or None
+        Output of the command.
+
+    Returns
+    -------
+    Exit or None
+        Exit code; None for success, code 0.
     """
     function_path, *_ = HELP_AND_CALL_BY_COMMAND[arguments.command][1].split()
     command_function: Callable[..., Exit | None] = resolve_name(f"fenics_crack.{function_path}")
@@ -370,9 +385,10 @@ class OrderRangeAction(argparse.Action):
     def __call__(
         self, _: Any, arguments: argparse.Namespace, order_range: Any, option_string: Any = None
     ) -> None:
-        """Append the engine orders to the assignments of ``--set``; argparse calls this.
+        """Append the engine orders FIRST to LAST to the assignments of ``--set``.
 
-        Raises InputError unless 1 <= FIRST <= LAST <= :data:`MAX_ENGINE_ORDER_IN_OPTION`.
+        argparse calls this with ``order_range``, the two numbers. Raises InputError unless 1 <=
+        FIRST <= LAST <= :data:`MAX_ENGINE_ORDER_IN_OPTION`.
         """
         first_order, last_order = order_range
         if not 1 <= first_order <= last_order <= MAX_ENGINE_ORDER_IN_OPTION:

@@ -50,8 +50,10 @@ def run_and_report_function(
     Parameters
     ----------
     package_function : callable
-        Function of a scene, or of the study from a file of ``reduce``. Further parameters get
-        arguments, folder, MPI ranks and progress by name.
+        Function of a scene, or of the study in a file written by the command ``reduce``. Further
+        parameters receive command-line arguments, folder, MPI ranks and progress by name.
+    arguments, inputs, console : Namespace, CommandInputs, Console
+        Arguments, inputs and output of the command.
 
     Returns
     -------
@@ -114,9 +116,9 @@ def run_and_report_function(
 
 
 def _save_result(result: Any, path: Path, console: Console) -> None:
-    """Save a result to a .h5 file.
+    """Save a result to a .h5 file, with all MPI ranks holding a part.
 
-    A run has its own MPI ranks; any other result is saved with the console's.
+    For a run, the ranks are the run's; for any further kind of result, the console's.
     """
     result.save(path, **({} if isinstance(result, Run) else {"comm": console.comm}))
 
@@ -135,16 +137,18 @@ def write_and_print_report(
     report : Report
         Tables and sentences about the result.
     stem_path : Path
-        Path of all files without ending: .h5, .csv, .json, pictures.
+        Path shared by all files, without the ending (.h5, .csv, .json, or a picture's).
+    console : Console
+        Output of the command.
     result
-        Result to save as .h5; None if the file exists already.
+        Result to save as .h5; None if the .h5 file exists already.
     picture_format : str or None
         Ending of pictures; None: draw none, and print the command for pictures.
 
     Returns
     -------
     Exit
-        Exit code, as from :func:`print_report_sentences`.
+        0; 3 if not converged; 4 if the error is unknown or above the tolerance.
     """
     replacement_note = ""
     for structure_file in CURRENT_STRUCTURE_FILE_OR_EMPTY_LIST:
@@ -188,8 +192,10 @@ def write_and_print_report(
 def print_report_sentences(report: Report, console: Console) -> Exit:
     """Print a report's notes, remarks, warnings and closing sentence.
 
-    Returns the exit code: 0, or 3 if not converged, or 4 if the error is unknown or above the
-    tolerance.
+    Returns
+    -------
+    Exit
+        0; 3 if not converged; 4 if the error is unknown or above the tolerance.
     """
     console.print_notes(*report.notes)
     console.print_remarks(*report.remarks)
@@ -213,8 +219,8 @@ def run_and_report_sweep(_: Namespace, inputs: CommandInputs, console: Console) 
 def remove_kept_structure(_: Namespace, inputs: CommandInputs, console: Console) -> None:
     """Run the command ``clean``: remove the stored structure from the results folder.
 
-    Earlier commands have written this file, :data:`KEPT_STRUCTURE_FILE_NAME`, to mesh and reduce
-    only once.
+    The structure was meshed, reduced and stored by an earlier command. The file is
+    :data:`KEPT_STRUCTURE_FILE_NAME`.
     """
     on_root(
         console.comm,
@@ -285,9 +291,11 @@ def _convert_arrivals_to_measurements(
     Parameters
     ----------
     arrival_source : dict of ArrivalTimes, or Path
-        Arrivals by blade number, or a computed result (.h5).
+        Measured arrivals by blade number, or the path to a result (.h5) to compute arrivals from.
+    scene, console : Scene, Console
+        Scene, and output of the command.
     is_uncracked : bool
-        True for arrivals of the blade before the crack; these must be a run-up.
+        True for arrivals measured before the crack; the arrivals must be a run-up.
 
     Raises
     ------

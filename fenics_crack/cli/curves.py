@@ -115,8 +115,8 @@ def _yield_curve_notes(run: Run[ResponseCurve], n_hidden_points: int) -> Iterato
 def _describe_unstable_peak(run: Run[ResponseCurve]) -> str:
     """State that the curve's largest response is unstable or irregular (collective).
 
-    The text adds the motion seen in a test instead. The text is empty for any other verdict,
-    without stability, or if the curve ended early at this point.
+    The text adds the motion reached in a test instead. The text is empty if the verdict is stable
+    or undecided, if there is none, or if the curve ended early at this point.
     """
     curve = run.result
     peak_index = int(np.argmax(curve.amplitude(run.watched_dof)))
@@ -129,9 +129,9 @@ def _describe_unstable_peak(run: Run[ResponseCurve]) -> str:
 
 
 def _is_before_early_end(curve: ResponseCurve, point_index: int) -> bool:
-    """Return False for the last point of a curve that ended early.
+    """Return False for the last point of a curve that ended early, otherwise True.
 
-    At this point the response may still rise.
+    The curve's largest value at this last point need not be a peak.
     """
     return bool(curve.complete) or point_index < len(curve) - 1
 
@@ -226,7 +226,7 @@ def tabulate_curve_points(
 ) -> Table:
     """Tabulate all points of a curve: parameter, harmonics, verdicts and indicators.
 
-    ``columns_by_heading`` are the indicators, if known already.
+    ``columns_by_heading`` are the indicators (n_points,) by heading; None: computed here.
     """
     quantity_names = [name for name in run.result.to_dict() if name not in OBSERVABLES_BY_NAME]
     table = run.result.table(*quantity_names)
@@ -248,9 +248,9 @@ def tabulate_special_points(
 ) -> Table:
     """Tabulate a curve's ends, largest response, bifurcations and changes of stability.
 
-    The response is the amplitude of the first watched dof. A curve over the load frequency has
-    columns in rad/s and in Hz; a run-up also has the speed, in rad/s and rpm.
-    ``columns_by_heading`` are the indicators at all points, if known already.
+    The largest response is the first watched dof's. A curve over the load frequency has columns in
+    rad/s and in Hz; a run-up also has the speed, in rad/s and rpm. ``columns_by_heading`` are the
+    indicators (n_points,) by heading; None: computed here.
     """
     curve = run.result
     columns_by_heading = _parameter_columns_by_heading(curve) | (
@@ -289,11 +289,18 @@ def tabulate_special_points(
 def _interpolate_peak_columns(
     run: Run[ResponseCurve], peak: LargestResponse, columns_by_heading: ColumnsByHeading
 ) -> ColumnsByHeading:
-    """Return columns (1,) at the largest response of the first watched dof.
+    """Return columns (1,) at the largest response of the first watched dof, by heading.
 
-    ``columns_by_heading`` are (n_points,). The parameter and the ratios to natural frequencies are
-    linear between neighbouring points. The amplitude is the peak's; all other columns have the
-    value of the nearest point.
+    Parameters
+    ----------
+    run : Run
+        Run with the curve.
+    peak : LargestResponse
+        Largest response, between two points.
+    columns_by_heading : dict of str to (n_points,)
+        Columns at all points. The parameter, and load frequency over natural frequency, are
+        interpolated linearly. The amplitude is the peak's. All further columns are taken at the
+        point nearest to the peak.
     """
     neighbour_slice = slice(max(peak.index - 1, 0), peak.index + 2)
     parameter_sorting = np.argsort(run.result.values[neighbour_slice])
@@ -311,7 +318,7 @@ def _interpolate_peak_columns(
 
 
 def _parameter_columns_by_heading(curve: ResponseCurve) -> dict[str, np.ndarray]:
-    """Return columns (n_points,) with the parameter of a curve.
+    """Return columns (n_points,) with the parameter of a curve, by heading with unit.
 
     Frequencies are in rad/s and Hz, speeds in rad/s and rpm.
     """
@@ -369,9 +376,9 @@ def _indicator_columns_by_heading(
 ) -> ColumnsByHeading:
     """Return columns (n_points,) with indicators of motion and contact, by heading with unit.
 
-    Indicators are amplitudes, harmonic ratios, opening and further quantities. Natural frequencies
-    of the mode nearest to the load follow. ``curve`` is the run's curve, or a part with fewer
-    points.
+    Indicators are amplitudes, harmonic ratios, opening and further quantities. The last columns are
+    natural frequencies of the mode nearest to the load. ``curve`` is the run's curve, or a part
+    with fewer points.
     """
     columns_by_heading = {
         heading_with_unit(observation.column_name, observation.unit): observation.value
@@ -387,11 +394,23 @@ def _indicator_columns_by_heading(
 def _solve_natural_frequencies(
     run: Run[ResponseCurve], load_omega: np.ndarray
 ) -> BilinearFrequencies:
-    """Compute natural frequencies, in a run-up at the speed of each load frequency.
+    """Compute a structure's natural frequencies, for each point of a run-up.
 
-    A run-up's load frequencies ``load_omega`` (...) [rad/s] are proportional to the speeds W.
-    Squared natural frequencies, (..., n_modes), are interpolated linearly in W^2 between at most
-    nine speeds. Without a run-up, the frequencies are (n_modes,).
+    The structure of a run-up depends on the rotor speed W, proportional to the load frequency. The
+    squares of natural frequencies are computed at up to nine speeds, and interpolated linearly in
+    W^2.
+
+    Parameters
+    ----------
+    run : Run
+        Run with the curve.
+    load_omega : (...) [rad/s]
+        Load frequencies, used in a run-up only.
+
+    Returns
+    -------
+    BilinearFrequencies
+        Arrays (..., n_modes) [rad/s] in a run-up, otherwise (n_modes,).
     """
     structure, curve = run.structure, run.result
     if not isinstance(structure, RunUpStructure):

@@ -81,14 +81,20 @@ def run_and_yield_checks(
 ) -> Iterator[tuple[str, str, bool]]:
     """Run checks in order, and yield the result of each.
 
-    A check fails by an exception, or by a warning of the program. A fault seen in an earlier check
-    has the finding "same fault as above".
+    A check fails by an exception, or by a warning of the program. If an earlier check had the same
+    fault, the text is "same fault as above".
+
+    Parameters
+    ----------
+    checks_by_name : dict of str to callable
+        Functions to check something, and to return versions or errors in words.
 
     Yields
     ------
     check_name, finding_text : str
-        Name, and versions, errors or fault in words.
+        Name of the check, and the returned text or the fault.
     is_fault : bool
+        True if the check has failed.
     """
     warning_texts: list[str] = []
     log_handler = logging.Handler(logging.WARNING)
@@ -215,9 +221,9 @@ def _check_picture_libraries() -> str:
 
 
 def _check_two_masses() -> str:
-    """Compare the gap extrema of two masses at stops with known values.
+    """Compute two masses at stops, and compare the gaps' extrema with known values.
 
-    Returns the error in words; raises ArithmeticError above 1e-3.
+    Returns the relative error in words; raises ArithmeticError above 1e-3.
     """
     import numpy as np
 
@@ -239,7 +245,8 @@ def _check_two_masses() -> str:
 def _check_plate() -> str:
     """Compare a plate's frequency with a bar's, and its vibration by two solvers.
 
-    Returns both errors in words; raises ArithmeticError above 1e-5 and 1e-8.
+    Returns both relative errors in words. Raises ArithmeticError for a frequency error above 1e-5,
+    or a difference between the solvers above 1e-8.
     """
     import numpy as np
 

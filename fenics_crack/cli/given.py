@@ -148,7 +148,7 @@ def read_inputs(arguments: Namespace) -> CommandInputs | None:
 
 
 def read_prepared_inputs(arguments: Namespace, comm: MPI.Comm) -> CommandInputs:
-    """Read a file written by ``reduce`` in place of a scene (collective).
+    """Read a file written by the command ``reduce`` in place of a scene (collective).
 
     Raises
     ------
@@ -182,8 +182,8 @@ def _yield_further_errors(
     - An unknown key is removed.
     - A wrong word is replaced by the suggestion in the error.
 
-    Once a value of the template is in the scene, only missing and unknown keys are reported: other
-    errors may be due to this value. A key that fails again ends the search.
+    Once a template's value is in the scene, only missing and unknown keys are reported: errors
+    about wrong values may be due to the template. A key that fails again ends the search.
     """
     corrected_values_by_key, reported_keys = {**changes_by_key}, {"scene"}
     suggestions_text, has_no_template_value = "", True
@@ -236,10 +236,10 @@ def _yield_further_errors(
 
 
 def _check_option_numbers(arguments: Namespace, scene: Scene) -> None:
-    """Check the numbers of --count, --patterns and --deviation.
+    """Check the numbers of the options --count, --patterns and --deviation.
 
-    Raises InputError below 1 mode, outside 0 to :data:`MAX_VALUES_OF_AXIS` patterns, or outside 0
-    to 0.1.
+    Raises InputError unless --count is at least 1 mode, --patterns is 0 to
+    :data:`MAX_VALUES_OF_AXIS`, and --deviation is 0 to 0.1.
     """
     if (mode_count := vars(arguments).get("count")) is not None:
         check_count("--count", mode_count, 1)
@@ -253,8 +253,9 @@ def _check_option_numbers(arguments: Namespace, scene: Scene) -> None:
 def _find_campbell_speeds_or_none(arguments: Namespace, scene: Scene) -> np.ndarray | None:
     """Return a Campbell diagram's speeds (n_speeds,) [rad/s]; None for other commands.
 
-    ``--speeds`` START STOP COUNT, in rpm if the scene gives rpm; by default 13 speeds from 0 to 1.5
-    times the scene's. Raises InputError unless 0 <= START < STOP and COUNT >= 2.
+    The option ``--speeds`` START STOP COUNT is in rpm if the scene's speed is, otherwise in rad/s.
+    By default, 13 speeds go from 0 to 1.5 times the scene's. Raises InputError unless 0 <= START <
+    STOP and COUNT >= 2.
     """
     if arguments.command != "campbell":
         return None
@@ -331,10 +332,10 @@ def _read_measurements(
 
 
 def _read_arrivals(scene: Scene, arguments: Namespace, path: Path | None) -> ArrivalSource:
-    """Read measured arrivals by blade number; return the path of a result (.h5) unchanged.
+    """Read measured arrivals by blade number; a path to a result (.h5) is returned unchanged.
 
-    A bladed disk has arrivals at all blades. Otherwise the option --blade selects a blade. ``path``
-    None gives None.
+    A bladed disk has arrivals at all blades. Otherwise the option --blade selects a blade. If
+    ``path`` is None, None is returned.
     """
     if path is None or path.suffix.lower() == ".h5":
         return path
@@ -357,10 +358,18 @@ def select_blades(
     *,
     allows_several: bool = True,
 ) -> dict[int, ArrivalTimes]:
-    """Select a blade by number from a record of arrivals.
+    """Select a single blade, or all blades, from a record of arrivals.
 
-    ``blade_number`` None returns all blades if ``allows_several``, or if the record has a single
-    blade. ``record_path`` is named in errors.
+    Parameters
+    ----------
+    arrivals_by_blade : dict of int to ArrivalTimes
+        Arrivals in the record by blade number.
+    blade_number : int or None
+        Blade to select; None: all blades.
+    record_path : Path
+        Path to the record, for errors.
+    allows_several : bool
+        If False, ``blade_number`` None is allowed only for a record with a single blade.
 
     Raises
     ------
@@ -382,8 +391,8 @@ def select_blades(
 def parse_changes(assignments: Sequence[str]) -> dict[str, Any]:
     """Parse the assignments ``key=value`` of ``--set`` into values by full key.
 
-    A value is TOML, or else a word; ``none`` becomes None, to remove the key. Raises InputError for
-    an assignment without key or "=".
+    A value is TOML, or otherwise a word. The word ``none`` becomes None, to remove the key. Raises
+    InputError for an assignment without key or "=".
     """
     values_by_key: dict[str, Any] = {}
     for assignment in assignments:
@@ -409,7 +418,7 @@ def format_command(*words: object) -> str:
 
 @dataclass(frozen=True)
 class Console:
-    """Print a command's table to standard output, all else to standard error.
+    """Print a command's table to standard output, and all further text to standard error.
 
     Attributes
     ----------
@@ -436,7 +445,10 @@ class Console:
 
     @property
     def shows_progress(self) -> bool:
-        """True if progress bars are shown: not quiet, and verbose or at a terminal."""
+        """True if progress bars are shown.
+
+        This holds unless quiet, and only at a terminal or if verbose.
+        """
         return not self.is_quiet and (self.is_verbose or sys.stderr.isatty())
 
     def print_table(self, table: Table) -> None:
@@ -467,8 +479,9 @@ class Console:
     def report_stage(self, stage_name: str, *, has_bars: bool = False) -> Iterator[None]:
         """Print the progress of the code in a ``with`` block, and the duration if verbose.
 
-        ``stage_name`` is the printed name. Nothing is printed meanwhile if quiet, or if the code
-        shows progress bars (``has_bars``). Without a terminal, a message appears every few seconds.
+        ``stage_name`` is the printed name. If the code shows progress bars, ``has_bars`` is True:
+        then, or if quiet, no progress is printed. Without a terminal, a message appears every few
+        seconds.
         """
         start_time = time.perf_counter()
         is_silent = self.is_quiet or (has_bars and self.shows_progress)
@@ -506,8 +519,8 @@ class PictureFiles:
     def __call__(self, file_stem: str, caption: str, file_format: str = "") -> Path:
         """Return the path of a new picture, and record the caption.
 
-        ``file_stem`` is the file's name without ending. ``file_format`` replaces the common format
-        for this picture.
+        ``file_stem`` is the file's name without ending. ``file_format`` is the ending; empty: the
+        attribute ``file_format``.
         """
         picture_path = self.folder / f"{file_stem}.{file_format or self.file_format}"
         self.captions_by_path[picture_path] = caption
@@ -535,14 +548,18 @@ def keep_previous_files_with_note(
     Parameters
     ----------
     table_path : Path
-        Table of the previous result; the table's stem and the ``other_stems`` name the files.
+        Table of the previous result. All result files with this stem are kept.
     table_text : str
         Text of the new table.
+    comm : MPI.Comm
+        MPI ranks; rank 0 keeps the files.
+    other_stems : str
+        Further names, without ending, of files to keep.
 
     Returns
     -------
     str
-        Note on the kept files, or why they were not kept; empty without previous files.
+        Note on the kept files, or why none was kept; empty without previous files.
     """
     from fenics_crack.basics.ranks import on_root  # PETSc
 
@@ -645,8 +662,13 @@ def build_scene_text(
 ) -> str:
     """Build the text of a new scene from the template of a plate.
 
-    ``combinable_options`` are from :data:`COMBINABLE_NEW_SCENE_OPTIONS`. ``scene_name`` and
-    ``measurements_name`` are names of files, mentioned in the text.
+    Parameters
+    ----------
+    scene_name, measurements_name : str
+        Names of files, mentioned in the text.
+    combinable_options : collection of str
+        Options of the command ``new``, from :data:`COMBINABLE_NEW_SCENE_OPTIONS`. Each adds lines
+        to the scene.
     """
     line_marks = [
         f"(--{option})"
@@ -696,7 +718,8 @@ def find_example_table_text(table_name: str) -> str:
 def _yield_table_lines(table_name: str) -> Iterator[list[str]]:
     """Yield the lines of a scene table, once for each place in the templates.
 
-    Tables in comments are commented in. Marks for options of ``new``, ``(--blade)``, are removed.
+    If the template has the table as a comment, the comment marks are removed. Marks for options of
+    the command ``new``, for example ``(--blade)``, are removed, too.
     """
     template_texts = map(
         read_packaged_text,
@@ -726,7 +749,7 @@ def _remove_mark(line: str) -> str:
 
 
 def _toggle_comment(line: str) -> str:
-    """Comment a template line in if it is a comment, otherwise out.
+    """Remove the comment mark of a template line, or add a missing mark.
 
     A remark at the line's end keeps the column.
     """

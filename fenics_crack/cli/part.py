@@ -54,11 +54,21 @@ class _PartSurface:
         return float(self.triangle_areas[self.face_numbers == face_number].sum())
 
     def find_end_face_index(self, axis: int, *, at_top: bool) -> int:
-        """Find the largest face at an end of the part along an axis.
+        """Find the largest face at an end of the part along a coordinate axis.
 
-        ``at_top`` selects the faces with the highest middles (``face_center_points``) along
-        coordinate ``axis``, 0 to 2, otherwise the lowest, within 0.1 % of the part's length.
-        Returns the index in ``face_numbers_largest_first`` for the largest selected face.
+        Parameters
+        ----------
+        axis : int
+            Coordinate axis, 0 to 2.
+        at_top : bool
+            True for the end with the highest coordinate, False for the lowest. A face is at this
+            end if the entry in ``face_center_points`` is within 0.1 % of the part's length from the
+            extreme entry.
+
+        Returns
+        -------
+        int
+            Index in ``face_numbers_largest_first``.
         """
         point_heights = self.face_center_points[:, axis]
         height_tolerance = 1e-3 * float(np.ptp(self.triangles[..., axis]))

@@ -60,8 +60,8 @@ def draw_scene_mesh(
 ) -> Path:
     """Draw the mesh of a scene into mesh.png, and return the picture's path.
 
-    ``structure`` is the meshed scene; None: mesh the scene. ``file_format`` may also be "pdf" or
-    "svg".
+    ``structure`` is the scene's structure with a mesh; None: mesh the scene. With ``file_format``
+    "pdf" or "svg" the picture has this ending instead.
     """
     picture_path = folder / f"mesh.{file_format}"
     structure = structure or prepare(scene, MPI.COMM_SELF, whole=True).structure
@@ -72,7 +72,7 @@ def draw_scene_mesh(
 
 
 def draw_mode_shapes(run: Run[Modes], picture_files: PictureFiles) -> None:
-    """Draw the mode shapes of a result of ``modes``; only a note without a mesh."""
+    """Draw the mode shapes of a result of ``modes``; without a mesh, only record a note."""
     if run.structure.whole.local_nodes_with_cells_or_none is None:
         picture_files.notes.append(NO_MESH_NOTE)
         return
@@ -216,8 +216,16 @@ def _draw_waveforms(
 ) -> None:
     """Draw the first watched displacement and the closings of cracks over time.
 
-    Time is in periods of the frequency ``omega`` [rad/s]; None: in seconds. ``picture_options`` are
-    path and title.
+    A closing is a crack's gap, positive while the crack faces are in contact.
+
+    Parameters
+    ----------
+    run, waveforms : Run, Waveforms
+        Run, and displacements and gaps over time.
+    omega : float or None
+        Frequency [rad/s], with the period as unit of time; None: seconds.
+    picture_options
+        ``path`` and ``title`` of the picture.
     """
     time = waveforms.time - waveforms.time[0]
     zero_label = "crack faces touch" if waveforms.closings_by_place else None
@@ -290,7 +298,7 @@ def _compute_linear_responses(run: Run[ResponseCurve]) -> dict[str, tuple[np.nda
     """Compute responses without contact: crack open, crack bonded, and no crack.
 
     "No crack" is included for plates meshed by the program. Responses without vibration are left
-    out. A curve over another parameter than the load frequency gives an empty dict.
+    out. The dict is empty for a curve over any parameter but the load frequency.
 
     Returns
     -------
@@ -364,10 +372,10 @@ def _compute_linear_response(
 def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
     """Draw the quantities of a sweep over one or two axes.
 
-    The horizontal axis is the load frequency, else the longest axis. The next longest axis has a
-    line for each of up to 6 values, or a map from 4 values on. Each combination of values on
-    further axes has separate pictures, for the first 12 combinations. Raises InputError if no axis
-    has two numbers, or no case has converged.
+    The horizontal axis is the load frequency; if not swept, the longest axis. The second axis is
+    the next longest. Up to 6 values on the second axis are lines; from 4 values on, a map is drawn.
+    Each combination of values on further axes has separate pictures, for the first 12 combinations.
+    Raises InputError if no axis has two numbers, or no case has converged.
     """
     drawn_axis_indices = _select_drawn_axis_indices(sweep_result)
     drawn_axes = [sweep_result.axes[axis_index] for axis_index in drawn_axis_indices]
@@ -418,8 +426,8 @@ def draw_sweep(sweep_result: SweepResult, picture_files: PictureFiles) -> None:
 def _select_drawn_axis_indices(sweep_result: SweepResult) -> list[int]:
     """Return the indices of the one or two sweep axes to draw.
 
-    A load frequency comes first, then the longest axis. Raises InputError if no axis has two or
-    more numbers, or if no case has converged.
+    A load frequency comes first, then the longest axis. Only axes with at least two numbers are
+    drawn. Raises InputError without any, or if no case has converged.
     """
     axes = sweep_result.axes
     axis_indices = [
@@ -566,8 +574,8 @@ def draw_campbell_diagram(campbell: Campbell, picture_files: PictureFiles) -> No
 def draw_tip_timing(tip_timing: Timing, picture_files: PictureFiles) -> None:
     """Draw the fits of tip timing.
 
-    A run-up has a picture for each blade: resonances passed, or amplitudes over the frequency. At
-    constant speed, draw the fit of the blade with the largest amplitude.
+    In a run-up, each blade has a picture: the resonances passed, or the amplitude over the
+    frequency. At constant speed, only the blade with the largest amplitude has a picture.
     """
     caption = "Displacements at the probes over the speed; resonances with their engine orders."
     for blade_index, (blade_number, arrivals) in enumerate(tip_timing.arrivals.items()):

@@ -125,7 +125,7 @@ def write_report_page(arguments: Namespace, _: None, console: Console) -> None:
 
 
 def _read_result_files_and_note(result_paths: Sequence[Path]) -> tuple[list[StoredFile], str]:
-    """Read result files, and all .h5 files of result folders.
+    """Read result files, and all .h5 files in result folders.
 
     Two kinds of files are left out unless nothing else is left: sweeps made as a part of another
     computation, and structures stored for later commands.
@@ -133,8 +133,9 @@ def _read_result_files_and_note(result_paths: Sequence[Path]) -> tuple[list[Stor
     Returns
     -------
     result_files : list of StoredFile
+        The files that are not left out.
     exclusion_note : str
-        Names of the sweeps left out, to print; empty without any.
+        Printed note with the names of sweeps left out; empty if none is.
 
     Raises
     ------
@@ -178,8 +179,17 @@ def _draw_curves(
 ) -> Path:
     """Draw several response curves into a common picture, and return the picture's path.
 
-    Without ``given_labels``, differences between the scenes label the curves. If two labels are
-    equal, file names are added.
+    Parameters
+    ----------
+    result_files : sequence of StoredFile
+        Files with the curves.
+    given_labels : sequence of str
+        Labels of the curves. If empty, differences between the scenes are the labels; file names
+        are added if two labels are equal.
+    picture_folder : Path
+        Folder for the picture.
+    picture_format : str
+        Ending of the picture.
 
     Raises
     ------
@@ -321,11 +331,14 @@ def _write_page(
 def _build_result_fields(
     stored_file: StoredFile, result: Any, picture_folder: Path
 ) -> dict[str, Any]:
-    """Draw a result into a folder, and return the page's part about this result.
+    """Draw a result into a folder, and return variables for the report page.
 
-    Keys are variables of the template report.html: heading, sentences, pictures as data URLs,
-    tables. "box" is the colour of the result: "bad" if not converged, "doubtful" with warnings or
-    above the tolerance, else "good".
+    Returns
+    -------
+    dict
+        Variables of the template report.html: heading, sentences, pictures as data URLs, tables.
+        "box" is the colour: "bad" if not converged, "doubtful" with warnings or above the
+        tolerance, else "good".
     """
     report, picture_files = build_report(result), PictureFiles(picture_folder)
     try:
@@ -374,10 +387,13 @@ def _capitalize_sentence(sentence: str) -> str:
 
 
 def _build_scene_fields(result: Any, picture_folder: Path) -> dict[str, Any]:
-    """Return the page's part about the scene of a result.
+    """Return variables for the report page about the scene of a result.
 
-    Keys are variables of the template report.html: "mesh", a picture or None without a mesh;
-    "scene", a table of values; "toml", the scene's text.
+    Returns
+    -------
+    dict
+        Variables of the template report.html. "mesh": picture, or None without a mesh. "scene":
+        table of keys and values. "toml": the scene's text.
     """
     scene, mesh_picture = result.scene, None
     if scene.geometry is not None:
@@ -429,6 +445,9 @@ def _tabulate_versions(stored_files: Sequence[StoredFile]) -> Table:
 
 
 def _encode_picture(picture_path: Path, caption: str) -> dict[str, str]:
-    """Return a picture for the page: caption "words", and "data", the file as data URL."""
+    """Return a picture as variables for the report page.
+
+    The variables are "words", the caption, and "data", the picture's file as data URL.
+    """
     base64_text = base64.b64encode(read_regular_file(picture_path, None)).decode("ascii")
     return {"words": caption, "data": f"data:image/{picture_path.suffix[1:]};base64,{base64_text}"}

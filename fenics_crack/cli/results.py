@@ -78,7 +78,7 @@ def report_of_solution(run: Run[PeriodicSolution]) -> Report:
 
 
 def _yield_solution_notes(run: Run[PeriodicSolution]) -> Iterator[str]:
-    """Yield notes on undamped or omitted harmonics, and on an unknown stability."""
+    """Yield notes on harmonics without damping, omitted harmonics, and unknown stability."""
     solution, scene = run.result, run.scene
     yield account.describe_undamped_harmonics(run.structure, highest_harmonic_omega(scene, "solve"))
     if not solution.converged:
@@ -152,11 +152,16 @@ def _front_tables_by_heading(run: Run[Any]) -> dict[str, Table]:
 
 
 def _collect_doubts_by_name(run: Run[PeriodicSolution]) -> dict[str, object]:
-    """Collect reasons to doubt a solution, by quantity name.
+    """Collect quantities for a solution in doubt, by quantity name.
 
-    Names are "unknown_error", the reason; "remarks" on the scene; "from_rest" and "rest_amplitude"
-    of the motion from rest. Empty texts, zeros and nan are left out. If the error is unknown,
-    "total_error" and "displacement_error" are nan.
+    Returns
+    -------
+    dict
+        "unknown_error": reason why the error is unknown. "remarks": unusual values in the scene.
+        "from_rest": outcome of a motion from rest, unless the motion settles to the solution.
+        "rest_amplitude": half the peak-to-peak displacement [m] after this motion has settled.
+        Empty texts, zeros and nan are left out. "total_error" and "displacement_error" are nan, and
+        exist only if the error is unknown.
     """
     stability = run.result.stability
     doubts_by_name: dict[str, object] = {
@@ -212,8 +217,8 @@ def report_of_history(run: Run[TimeHistory]) -> Report:
 def _describe_longer_period(history: TimeHistory) -> str:
     """Describe why a motion has not settled: a longer period, or too few periods.
 
-    The period is n load periods if the motion's change over n periods is below a tenth of the
-    change over a single period.
+    The motion repeats after n load periods if the change over n periods is below a tenth of the
+    change over a single period. Otherwise too few periods were integrated.
     """
     for n_periods in range(2, len(history.by_period(history.time))):
         if (relative_change := history.change(n_periods)) < 0.1 * history.settled:
@@ -232,14 +237,15 @@ def _tabulate_quantities(
 ) -> Table:
     """Tabulate the quantities of a vibration or a motion in time (collective).
 
-    Rows are the load frequency ``omega`` [rad/s], indicators of watched dofs and crack faces, and
-    quantities of the computation. A vibration with contact pairs also has natural frequencies near
-    the load's. Without contact pairs no errors are known: quantities with names "..._error" or
-    "..._share" are left out.
+    Rows are the load frequency, indicators of watched dofs and crack faces, and quantities of the
+    computation. A vibration with contact pairs also has natural frequencies near the load's.
+    Without contact pairs, no errors are known. Quantities with names "..._error" or "..._share" are
+    then left out.
 
     Parameters
     ----------
     run : Run
+        Run with the motion.
     omega : float [rad/s]
         Load frequency.
     values_by_name : mapping of str to object
@@ -301,7 +307,7 @@ def _find_error_and_cause(run: Run[Any], quantity_name: str) -> tuple[float, str
     error_percent : float [%]
         At least 0.001; nan if the error is unknown, or as large as the value.
     cause_text : str
-        Main cause, and causes not included; empty if the error is unknown and no cause is missing.
+        Main cause, and causes not included in the error. Empty without both.
     """
     assert run.stated is not None
     frequency_kind = quantity_name.rpartition("_")[2]
@@ -333,11 +339,14 @@ class Waveforms(NamedTuple):
     Attributes
     ----------
     time : (n,) [s]
+        Times.
     displacement : (n, n_watched) [m]
         Watched displacements.
     closings_by_place : dict of str to (n,) [m]
-        Gaps at watched pairs, positive if closed, by description of the pair.
+        Gaps at watched pairs, by description of the pair. A gap is positive while the pair is in
+        contact.
     contact_force : (n, n_pairs) [N]
+        Contact forces of all pairs.
     """
 
     time: np.ndarray

@@ -116,10 +116,10 @@ def compute_and_print_key_figures(_: Namespace, inputs: CommandInputs, console: 
 
 
 def make_missing_curve_error(scene: Scene, console: Console) -> InputError:
-    """Make the error of a scene without the table [curve] (collective).
+    """Return the error for a scene without the table [curve] (collective).
 
-    The error's example is a proposed curve through the resonance nearest to the load; empty if no
-    curve can be proposed.
+    The error shows an example: a proposed curve through the resonance nearest to the load. The
+    example is empty if no curve can be proposed.
     """
     error = missing_table_error("curve", ", which this command needs")
     error.example = ""
@@ -155,8 +155,8 @@ def _cad_part_texts_by_label(scene: Scene, structure: Structure) -> dict[str, st
 def _frequencies_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
     """Return natural frequencies and the load's frequency by printed label.
 
-    Frequencies are in Hz and rad/s; the load's also over the first natural frequency, with the
-    crack open and bonded.
+    Frequencies are in Hz and rad/s. Further values are the load frequency divided by the first
+    natural frequency, with the crack open and bonded.
     """
     faces_text, load_omega = word_for_crack_faces(scene), scene.excitation.omega
     has_faces = key_figures.n_face_elements is not None
@@ -196,7 +196,8 @@ def _frequencies_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str, ob
 def _mesh_error_texts_by_label(mesh_errors: Verification) -> dict[str, str | None]:
     """Return the errors of frequencies due to the mesh as texts, by label.
 
-    Empty for matrices; a text with the reason if the errors are unknown. None without a resonance.
+    If the errors are unknown, the text has the reason. Without a resonance, the resonance's error
+    is None. The dict is empty for given matrices, without a mesh.
     """
     if mesh_errors.scene.structure is not None:
         return {}
@@ -248,10 +249,10 @@ def _resonance_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[st
 
 
 def _rotation_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str, object]:
-    """Return the values for a rotating structure as {label: value}; empty without rotation.
+    """Return values for a rotating structure by printed label; empty without rotation.
 
-    The values are the rotor speed, and the crack opening due to centrifugal forces and mean load;
-    None without crack faces.
+    The values are the rotor speed, and the crack opening due to centrifugal forces and mean load.
+    Without crack faces, the opening is None.
     """
     if scene.speed == 0.0:
         return {}
@@ -268,8 +269,9 @@ def _rotation_values_by_label(scene: Scene, key_figures: KeyFigures) -> dict[str
 def _crack_and_contact_values_by_label(study: Study, key_figures: KeyFigures) -> dict[str, object]:
     """Return crack lengths, contact law and static stiffness by printed label.
 
-    Stiffnesses are [N/m] for each contact pair, lengths and openings [m]. None for stiffnesses
-    of a rigid law. Without contact, lengths and the number of pairs alone.
+    Stiffnesses [N/m] are for each contact pair. A rigid law has the contact stiffness None. Lengths
+    and openings are in [m]. Without a contact law, only lengths and the number of pairs are
+    returned.
     """
     cracks_by_name = study.scene.crack_by_name
     contact_law, contact_table = study.contact, study.scene.contact
@@ -398,8 +400,9 @@ def _describe_undamped_after_reduction(
 ) -> str:
     """Remark that harmonics lie above all damped modes, after the scene's reduction (collective).
 
-    A massless reduction damps all further modes by the last damping ratio of the scene: if this is
-    above zero, the text is empty. Otherwise see :func:`describe_undamped_harmonics`.
+    ``highest_omega`` [rad/s] is the highest harmonic's frequency. A massless reduction damps all
+    further modes by the last damping ratio of the scene. If this ratio is above zero, the text is
+    empty. Otherwise see :func:`describe_undamped_harmonics`.
     """
     scene_reduction = modal_reduction_or_none(scene, structure)
     damping_ratio = None if scene.damping is None else scene.damping.ratio

@@ -158,10 +158,10 @@ def _yield_large_error_warnings(sweep_result: SweepResult) -> Iterator[str]:
 def list_skipped_peak_remarks(sweep_result: SweepResult) -> list[str]:
     """Remark that the sweep steps over a resonance peak narrower than a step.
 
-    At a peak in frequency or speed, the phase falls by a quarter turn between the half-power
-    points. A larger fall from a case to the next is a skipped peak. If the load has a constant
-    frequency and the speed is swept, natural frequencies rise past the load, and the phase rises
-    instead. Several skipped peaks share a remark; without any, the list is empty.
+    Across a resonance peak, the phase falls by a quarter turn between the half-power points. If the
+    phase falls by more between two neighbouring cases, a peak lies between them. The phase rises
+    instead if the rotor speed is swept under a constant load frequency. A single remark describes
+    all skipped peaks; without any, the list is empty.
     """
     axis_indices = [
         axis_index
@@ -210,9 +210,10 @@ def list_skipped_peak_remarks(sweep_result: SweepResult) -> list[str]:
 def shorten_sweep_table(sweep_result: SweepResult) -> tuple[Table, str]:
     """Tabulate all cases of a small sweep, or the largest responses of a large sweep.
 
-    A sweep is small up to :data:`N_PRINTED_ROWS_OF_LONG_RESULT`, 8, cases. Otherwise take the
-    largest response over the load frequency, or over the longest axis, for each combination on all
-    further axes; keep the 8 largest.
+    A sweep is small up to 8 cases (:data:`N_PRINTED_ROWS_OF_LONG_RESULT`). In a large sweep, the
+    largest response over the load frequency is found, for each combination of values on all further
+    axes. If the frequency is not swept, the longest axis is taken instead. The 8 largest responses
+    are kept.
 
     Returns
     -------

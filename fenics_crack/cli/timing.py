@@ -102,9 +102,20 @@ def _write_and_draw_arrivals(
     run: Run[Any] | None,
     console: Console,
 ) -> None:
-    """Write a blade's arrivals as CSV, draw them beside, and print the range of speeds.
+    """Write a blade's arrivals as CSV, draw them, and print the range of speeds.
 
-    ``run`` is the run of computed arrivals; None for measured arrivals.
+    Parameters
+    ----------
+    arrivals : ArrivalTimes
+        Arrivals at a single blade.
+    arrivals_path : Path
+        File for the CSV; the picture's name differs in the ending only.
+    scene : Scene
+        Scene with the unit of speeds.
+    run : Run or None
+        Run used to compute the arrivals; None for measured arrivals.
+    console : Console
+        Output of the command.
     """
 
     def write_files() -> None:
@@ -141,8 +152,22 @@ def _fit_vibration_by_blade(
 ) -> dict[int, Any]:
     """Fit the vibration to the arrivals of each blade.
 
-    ``scene_and_run`` are the scene and the run of computed arrivals, if known. Returns, by blade
-    number, a fit at constant speed, a track over a run-up, or a tuple of resonances passed.
+    Parameters
+    ----------
+    timing_table : TipTiming
+        Table ``[tip_timing]``.
+    arrivals_by_blade : mapping of int to ArrivalTimes
+        Arrivals by blade number.
+    console : Console
+        Output of the command.
+    scene_and_run : Scene, Run
+        Scene, and the run used to compute the arrivals. Both may be missing.
+
+    Returns
+    -------
+    dict
+        By blade number: a fit at constant speed, a track over a run-up, or a tuple of resonances
+        passed.
     """
     fits_by_blade = {}
     with console.report_stage("vibration"):
@@ -172,9 +197,9 @@ def _yield_timing_warnings(
 ) -> Iterator[str]:
     """Yield warnings about measured arrivals, or about the run of computed arrivals.
 
-    ``run`` None: the arrivals are measured. A measured speed is doubtful below half and above twice
-    the scene's speed. A run is doubtful with another scene, an early end, a large error or an
-    unstable orbit.
+    Measured arrivals are in doubt if the measured rotor speed is below half or above twice the
+    scene's speed. A run is in doubt with another scene, an early end, a large error or an unstable
+    orbit. ``run`` is the run used to compute the arrivals; None for measured arrivals.
     """
     if run is None:
         yield from scene_timing.list_arrival_remarks(arrivals)

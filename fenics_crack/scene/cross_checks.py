@@ -104,7 +104,8 @@ MIN_RELATIVE_DISTANCE_FROM_CRACK = 1e-4
 def check_tables(scene: SceneTables) -> None:
     """Check a scene's tables against each other, and set inferred values.
 
-    Changes the scene in place. Raises InputError for contradicting tables or keys.
+    Inferred values are, for example, a load frequency from an engine order and a rotor speed. The
+    scene is changed in place. Raises InputError for contradicting tables or keys.
     """
     _check_presence_and_types(scene)
     for name, table in scene.table_by_name.items():
@@ -134,7 +135,10 @@ def check_tables(scene: SceneTables) -> None:
 
 
 def _check_presence_and_types(scene: SceneTables) -> None:
-    """Raise InputError for a missing or excluded table, or a wrong class."""
+    """Raise InputError for a missing table, an excluded table, or a wrong class.
+
+    Some tables exclude others.
+    """
     condition_by_excluded_table = {
         table_name: condition
         for condition, table_names in EXCLUDED_TABLES_BY_CONDITION.items()
@@ -188,8 +192,8 @@ def _check_curve_parameter(scene: SceneTables, curve: result_tables.Curve) -> No
 def _check_tables_beside_matrices(scene: SceneTables, structure: kinds.Structure) -> None:
     """Check a scene's load and contact against the matrices in [structure].
 
-    Raises InputError for a missing load or contact table, and for keys that need contact pairs or a
-    model.
+    Raises InputError for a missing load or a missing [contact]. A scene without contact pairs, or
+    without ``structure.model``, must not have keys that need them.
     """
     excitation, contact = scene.excitation, scene.contact
     force_key = excitation.first_force_key
@@ -234,10 +238,10 @@ def _check_tables_beside_matrices(scene: SceneTables, structure: kinds.Structure
 
 
 def _set_vector_dimension(scene: SceneTables) -> None:
-    """Give zero vectors in all tables as many components as dimensions.
+    """Give zero vectors in all tables as many components as the scene has dimensions.
 
-    Vectors get 2 components in a plane, 3 in space. Changes the scene in place. Raises InputError
-    if a nonzero vector or an output point has another number of components.
+    A plane has 2, space has 3. The scene is changed in place. Raises InputError if a nonzero vector
+    or an output point has another number of components.
     """
     dimension = scene.dimension
     for table_name in TABLE_CLASS_BY_NAME:
@@ -474,7 +478,8 @@ def _check_crack_position(crack: kinds.Crack, geometry: kinds.Geometry) -> None:
 def _check_crack_on_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kinds.Mesh) -> None:
     """Raise InputError unless a crack lies on a grid line and ends at grid lines.
 
-    The tolerance is 1e-9 of the side. A crack keeps at least one cell from each end of a side.
+    Length and height of the crack are whole numbers of grid cells. Both are at least one cell, and
+    less than the plate's side. The tolerance is 1e-9 times the side.
     """
     crack.given("length", "given: a finite number > 0 [m]; a grid cannot have crack.first_omega")
     (width, height), n_columns = geometry.sides, mesh.given("columns")
@@ -501,10 +506,11 @@ def _check_crack_on_grid(crack: kinds.Crack, geometry: kinds.Geometry, mesh: kin
 
 
 def _check_crack_distance(scene: SceneTables, first_name: str, second_name: str) -> None:
-    """Raise InputError if two cracks are closer than 1e-4 of a side.
+    """Raise InputError if two cracks are too close.
 
-    Cracks at the same height need this distance, relative to the width, between their tips; other
-    cracks need it in height.
+    For cracks at the same height, the distance between the tips is at least 1e-4 times the plate's
+    width. For cracks at different heights, the height difference is at least 1e-4 times the plate's
+    height.
     """
     first_crack, second_crack = (
         scene.crack_by_name[crack_name] for crack_name in (first_name, second_name)

@@ -62,23 +62,24 @@ class Axis:
 
 
 class NamedPoint(Axis):
-    """Point in ``[output.points]``, whose motion is watched.
+    """Point in ``[output.points]`` at which the displacement is reported.
 
-    ``key`` is the name, ``values`` are x, y and, in a solid, z [m].
+    ``key`` is the name, ``values`` are the coordinates x, y and, in a solid, z [m].
     """
 
 
 class FacePoints(Axis):
-    """Face of a CAD part in ``[geometry.faces]``.
+    """Named faces of a CAD part, in ``[geometry.faces]``.
 
-    ``key`` is the name, ``values`` are points (x, y, z) on the face [m].
+    ``key`` is the name, ``values`` are points (x, y, z) [m] on the faces.
     """
 
 
 class MeshFile(Axis):
-    """Mesh file in ``[identify.meshes]``, with the values of the unknowns in this mesh.
+    """Mesh file in ``[identify.meshes]``, with values for the unknowns of the identification.
 
-    ``key`` is the path, ``values`` are names and numbers: ``(("crack.length", 0.005),)``.
+    ``key`` is the file's path, ``values`` are pairs of name and number, such as
+    ``(("crack.length", 0.005),)``.
     """
 
     @property
@@ -102,9 +103,9 @@ class Harmonic:
     Attributes
     ----------
     order : int
-        k, the multiple of the load frequency.
+        k, the multiple of the load frequency omega.
     cos, sin : tuple of float
-        Components of a vector, or the one number of a pressure.
+        Amplitudes: components of a vector, or a single number for a pressure.
     """
 
     order: int
@@ -163,8 +164,8 @@ def _read_floats(value: object) -> tuple[float, ...]:
 def _read_vector(value: object, lengths: tuple[int, ...] = (2, 3)) -> Vector:
     """Return a list of numbers as a vector; raise TypeError unless its length is allowed.
 
-    By default both 2 and 3 components are allowed; :meth:`Table.with_dimension` later compares the
-    number with the scene's dimension.
+    ``lengths`` are the allowed numbers of components. Whether the scene has 2 or 3 dimensions is
+    checked later, by :meth:`Table.with_dimension`.
     """
     if len(_require_instance(list | tuple, value)) not in lengths:
         raise TypeError
@@ -186,10 +187,10 @@ def _read_number_or_numbers(value: object) -> float | tuple[float, ...]:
 def _make_axes_read_function(
     axis_class: type[Axis], read_axis_values: Callable[[str, object], tuple[Any, ...]]
 ) -> Callable[[object], tuple[Axis, ...]]:
-    """Return a function that converts a mapping to a tuple of ``axis_class`` objects.
+    """Return a function that reads a mapping from TOML as a tuple of ``axis_class`` objects.
 
-    ``read_axis_values(name, raw_values)`` converts the values of one name. A tuple of
-    ``axis_class`` objects is returned unchanged.
+    Each name in the mapping gives an object. ``read_axis_values(name, raw_values)`` converts the
+    values under a name. The returned function leaves a tuple of ``axis_class`` objects unchanged.
     """
 
     def read_axes(value: object) -> tuple[Axis, ...]:
@@ -234,8 +235,8 @@ def _read_harmonics(value: object) -> tuple[Harmonic, ...]:
 def _read_harmonic(harmonic_table: object) -> Harmonic:
     """Return a harmonic from a table with cosine and sine, or with amplitude and phase.
 
-    The phase is the lag [degrees]. A missing cosine or sine is zero. Raises TypeError for other
-    keys, unequal lengths, or an order outside 1 to MAX_HARMONIC_ORDER.
+    The phase is the lag [degrees] behind a cosine. A missing cosine or sine is zero. Raises
+    TypeError for other keys, unequal lengths, or an order outside 1 to MAX_HARMONIC_ORDER.
     """
     if not isinstance(harmonic_table, Mapping) or "order" not in harmonic_table:
         raise TypeError
@@ -285,10 +286,10 @@ def _require_distinct(values: Any) -> Any:
 
 
 def _read_axis_values(name: str, values_or_range: object) -> tuple[Any, ...]:
-    """Return the values of an axis from a list or a range table.
+    """Return the values of an axis from a list, or from a table that defines a range.
 
-    A range table has start, stop, count and optionally spacing, "linear" or "logarithmic".
-    ``name`` is the axis's key, for errors. Raises InputError for anything else.
+    A range has the keys start, stop and count. The optional key spacing is "linear" or
+    "logarithmic". ``name`` is the axis's key, for errors. Raises InputError for anything else.
     """
     if isinstance(values_or_range, list | tuple) and values_or_range:
         return tuple(values_or_range)
@@ -386,7 +387,7 @@ def value_field(
     unit: str = "",
     **more_metadata: Any,
 ) -> Any:
-    """Return a dataclass field for a key, whose values a function allows.
+    """Return a dataclass field for a key; a function decides which values are allowed.
 
     Parameters
     ----------
@@ -426,9 +427,10 @@ def nonnegative_field(default: Any = MISSING, unit: str = "") -> Any:
 
 
 def bounded_field(lower_text: str, upper_text: str, default: Any, unit: str = "") -> Any:
-    """Return a field for a number between two bounds, which are allowed values, too.
+    """Return a field for a number between two bounds, both allowed.
 
-    The bounds are texts, which errors show as written: "1e-6".
+    ``lower_text`` and ``upper_text`` are the bounds as texts, such as "1e-6". Errors show the texts
+    unchanged.
     """
     lower_bound, upper_bound = float(lower_text), float(upper_text)
     return value_field(
@@ -444,8 +446,8 @@ def vector_value_field(
 ) -> Any:
     """Return a field for a vector with 2 or 3 components.
 
-    Errors name the components by ``component_letter`` and x, y, z: "fx". With ``of_solid`` only
-    solids have the key, and errors ask for three components.
+    Errors name the components by ``component_letter`` and x, y, z: "fx". If ``of_solid`` is True,
+    errors ask for three components, since only solids have the key.
     """
     requirement_text = describe_components(component_letter, 3 if of_solid else 2)
     if not of_solid:
@@ -500,7 +502,8 @@ def hertz_field(
 ) -> Any:
     """Return a field for frequencies in Hz.
 
-    The same quantity in rad/s is the key ``omega_key``, which a given value also sets.
+    The same quantity in rad/s has the key ``omega_key``. If the frequency in Hz is given,
+    ``omega_key`` is set, too.
     """
     return twin_field(omega_key, RAD_PER_TURN, requirement_text, is_allowed, "Hz")
 
@@ -510,16 +513,26 @@ def twin_field(
 ) -> Any:
     """Return a field for a twin key: the quantity of ``si_key`` in another unit.
 
-    The SI value is ``factor`` times the twin's value. Only one of the two keys may be given; a
-    given twin also sets the SI key.
+    Only one of the two keys may be given. If the twin is given, ``si_key`` is set to ``factor``
+    times the twin's value.
+
+    Parameters
+    ----------
+    si_key : str
+        Key of the quantity in SI units.
+    factor : float
+        Factor from the twin's unit to the SI unit.
+    requirement_text, is_allowed, unit
+        As in :func:`value_field`, for the twin.
     """
     return value_field(requirement_text, is_allowed, None, unit, twin=si_key, factor=factor)
 
 
 def path_field(requirement_text: str, default: Any = None, unit: str = "") -> Any:
-    """Return a field for a file's path, not empty and relative to the scene's folder.
+    """Return a field for the path of a file.
 
-    Depending on the field's type, a number may stand in place of a path.
+    The path must not be empty. A relative path begins at the scene's folder. If the field's type
+    has numbers, a number may replace the path.
     """
     return value_field(requirement_text, lambda value: value != "", default, unit, path=True)
 
@@ -546,7 +559,7 @@ def _value_as_toml(value: object) -> str:
 
 @contextmanager
 def use_table_name_in_errors(table_name: str) -> Iterator[None]:
-    """Replace the table's name in InputErrors raised inside: "cracks.1" for "crack"."""
+    """Change the table's name in InputErrors raised in the block: "cracks.1" for "crack"."""
     try:
         yield
     except InputError as error:
@@ -564,14 +577,15 @@ class Rule(NamedTuple):
     Attributes
     ----------
     condition : str
-        Condition as errors print it: a given key, "geometry.file", or "point" in the same table; a
-        given table, "[disk]"; a value, "mesh.layout = 'file'"; or the contrary, "without [disk]".
+        Condition as errors print it. A key is given: "geometry.file", or "point" in the same table.
+        A table is given: "[disk]". A key has a value: "mesh.layout = 'file'". The opposite begins
+        with "without": "without [disk]".
     keys : tuple
         Restricted keys in a table.
     reason : str
         Text after the condition in errors.
     allowed_choices : tuple
-        Allowed values under the condition; empty: the keys are left out.
+        Allowed values under the condition; empty: the keys must be left out.
     """
 
     condition: str
@@ -582,7 +596,10 @@ class Rule(NamedTuple):
 
 @cache
 def _split_condition(condition: str) -> tuple[str, str, str]:
-    """Split a condition into the names of table and key, and the text of the value."""
+    """Split the condition of a :class:`Rule` into table, key, and the value's text.
+
+    "mesh.layout = 'file'" gives "mesh", "layout", "'file'". A missing part is "".
+    """
     name, _, value_text = condition.removeprefix("without ").partition(" = ")
     table_name, _, key = name.strip("[]").partition(".")
     return table_name, key, value_text
@@ -602,7 +619,7 @@ def condition_holds(condition: str, table_by_name: Mapping[str, Any]) -> bool:
 
 
 def add_preposition(circumstance: str) -> str:
-    """Return a circumstance after "with", unless the circumstance begins with "without"."""
+    """Return "with" and a text, or a text that begins with "without" unchanged."""
     return circumstance if circumstance.startswith("without ") else f"with {circumstance}"
 
 
@@ -630,7 +647,7 @@ class Table:
         Raises
         ------
         InputError
-            A vector that is not zero has the wrong length.
+            A nonzero vector has another number of components.
         """
         zero_vector_by_key = {}
         for key, key_field in self.field_by_key().items():
@@ -662,9 +679,9 @@ class Table:
         self.check_rules(self._KEY_RULES, {self.full_key(): self, **vars(self)})
 
     def check_rules(self, rules: Iterable[Rule], table_by_name: Mapping[str, Any]) -> None:
-        """Raise InputError if keys break a rule.
+        """Raise InputError if keys of this table break a rule.
 
-        ``table_by_name`` has the tables in the rules' conditions.
+        ``table_by_name`` has the tables named in the conditions of the rules.
         """
         for rule in rules:
             if not condition_holds(rule.condition, table_by_name):
@@ -701,7 +718,10 @@ class Table:
 
     @classmethod
     def _make_value_suggestion_text(cls, key: str, value: object) -> str:
-        """Return advice or an allowed value similar to a refused value; empty without any."""
+        """Return text for an error about a refused value.
+
+        The text is advice, or an allowed value similar to the refused value; otherwise empty.
+        """
         key_field = cls.field_by_key()[key]
         value_suggestions: list[Any] = []
         if isinstance(value, str):
@@ -762,7 +782,10 @@ class Table:
 
     @classmethod
     def si_key_by_twin(cls) -> dict[str, str]:
-        """Return the SI key of each twin key: "omega" for "frequency", "speed" for "rpm"."""
+        """Return the SI key for each twin key: "omega" for "frequency", "speed" for "rpm".
+
+        A twin key has the same quantity in another unit.
+        """
         return {
             key: key_field.metadata["twin"]
             for key, key_field in cls.field_by_key().items()
@@ -771,15 +794,19 @@ class Table:
 
     @classmethod
     def twin_key_by_key(cls) -> dict[str, str]:
-        """Return the other key of each pair of twins, in both directions."""
+        """Return the twin for each key with a twin: "rpm" for "speed", and "speed" for "rpm".
+
+        A twin key has the same quantity in another unit.
+        """
         si_key_by_twin = cls.si_key_by_twin()
         return si_key_by_twin | {si_key: twin_key for twin_key, si_key in si_key_by_twin.items()}
 
     @property
     def derived_keys(self) -> set[str]:
-        """Keys whose values were not given: inferred from a twin key, or chosen as defaults.
+        """Keys whose values were not given.
 
-        :meth:`as_toml` leaves them out.
+        The values come from a twin key (the same quantity in another unit), or are defaults.
+        :meth:`as_toml` leaves out the keys.
         """
         replaced_si_keys = {
             si_key
@@ -792,7 +819,7 @@ class Table:
     def full_key(cls, key: str = "") -> str:
         """Return a key with the table's name: "harmonic_balance.samples".
 
-        Without a key, the table's name alone.
+        An empty key gives the table's name alone.
         """
         table_name = "".join(
             "_" + character.lower() if character.isupper() else character
@@ -804,7 +831,7 @@ class Table:
     def full_key_to_suggest(cls, key: str) -> str:
         """Return a full key as errors suggest it: "excitation.omega".
 
-        If the tables stand in a list, the first table is named: "loads.1.point".
+        For a list of tables, the key belongs to the first table: "loads.1.point".
         """
         return f"{cls.FIRST_TABLE_NAME}.{key}" if cls.FIRST_TABLE_NAME else cls.full_key(key)
 
@@ -847,10 +874,10 @@ class Table:
         return value
 
     def forbid_keys(self, keys: Iterable[str], circumstance: str) -> None:
-        """Raise InputError if a key is neither None nor the default.
+        """Raise InputError if a key has another value than None or the default.
 
-        The error says "left out with" and the circumstance; a circumstance may also begin with
-        "without".
+        The error says that the key must be left out, with the ``circumstance``: "left out with
+        [disk]". A circumstance may also begin with "without".
         """
         for key in keys:
             is_absent = getattr(self, key) in (None, self.field_by_key()[key].default)
@@ -860,8 +887,8 @@ class Table:
     def suggest_keys(cls, key: str) -> list[str]:
         """Return full keys to suggest for an unknown key; empty without a similar key.
 
-        Tried in turn: similar keys of this table, the same key in other tables, similar keys in
-        other tables.
+        Returned are similar keys in this table; otherwise the same key in other tables; otherwise
+        similar keys in other tables.
         """
         table_classes = [
             cls,
@@ -885,7 +912,7 @@ class Table:
 
     @classmethod
     def unknown_key_text(cls, key: str) -> str:
-        """Return the requirement for an unknown key: advice or suggestions, and all keys."""
+        """Return the text of an error for an unknown key: advice or suggestions, and all keys."""
         advice_text = (
             cls._ADVICE_TEXT_BY_MISTAKE.get(key) or did_you_mean_text(cls.suggest_keys(key)).strip()
         )
@@ -897,9 +924,10 @@ class Table:
     def make_changes_with_twins_removed(
         cls, changes: Mapping[str, object], _current_values: Mapping[str, object]
     ) -> dict[str, Any]:
-        """Return changes by key that also set the twins of changed keys to None.
+        """Return changes by key, in which the twin of each changed key becomes None.
 
-        The twin is the same quantity in another unit. Raises InputError if both are changed.
+        The twin is the same quantity in another unit. Raises InputError if a key and its twin are
+        both changed.
         """
         cls.forbid_both_twins(changes)
         twin_key_by_key = cls.twin_key_by_key()
@@ -946,7 +974,7 @@ class Table:
 
 
 def find_full_keys(key: str, table_classes: Iterable[type[Table]]) -> list[str]:
-    """Return the full key for each table class that has the key.
+    """Return full keys for a key, from each table class that has the key.
 
     Classes in which the key holds a list (default ``()``) come last.
     """

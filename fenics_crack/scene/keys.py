@@ -30,8 +30,8 @@ RESULT_TABLE_NAMES = ("curve", "integration", "sweep", "growth", "identify", "ti
 class SceneTables:
     """Tables of a scene, with derived properties.
 
-    An omitted table is None or has default values. With the table ``structure`` the tables of a
-    plate are None.
+    An omitted table is None or has default values. If the scene has the table ``structure``, the
+    tables of a plate are None.
     """
 
     geometry: kinds.Geometry = None  # type: ignore[assignment]
@@ -86,8 +86,8 @@ class SceneTables:
     def dimension(self) -> int:
         """Number of space dimensions: 2 or 3.
 
-        3 for a solid and for matrices with another program's model; 2 for a plate and for matrices
-        without a model.
+        A plate has 2, a solid 3. Given matrices have 3 with another program's model
+        (``structure.model``), otherwise 2.
         """
         if self.structure is not None:
             return 2 if self.structure.model is None else 3
@@ -103,7 +103,7 @@ class SceneTables:
 
     @property
     def has_friction(self) -> bool:
-        """True if ``contact.friction`` is above 0, possibly in a case of the sweep only."""
+        """True if ``contact.friction`` is above 0, in the scene or in any case of the sweep."""
         contact_has_friction = self.contact is not None and bool(self.contact.friction)
         return contact_has_friction or any(self.swept_values_by_key.get("contact.friction", ()))
 
@@ -119,7 +119,10 @@ class SceneTables:
 
     @property
     def has_other_loads(self) -> bool:
-        """True if a load other than the force at ``excitation.point`` may act."""
+        """True if any load beside the force at ``excitation.point`` may act.
+
+        These are [[loads]], [base], and loads in files of [structure].
+        """
         return bool(self.loads) or self.base is not None or self.structure is not None
 
     @property
@@ -141,7 +144,7 @@ class SceneTables:
 def missing_table_error(table_name: str, circumstance: str = "") -> InputError:
     """Return the error for a missing table, which names the table's required keys.
 
-    ``circumstance`` is appended to the requirement: ", which this command needs".
+    ``circumstance`` is text appended to the requirement: ", which this command needs".
     """
     keys_text = ", ".join(TABLE_CLASS_BY_NAME[table_name].required_keys())
     requirement_text = f"given: a table [{table_name}]"
@@ -155,7 +158,7 @@ def missing_table_error(table_name: str, circumstance: str = "") -> InputError:
 def known_keys() -> list[str]:
     """Return every full key that a scene may have.
 
-    Keys in lists of tables are named for the first table: "cracks.1.length".
+    For a list of tables, the keys of the first table are returned: "cracks.1.length".
     """
     named_table_classes = [
         (f"{table_name}.1" if table_name in LIST_TABLE_NAMES else table_name, table_class)
@@ -195,9 +198,9 @@ def _split_key(full_key: str) -> tuple[str, int | None, str]:
 
 
 def make_tables(raw_table_by_name: Mapping[str, object]) -> dict[str, Any]:
-    """Return tables, and tuples of tables for lists, by name from raw values.
+    """Return the tables of a scene by name, made from raw values.
 
-    Raises InputError for an unknown table.
+    A list of tables becomes a tuple. Raises InputError for an unknown table.
     """
     for table_name, raw_table in raw_table_by_name.items():
         if table_name not in TABLE_CLASS_BY_NAME:
@@ -209,9 +212,9 @@ def make_tables(raw_table_by_name: Mapping[str, object]) -> dict[str, Any]:
 
 
 def _make_table_or_tuple(table_name: str, raw_tables: object) -> Any:
-    """Return a table, or a tuple of tables for a list, from raw values.
+    """Return a table made from raw values, or a tuple of tables for a list.
 
-    Raw values are mappings as read from TOML; tables that are objects already stay unchanged.
+    Raw values are mappings as read from TOML. A table that is an object already stays unchanged.
     """
     table_class = TABLE_CLASS_BY_NAME[table_name]
     if table_name not in LIST_TABLE_NAMES:
@@ -234,10 +237,11 @@ def _make_table_or_tuple(table_name: str, raw_tables: object) -> Any:
 
 
 def _split_changed_key(full_key: str, value: object) -> tuple[str, int | None, str]:
-    """Split the full key of a change into table, position from 1 and key.
+    """Split the full key of a change into table name, position in a list, and key.
 
-    The position is None for a table outside lists. The key is empty if the change, with the value
-    None, removes the table. Raises InputError for an unknown key or a wrong removal.
+    The position counts from 1; None for a table outside lists. The key is empty if the change
+    removes the whole table, by ``value`` None. Raises InputError for an unknown key, or if the
+    table cannot be removed.
     """
     table_name, list_position, key_in_table = _split_key(full_key)
     table_class = TABLE_CLASS_BY_NAME.get(table_name)
@@ -279,8 +283,8 @@ def with_changed_keys(
 ) -> dict[str, Any]:
     """Return tables by name, with values changed by full key.
 
-    Changed tables become mappings from key to value, and changed lists tuples of such mappings. The
-    values are not checked yet.
+    A changed table becomes a mapping from key to value. A changed list becomes a tuple of such
+    mappings. The values are not checked yet.
     """
     changed_tables = dict(table_by_name)
     changes_by_table: dict[tuple[str, int], dict[str, object]] = {}
@@ -309,10 +313,17 @@ def with_changed_keys(
 def _merge_table_changes(table_name: str, table: Any, value_by_key: dict[str, object]) -> Any:
     """Return a table as a mapping, with changed values.
 
-    If a changed quantity also has a key in another unit, this key becomes None.
+    If a changed quantity also has a key in another unit, the other key becomes None.
 
-    ``table`` is a Table, a mapping, a shorthand word or None; anything else is returned unchanged
-    and refused later.
+    Parameters
+    ----------
+    table_name : str
+        Name of the table.
+    table : Table, mapping, str or None
+        Present table; a str is the value of the table's shorthand key. Any other object is
+        returned, and refused later.
+    value_by_key : dict
+        Changed values by key.
     """
     table_class = TABLE_CLASS_BY_NAME[table_name]
     if isinstance(table, table_class):
@@ -334,7 +345,7 @@ def _merge_list_changes(
 ) -> tuple[Any, ...]:
     """Return a list of tables with one table changed or appended.
 
-    ``list_position`` counts from 1; one more than the length appends a table.
+    ``list_position`` counts from 1. The length plus 1 appends a table.
     """
     if not isinstance(tables, list | tuple):
         raise InputError(table_name, tables, f"a list of tables headed [[{table_name}]]")
@@ -396,11 +407,20 @@ def _unknown_table_text(table_name: str) -> str:
 def check_and_convert_axes(
     tables: SceneTables, axes_key: str, axes: tuple[Axis, ...]
 ) -> tuple[Axis, ...]:
-    """Return axes with values as the scene stores them.
+    """Return the axes of a sweep or an identification, checked and with converted values.
 
-    ``axes_key`` names the axes in errors: "sweep.over". Raises InputError for a key that is
+    Each value gets the type that the scene stores for the key. Raises InputError for a key that is
     unknown, repeated or not sweepable, and for wrong or equal values. Combinations of values are
     checked later, in each case.
+
+    Parameters
+    ----------
+    tables : SceneTables
+        Tables of the scene.
+    axes_key : str
+        Key of the axes, for errors: "sweep.over".
+    axes : tuple of Axis
+        Axes as read from the scene.
     """
     checked_axes, seen_keys = [], set()
     for axis in axes:

@@ -88,10 +88,11 @@ class Curve(Table):
 
     @property
     def parameter_and_range(self) -> tuple[str, float, float]:
-        """Parameter's name in the equations, and start and stop of its range.
+        """Parameter's name in the equations, start and stop of the range.
 
-        "frequency" becomes "omega", and "rpm" becomes "speed", both in rad/s. With
-        ``at = "resonance"`` the name is "resonance", and the range is that of the load factor.
+        The parameter "frequency" becomes "omega", and "rpm" becomes "speed", with start and stop in
+        rad/s. If ``at`` is "resonance", the name is "resonance", and the range is the load
+        factor's.
         """
         if self.parameter == "rpm":
             return "speed", RAD_PER_S_PER_RPM * self.start, RAD_PER_S_PER_RPM * self.stop
@@ -248,9 +249,9 @@ class Growth(Table):
 
     @property
     def repeat_cycles_and_duration(self) -> tuple[float, float] | None:
-        """Number of load cycles and duration [s] for one repeat of the spectrum.
+        """Number of load cycles in one repeat of the load spectrum, and the duration [s].
 
-        None without ``cycles`` or ``frequencies``, which only ``drive = "spectrum"`` has.
+        None if ``cycles`` or ``frequencies`` is missing: only ``drive = "spectrum"`` has both.
         """
         if self.cycles is None or self.frequencies is None:
             return None
@@ -453,7 +454,7 @@ class Identify(Table):
     def _check_meshes(self) -> None:
         """Raise InputError if ``meshes`` is not a full grid of parameter values.
 
-        All meshes have the same parameters, each with 4 or more values; every combination of values
+        All meshes have the same parameters, each with 4 or more values. Each combination of values
         has exactly one mesh.
         """
         allowed_names = {
@@ -518,9 +519,9 @@ class Identify(Table):
 
     @property
     def inference_setting_by_key(self) -> dict[str, Any]:
-        """Values by key of the settings for inference: deviations and confidence.
+        """Settings for inference by key: standard deviations and confidence.
 
-        Keys that define the forward model are left out.
+        Keys with an effect on the solved cases are left out, for example the unknowns.
         """
         forward_model_keys = {"unknown", "meshes", "uncracked", "frequencies", "finer"}
         return {

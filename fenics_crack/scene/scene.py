@@ -110,9 +110,15 @@ class Scene(SceneTables):
     ) -> Scene:
         """Make a scene from nested mappings.
 
-        ``tables`` holds tables by name, as read from TOML. Relative paths in the tables are taken
-        from ``folder``. ``changes`` are full keys and values as in :meth:`replace`, applied before
-        any check; paths in ``changes`` stay unchanged.
+        Parameters
+        ----------
+        tables : mapping
+            Tables by name, as read from TOML.
+        folder : Path
+            Folder at which relative paths in ``tables`` begin.
+        changes : mapping, optional
+            Values by full key as in :meth:`replace`, set before any check. Paths in them stay
+            unchanged.
         """
         changes = changes or {}
         scene = cls(**make_tables(with_changed_keys(tables, changes)))
@@ -150,8 +156,16 @@ class Scene(SceneTables):
     ) -> Scene:
         """Make a scene from TOML text.
 
-        Errors name the text by ``name``. Relative paths in the text are taken from ``folder``.
-        ``changes`` are full keys and values as in :meth:`replace`.
+        Parameters
+        ----------
+        text : str
+            TOML text.
+        name : str
+            Name of the text in errors.
+        folder : Path
+            Folder at which relative paths in the text begin.
+        changes : mapping, optional
+            Values by full key as in :meth:`replace`.
         """
         with report_read_errors("scene", name, "a TOML file"):
             try:
@@ -186,8 +200,9 @@ class Scene(SceneTables):
     def given(self, name: str) -> Any:
         """Return the table ``name`` for a command that needs the table.
 
-        Raises InputError if the table is missing, or if ``harmonic_balance.form`` is "block" and
-        the command solves many times (``MANY_SOLUTION_TABLE_NAMES``).
+        Raises InputError if the table is missing. Commands with a table in
+        :data:`MANY_SOLUTION_TABLE_NAMES` solve many times; for them, InputError is also raised if
+        ``harmonic_balance.form`` is "block".
         """
         if getattr(self, name) is None:
             raise missing_table_error(name, ", which this command needs")
@@ -209,7 +224,7 @@ class Scene(SceneTables):
     def is_speed_in_rpm(self) -> bool:
         """True if results show the rotor speed in revolutions per minute.
 
-        The speed is given, swept or followed by a curve as ``rpm``.
+        This holds if ``rpm`` is given, swept, or the parameter of a curve.
         """
         return self._is_key_given_or_varied("rotation.rpm")
 
@@ -217,8 +232,8 @@ class Scene(SceneTables):
     def is_frequency_in_hertz(self) -> bool:
         """True if results show the load frequency in Hz.
 
-        The frequency is given, swept or followed by a curve in Hz, or it follows from an engine
-        order and a speed in rpm.
+        This holds if the frequency in Hz is given, swept, or the parameter of a curve. It also
+        holds for an engine order with a rotor speed in rpm.
         """
         has_order_and_rpm = self.excitation.order is not None and self.is_speed_in_rpm
         return has_order_and_rpm or self._is_key_given_or_varied("excitation.frequency")
@@ -254,7 +269,7 @@ class Scene(SceneTables):
     def swept_omegas(self) -> tuple[float, ...]:
         """Load frequencies in all cases of the sweep [rad/s].
 
-        Without a sweep, or if the sweep keeps the frequency, only the excitation's frequency.
+        If no sweep changes the frequency, only the excitation's frequency is returned.
         """
         swept_values_by_key = self.swept_values_by_key
         if "excitation.frequency" in swept_values_by_key:
@@ -273,9 +288,9 @@ class Scene(SceneTables):
 
     @property
     def axis_point_and_direction(self) -> tuple[np.ndarray, np.ndarray]:
-        """Point on the rotor axis [m] and the axis's unit vector, (3,) each.
+        """Point on the rotor axis [m], and unit vector along the axis: (3,) each.
 
-        The scene has [rotation] or [disk].
+        The scene must have [rotation] or [disk].
         """
         axis_table = self.rotation if self.disk is None else self.disk
         assert axis_table is not None
@@ -307,8 +322,8 @@ class Scene(SceneTables):
     def replace(self, values: Mapping[str, object]) -> Scene:
         """Return a scene with some keys changed: ``scene.replace({"contact.stiffness": 1e9})``.
 
-        A missing optional table is made; ``{"crack": None}`` removes a table. Tables of a list are
-        counted from 1, ``{"cracks.1.length": 0.02}``; the number after the last makes a new table.
+        A missing optional table is made; ``{"crack": None}`` removes a table. Tables in a list are
+        counted from 1: ``{"cracks.1.length": 0.02}``. The number after the last makes a new table.
         A frequency in Hz replaces the frequency in rad/s, and vice versa.
         """
         present_table_by_name = {
@@ -327,10 +342,11 @@ class Scene(SceneTables):
 
 
 def _find_excluding_condition(scene: Scene, reason_by_condition: Mapping[str, str]) -> str:
-    """Return a text with the first condition that a scene fulfils, and the reason.
+    """Return the first condition that a scene fulfils, with the reason, as text.
 
-    ``reason_by_condition`` has conditions as in :class:`Rule`. An example is "with [disk]: stress
-    intensities are not computed for bladed disks". The text is empty if no condition holds.
+    ``reason_by_condition`` has reasons by condition, written as in :class:`Rule`. An example is
+    "with [disk]: stress intensities are not computed for bladed disks". The text is empty if no
+    condition holds.
     """
     for condition, reason in reason_by_condition.items():
         if condition_holds(condition, vars(scene)):
@@ -364,9 +380,9 @@ def reason_without_clamp_forces(scene: Scene) -> str:
 
 
 def refuse_for_reason(reason: str, key: str, value: object = None) -> None:
-    """Raise InputError for a key and value unless ``reason`` is an empty text.
+    """Raise InputError for a key and value; do nothing if ``reason`` is empty.
 
-    The reason begins with "with" or "without", as it follows "left out" in the error.
+    The reason begins with "with" or "without", since the error says "left out" before it.
     """
     if reason:
         raise InputError(key, value, f"left out {reason}")
@@ -392,7 +408,7 @@ def _reason_without_observable(scene: Scene, observable: Observable) -> str:
 def list_requested_extra_quantities(scene: Scene) -> tuple[str, ...]:
     """Return the names in ``output.quantities`` that are computed only on request.
 
-    The observable's place determines this (``Place.is_made_on_request``).
+    Numbers of displacements, crack faces and the nearest mode are always computed.
     """
     return tuple(
         quantity_name
@@ -438,7 +454,7 @@ def file_keys_and_paths(scene: Scene) -> list[tuple[str, str]]:
 
 
 def _find_values_with_paths(scene: Scene) -> dict[str, Any]:
-    """Return file paths, and axes that may have paths, by full key."""
+    """Return file paths, and tuples that may have paths (sweep axes, mesh files), by full key."""
     split_keys = ((full_key, *full_key.split(".")) for full_key in KEYS_WITH_PATHS)
     value_by_key = {
         full_key: getattr(getattr(scene, table_name), key_in_table, None)
@@ -450,7 +466,7 @@ def _find_values_with_paths(scene: Scene) -> dict[str, Any]:
 def with_file_paths(scene: Scene, change_path: Callable[[str], str]) -> Scene:
     """Return the scene with every file path replaced by ``change_path(path)``.
 
-    Paths in ``sweep.over``, ``identify.unknown`` and ``identify.meshes`` change, too.
+    Paths in lists change, too: in ``sweep.over``, ``identify.unknown`` and ``identify.meshes``.
     """
 
     def change_paths(value: Any) -> Any:
@@ -489,10 +505,10 @@ def _describe_scene(scene: Scene) -> str:
 
 
 def _make_line_fix_text(toml_text: str, error_text: str) -> str:
-    """Return a suggested correction for the line number in a TOML error.
+    """Return a suggested correction for a line in which TOML text has an error.
 
-    ``error_text`` contains "at line 3". The correction is a number in SI units, for "5 mm", or a
-    word in quotes; the text is empty without a correction.
+    ``error_text`` has the line number, "at line 3". For "5 mm" the correction is the number in SI
+    units; for a word, the word in quotes. The text is empty without a correction.
     """
     toml_lines, line_match = toml_text.splitlines(), re.search(r"at line (\d+)", error_text)
     if line_match is None or int(line_match[1]) > len(toml_lines):

@@ -112,15 +112,18 @@ class Geometry(Table):
 
     @property
     def sides(self) -> Vector:
-        """Width, height and, for a solid, thickness [m]; keys left out are omitted."""
+        """Width and height [m], and thickness [m] for a solid.
+
+        A side not given in the scene is left out.
+        """
         side_lengths = (self.width, self.height, self.thickness)[: self.dimension]
         return tuple(side_length for side_length in side_lengths if side_length is not None)
 
     @property
     def circumferential_width(self) -> float:
-        """Width of a plate, or thickness of a box [m].
+        """Side along the circumference in a bladed disk [m].
 
-        In a bladed disk this side lies along the circumference.
+        This is the width of a plate, or the thickness of a box.
         """
         return self.sides[0 if self.dimension == 2 else 2]
 
@@ -189,12 +192,12 @@ class Crack(Table):
 
     @property
     def half_axes(self) -> Pair:
-        """Radii of the ellipse around ``point`` [m]: along ``direction``, and across."""
+        """Half axes of the elliptical crack [m]: along ``direction``, and across."""
         return self.radii or (0.5 * self.given("length"), self.given("depth"))
 
     @property
     def is_elliptical(self) -> bool:
-        """True for an elliptical crack, around a point or in a box."""
+        """True for an elliptical crack, in a box or around a point of any solid."""
         return self.front == "elliptical" or (self.point is not None and self.front != "through")
 
     @property
@@ -391,9 +394,10 @@ class Excitation(Table, PeriodicLoad):
             self.given("omega", "given: a finite number > 0 [rad/s], or excitation.frequency [Hz]")
 
     def at_speed(self, speed: float) -> Excitation:
-        """Return the excitation with omega = order * speed, for a rotor speed [rad/s].
+        """Return the excitation with the load frequency at a rotor speed [rad/s].
 
-        Raises InputError if ``frequency`` or ``omega`` was given, too.
+        The frequency omega is ``order`` times the speed. Raises InputError if ``frequency`` or
+        ``omega`` was given, too.
         """
         if "_inferred_keys" not in vars(self):
             self.forbid_keys(
@@ -406,10 +410,11 @@ class Excitation(Table, PeriodicLoad):
     def make_changes_with_twins_removed(
         cls, changes: Mapping[str, object], current_values: Mapping[str, object]
     ) -> dict[str, Any]:
-        """Return changes that also set contradicting keys to None.
+        """Return changes by key, in which contradicting keys become None.
 
-        Twins are removed as in all tables. A new frequency removes the engine order, and a new
-        order the frequency. A table with both, for a bladed disk at rest, keeps both.
+        A changed frequency in Hz removes the frequency in rad/s, and vice versa. A changed
+        frequency removes the engine order, and a changed order the frequency. If ``current_values``
+        have both, as for a bladed disk at rest, both stay.
         """
         frequency_keys = ("omega", "frequency")
         changed_frequency_keys = {key for key in frequency_keys if changes.get(key) is not None}
@@ -506,7 +511,7 @@ class Load(Table, PeriodicLoad):
             self.forbid_keys(("phase",), "a mean load alone, which has no phase")
 
     def harmonic_components(self, load_kind: str) -> list[Vector]:
-        """Return the Fourier vectors of one kind of load, with the lag ``phase``.
+        """Return the Fourier vectors of one kind of load; ``phase`` has been applied.
 
         Parameters
         ----------
@@ -569,7 +574,7 @@ class Base(Table, PeriodicLoad):
 
     @property
     def accelerations(self) -> list[Vector]:
-        """Vectors of cosine, then sine acceleration for each order from 1 [m/s^2]."""
+        """Acceleration vectors [m/s^2]: cosine, then sine, for each order from 1."""
         first_order_vectors = (self.acceleration_cos, self.acceleration_sin)
         n_components = max(
             len(vector)
@@ -704,7 +709,8 @@ class Disk(Table):
     def deviations(self) -> np.ndarray:
         """Relative stiffness deviation of each sector: (sectors,).
 
-        From ``mistuning`` if given, otherwise random with ``deviation`` and ``seed``.
+        The key ``mistuning`` has the deviations. Without this key, they are random: normally
+        distributed with standard deviation ``deviation``, from the random seed ``seed``.
         """
         if self.mistuning is not None:
             return np.array(self.mistuning)
@@ -855,8 +861,8 @@ class HarmonicBalance(Table):
     def with_load_harmonics(self, highest_order: int) -> HarmonicBalance:
         """Return the table with at least ``highest_order`` harmonics.
 
-        ``highest_order`` is the highest harmonic of any load. Raises InputError if a given number
-        of harmonics is smaller; only the default number is increased.
+        ``highest_order`` is the highest harmonic of any load. The default number of harmonics is
+        increased if necessary. Raises InputError if the scene gives a smaller number.
         """
         has_enough_harmonics = self.harmonics >= highest_order
         self.require(
@@ -936,9 +942,10 @@ class Mesh(Table):
             self.given(key, f"given: {allowed_text}, with layout = {self.layout!r}")
 
     def with_dimension(self, dimension: int) -> Mesh:
-        """Return the table with an order for 2 or 3 dimensions.
+        """Return the table with the polynomial order of the elements set.
 
-        A given order stays; the default is 1 in a plane and 2 in space.
+        A given order stays. The default order is 1 if ``dimension`` is 2, and 2 if ``dimension`` is
+        3.
         """
         polynomial_order = self.order or dimension - 1
         return self.with_unchecked_values(

@@ -46,8 +46,8 @@ def key_in_words(key: str) -> str:
 def value_in_words(key: str, value: Any) -> str:
     """Return a key's value with the unit: "35 mm".
 
-    None gives "none". A list gives all numbers, but a plane force along x or y only the component
-    that is not zero.
+    None gives "none". A list gives all numbers. A force in a plane along x or y gives only the
+    component that is not zero.
     """
     unit = unit_of_key(key)
     if isinstance(value, list | tuple):
@@ -65,8 +65,8 @@ def value_in_words(key: str, value: Any) -> str:
 def describe_differences(scenes: Sequence[Scene]) -> list[str]:
     """Describe how scenes differ from each other: "excitation.force_sin = 20 N".
 
-    Keys in tables that only choose results (:data:`RESULT_TABLE_NAMES`) are skipped unless all
-    other keys are equal.
+    Keys in tables that only choose results (:data:`RESULT_TABLE_NAMES`) count only if no other key
+    differs.
 
     Returns
     -------
@@ -117,7 +117,7 @@ def file_value_by_key(scene: Scene) -> dict[str, Any]:
 def _flatten_tables(nested_tables: Mapping[str, Any], key_prefix: str = "") -> dict[str, Any]:
     """Return the values in nested tables by full key: "cracks.1.length".
 
-    Positions in lists of tables start at 1. ``key_prefix`` precedes every key.
+    Positions in lists of tables start at 1. ``key_prefix`` is put before every key, "cracks.".
     """
     value_by_key: dict[str, Any] = {}
     for key, value in nested_tables.items():
@@ -132,9 +132,9 @@ def _flatten_tables(nested_tables: Mapping[str, Any], key_prefix: str = "") -> d
 
 
 def _default_value(scene: Scene, key: str) -> Any:
-    """Return the value of a full key that the scene's file does not set.
+    """Return the value for a full key, if the scene's file does not set the key.
 
-    The value is the default, or inferred from other keys; None if the scene has no such table.
+    The value is the default, or inferred from other keys. None if the scene has no such table.
     Tuples become lists.
     """
     value: Any = scene

@@ -250,8 +250,8 @@ def iterate_geometries_with_more_modes(
     """Yield a case's structure with each number of modes that a sweep may use.
 
     A caller compares a stored case with each structure, to find the one that solved the case. If
-    the tolerance chooses the number of modes, a last structure follows. It is reduced as the
-    scene says, as in a sweep without reduction errors.
+    the tolerance chooses the number of modes, a last structure follows. It is reduced as the scene
+    says, as in a sweep without reduction errors.
     """
     first_geometry = build_sweep_geometry(scene, MPI.COMM_SELF, case_options)
     geometry: SweepGeometry | None = first_geometry
@@ -370,9 +370,9 @@ def solve_chunk(
 class CaseSolver:
     """Solver for sweep cases with a shared structure.
 
-    Each solution is the initial guess for the next case. Cases that differ only in
-    frequency share structure, contact law and equations. If a case needs more modes for its
-    tolerance, this case and all further cases get them.
+    Each solution is the initial guess for the next case. Cases that differ only in frequency share
+    structure, contact law and equations. If a case needs more modes for its tolerance, this case
+    and all further cases get them.
     """
 
     def __init__(self, geometry: SweepGeometry) -> None:
@@ -494,9 +494,8 @@ class CaseSolver:
 
         The curve covers the mode with the bilinear frequency nearest to the problem's. It goes from
         (1 - 2 xi) omega_open to (1 + 2 xi) omega_tied. xi is the mode's damping ratio, omega_open
-        and
-        omega_tied are its natural frequencies with open and bonded crack. InputError unless
-        0 < xi < 0.5.
+        and omega_tied are its natural frequencies with open and bonded crack. InputError unless
+        xi is above 0 and below 0.5.
 
         Returns
         -------
@@ -532,11 +531,9 @@ class CaseSolver:
         -------
         dict
             "verdict": stable, unstable, irregular or undecided. "multiplier": largest modulus of
-            the
-            Floquet multipliers, missing if they could not be computed. "remark": why stability is
-            undecided, or how more modes contradict the verdict, else "". The dict is empty without
-            a
-            contact law, and for rigid contact between crack faces with mass.
+            the Floquet multipliers, missing if they could not be computed. "remark": why stability
+            is undecided, or how more modes contradict the verdict, else "". The dict is empty
+            without a contact law, and for rigid contact between crack faces with mass.
         """
         structure, law, remark_text = solution.structure, solution.contact, ""
         if law is None or (is_rigid(law) and not structure.light_lips):
@@ -599,8 +596,8 @@ def _observe_value_by_column(
     """Return a solution's numbers for the sweep's columns, by column name.
 
     The load's point and the points in ``[output.points]`` have indicators and harmonics of the
-    displacement. Crack-face indicators follow. Quantities at crack tips and at the clamp
-    are included if the scene requests them.
+    displacement. Crack-face indicators follow. Quantities at crack tips and at the clamp are
+    included if the scene requests them.
     """
     row_by_name = _find_load_direction_row_by_name(solution, case) | geometry.watched_row_by_name
     row_matrix = np.reshape([*row_by_name.values()], (len(row_by_name), solution.structure.n_dofs))

@@ -197,9 +197,8 @@ class SweepFile:
     scene : Scene
         Scene with its sweep.
     n_harmonics_upper_bound, n_gap_rows_upper_bound : int
-        Upper bounds over all cases for the harmonic count, and for the gap row count.
-        They set the size of the datasets. With 0 gap rows no Fourier coefficients of gaps and
-        forces are stored.
+        Upper bounds over all cases for the harmonic count, and for the gap row count. They set the
+        size of the datasets. With 0 gap rows no Fourier coefficients of gaps and forces are stored.
     omitted_options : sequence of str
         Computations that are left out. "verdicts": stability of each case. "judged": reduction
         error. "vibration_2": vibration at position 2 on the last axis, where only natural
@@ -268,8 +267,7 @@ class SweepFile:
             Case numbers; the position on the last axis changes fastest.
         values_of_cases : sequence of mappings
             Values by column name for each case. Converged cases have the Fourier coefficients "gap"
-            [m]
-            and "force" [N].
+            [m] and "force" [N].
 
         Raises
         ------
@@ -294,8 +292,7 @@ class SweepFile:
             Case numbers; the position on the last axis changes fastest.
         values_of_cases : sequence of mappings
             Values by column name for each case. A case with the key "gap" has converged, any other
-            case
-            has failed.
+            case has failed.
 
         Raises
         ------

@@ -98,8 +98,7 @@ class Worker:
         """Solve a job's chunks one after the other.
 
         ``may_continue`` is called before each chunk and each case; False ends the job. An
-        unexpected
-        exception also ends it.
+        unexpected exception also ends it.
 
         Yields
         ------
@@ -170,9 +169,8 @@ class Worker:
             Case numbers, for the cases tried.
         outcome : list of dict, or Exception
             Values by column name for each case. If the structure could not be built, each case has
-            the
-            error in the column ``status``. The outcome is the error itself if the structure is too
-            large and the options end the sweep for this reason.
+            the error in the column ``status``. The outcome is the error itself if the structure is
+            too large and the options end the sweep for this reason.
         """
         geometry_or_error = self._geometry_or_error
         if isinstance(geometry_or_error, SweepGeometry):
@@ -374,8 +372,7 @@ class Manager:
         """Receive a message from another rank, and act on it.
 
         A message with a chunk's outcome is written to the file. A message after a finished job
-        sends
-        the next job to that rank.
+        sends the next job to that rank.
         """
         message_status = MPI.Status()
         case_numbers_and_outcome = _receive_message(comm, message_status)
@@ -389,13 +386,10 @@ class Manager:
         """Choose the next job for a rank; None if no chunk remains.
 
         A rank first goes on with the structure (mesh and modes) of its last job. If no chunk of
-        this
-        structure remains, it gets a structure that no rank has worked on. If there is none, it gets
-        the
-        structure with most chunks left. A job takes all chunks of its structure if there is one
-        rank,
-        or if more structures than ranks are untouched. Otherwise it takes fewer chunks, so
-        that the ranks finish together.
+        this structure remains, it gets a structure that no rank works on. If there is none, it gets
+        the structure with most chunks left. A job takes all chunks of its structure if there
+        is one rank, or if more structures than ranks are untouched. Otherwise it takes fewer
+        chunks, so that the ranks finish together.
         """
         if not self._remaining_case_numbers_by_geometry:
             return None

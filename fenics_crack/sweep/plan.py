@@ -67,8 +67,8 @@ class Plan:
     chunk_case_numbers_by_geometry : list of list of (n,) int
         Case numbers in each chunk of each geometry.
     n_harmonics_upper_bound : int
-        Upper bound for the harmonics in any case. At least 100 if a case has a tolerance,
-        which may increase the number.
+        Upper bound for the harmonics in any case. At least 100 if a case has a tolerance, which may
+        increase the number.
 
     Raises
     ------
@@ -118,9 +118,8 @@ class Plan:
         """Split case numbers by geometry, then into chunks of at most 16.
 
         A geometry is a structure shared by several cases. The cases in a chunk differ only on one
-        axis:
-        the frequency axis if a frequency is swept, otherwise the last axis without effect on the
-        geometry. If each axis changes the geometry, a chunk is a single case.
+        axis: the frequency axis if a frequency is swept, otherwise the last axis without effect on
+        the geometry. If each axis changes the geometry, a chunk is a single case.
 
         Parameters
         ----------
@@ -179,8 +178,7 @@ class Plan:
         """Upper bound for the gap rows in any case.
 
         A contact pair has one row, for the normal gap. With friction it has two, for the normal and
-        the
-        tangential gap.
+        the tangential gap.
         """
         return self._n_gap_rows_per_pair * max(
             n_pairs for n_pairs, _ in self.pair_bounds_and_crack_lengths
@@ -191,9 +189,9 @@ class Plan:
         """Upper bound for contact pairs, and first crack's length [m], by geometry.
 
         A geometry is a structure shared by several cases. Both numbers are 0 if no case of the
-        geometry
-        is a valid scene. The length is 0 without a crack. It is also 0 if the scene gives a natural
-        frequency in place of the length. To find the bound, solids are meshed and mesh files read.
+        geometry is a valid scene. The length is 0 without a crack. It is also 0 if the scene gives
+        a natural frequency in place of the length. To find the bound, solids are meshed and mesh
+        files read.
         """
         pair_bound_by_mesh: dict[Any, int] = {}
         bounds_and_lengths: list[tuple[int, float]] = []
@@ -278,8 +276,8 @@ def _find_keys_sharing_geometry(scene: Scene, swept_keys: Collection[str]) -> se
 
     The keys are :data:`GEOMETRY_INDEPENDENT_KEYS` and swept crack clearances (``swept_keys`` are
     the keys in the sweep). They include the force only if each load is a sum of scaled unit forces.
-    This excludes other loads, harmonics or a wave of the force, rotation, and swept keys of
-    [base], [loads] or [rotation].
+    This excludes other loads, harmonics or a wave of the force, rotation, and swept keys of [base],
+    [loads] or [rotation].
     """
     geometry_independent_keys = GEOMETRY_INDEPENDENT_KEYS | {
         swept_key for swept_key in swept_keys if re.fullmatch(r"crack.*\.clearance", swept_key)

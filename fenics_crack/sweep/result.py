@@ -308,8 +308,7 @@ class SweepResult(Tabular):
         """Estimated relative errors by cause and case: (4, n_1, n_2, ...).
 
         n_i is the number of values on axis i. The four causes are truncation, reduction, sampling
-        and
-        residual, as in :class:`ErrorReport`. The error is 0 in a case without a solution or an
+        and residual, as in :class:`ErrorReport`. The error is 0 in a case without a solution or an
         estimate.
         """
         return np.nan_to_num(
@@ -321,8 +320,7 @@ class SweepResult(Tabular):
         """True for solved cases with a total error above 5 % (``LARGE_ERROR``).
 
         The total error is the sum of :attr:`error_parts` in a case. The bool array has the shape of
-        the
-        axes.
+        the axes.
         """
         return self.converged & (self.error_parts.sum(axis=0) > LARGE_ERROR)
 
@@ -365,10 +363,8 @@ class SweepResult(Tabular):
         """Index and text for each case whose verdict changes with more modes.
 
         The index is the position on each axis. The text has the verdict on stability by more modes.
-        For
-        crack faces without mass, the check is a Newton step with twice the modes. It finds about
-        two in
-        three such cases. To check a single case, use :func:`fenics_crack.solve`.
+        For crack faces without mass, the check is a Newton step with twice the modes. It finds
+        about two in three such cases. To check a single case, use :func:`fenics_crack.solve`.
         """
         indices_and_statuses = self._find_indices_and_statuses(
             self.converged & (self["verdict"] != "undecided")
@@ -696,7 +692,7 @@ def iterate_texts_by_reason(
         Position on each axis and reason for each case, as in
         :attr:`SweepResult.failed_indices_and_reasons`.
     outcome_text : str
-        What happened to the cases, such as "failed". The text of a group begins
+        What happened to the cases, such as "failed". A group's text begins with
         "3 cases {outcome_text}, the first at ...".
     """
     indices_and_reasons_by_pattern: dict[str, list[tuple[tuple[int, ...], str]]] = {}
