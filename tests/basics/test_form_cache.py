@@ -115,7 +115,7 @@ def test_an_interrupt_from_the_terminal(tmp_path: Path) -> None:
         [*words, "--output", str(tmp_path / "out")], env=environment() | changes, timeout=LIMIT,
         start_new_session=True, capture_output=True, text=True,
     )  # fmt: skip
-    assert process.returncode == 3 and "the same command goes on" in process.stderr
+    assert process.returncode == 3 and "run the same command again" in process.stderr
 
 
 def test_a_damaged_form(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
