@@ -40,7 +40,7 @@ def test_points_are_watched_at_their_nearest_nodes(scene: fc.Scene) -> None:
     assert [w.name for w in study.watched] == ["tip.ux", "tip.uy", "side.ux", "side.uy"]
     dofs = [study.structure.find_dof((0.1, y), axis) for y in (0.1, 0.0625) for axis in "xy"]
     assert [w.dof for w in study.watched] == dofs
-    assert [w.distance for w in study.watched] == [0.0, 0.0, 0.002, 0.002]
+    assert [w.distance_to_node for w in study.watched] == [0.0, 0.0, 0.002, 0.002]
     (default_point,) = prepare(scene.replace({"output": None}), MPI.COMM_SELF).watched
     assert (default_point.name, default_point.dof) == ("", dofs[0])
     assert default_point.words == "x displacement at (0.1, 0.1) m"
