@@ -505,14 +505,16 @@ class Fit:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Fit the forces on the modes in the attribute ``modes`` by linear least squares.
 
-        ``weights`` has the arrivals' weights (R, P) for each run. Sets the attribute ``forces``.
+        ``weights`` has an array (R, P) for each run-up or run-down: the arrivals' weights in R
+        revolutions at P probes. Sets the attribute ``forces``.
 
         Returns
         -------
         residuals : (n,) [m]
-            Residuals of all arrivals, times square roots of the weights.
-        slopes : (n, m) [m]
-            Derivatives of the residuals by ln w_n and ln zeta for each mode in turn.
+            Residuals of all n arrivals, times square roots of the weights.
+        slopes : (n, 2 n_modes) [m]
+            Derivatives of the residuals by ln w_n and ln zeta, two columns for each mode in turn.
+            Here w_n is the mode's natural frequency, and zeta its damping ratio.
         """
         run_forces, residual_blocks = [], []
         log_pole_slopes = np.array([(1.0, mode.pole.real / mode.pole) for mode in self.modes])

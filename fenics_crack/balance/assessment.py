@@ -58,7 +58,7 @@ the solution's state. Measured on 680 solutions: the prediction is half to twice
 99 % of chains, 83 % of plates and 79 % of stiff chains.
 """
 MAX_ORBIT_DISTANCE_OF_MASSLESS_FACES = 0.5
-"""Maximum relative distance of an accepted orbit for crack faces without mass.
+"""Maximum relative distance of the gaps at which the nearest orbit is accepted for massless faces.
 
 Measured on ten orbits at a distance from 0.1 to 0.5, within three times the prediction. For nine,
 the solution with many harmonics had the same orbit. All ten had the same verdict on stability.

@@ -349,8 +349,8 @@ class BlockSolver(Solver):
     Raises
     ------
     InputError
-        The law has friction, or is rigid although crack faces have mass. The structure is a wheel
-        that is not reduced. Or the block system does not fit into memory.
+        The law has friction, or is rigid although crack faces have mass. The structure is a bladed
+        disk that is not reduced. Or the block system does not fit into memory.
     """
 
     def __post_init__(self) -> None:

@@ -556,7 +556,10 @@ class CoupledIntegrals(ContactIntegrals):
 
 
 class CoupledForces(ContactForces):
-    """Fourier coefficients of contact forces on coupled pairs, with derivatives."""
+    """Fourier coefficients of contact forces on coupled pairs, with derivatives.
+
+    Pairs are coupled by a residual flexibility, or their normal and tangential forces by friction.
+    """
 
     @abstractmethod
     def tangent(self, gap_basis: np.ndarray | None = None) -> np.ndarray:
@@ -610,7 +613,7 @@ _kernel_evaluator_for = lru_cache(maxsize=16)(_KernelForceEvaluator)
 
 
 class _ExactForces(CoupledForces):
-    """Exact contact forces of coupled pairs, by the C kernel."""
+    """Exact contact forces on pairs coupled by a residual flexibility, by the C kernel."""
 
     def __init__(self, integrals: CoupledIntegrals, gap_coefficients: np.ndarray) -> None:
         self._integrals, self.harmonics = integrals, integrals.harmonics
@@ -689,7 +692,7 @@ class _ExactForces(CoupledForces):
 
 
 class _SampledForces(CoupledForces):
-    """Contact forces of coupled pairs from samples in time, for any law h(g).
+    """Contact forces on pairs coupled by a residual flexibility, from samples, for any law h(g).
 
         lambda = h(s - D lambda),    d lambda = S (ds - dD lambda),    S = h' (I + D h')^-1
 

@@ -833,7 +833,8 @@ def _with_orbit_by_balance(
 
     Harmonic balance with more modes and 40 harmonics of the load frequency starts from the orbit's
     series. ``solution_with_harmonics`` returns this series with a given number of harmonics. If the
-    solution has an accepted orbit, ``more_modes`` is returned with this orbit.
+    solution has an exact orbit close enough (:attr:`Assessment.is_accepted`), ``more_modes`` is
+    returned with this orbit.
 
     ``more_modes`` is returned unchanged in four cases:
 
@@ -1004,7 +1005,8 @@ def motion_without_friction(
 ) -> PeriodicOrbit | PeriodicSolution:
     """Return the motion under a law without friction (collective).
 
-    The motion is the exact orbit, or the harmonic-balance solution if no orbit is accepted.
+    The motion is the exact orbit. If no orbit is close enough to the harmonic-balance solution
+    (:attr:`Assessment.is_accepted`), the motion is this solution.
     """
     problem = Problem(structure, omega, law, subharmonic=subharmonic)
     start_problem = problem.with_harmonics(problem.response_harmonics(problem.harmonics))

@@ -734,9 +734,9 @@ class Search:
 
         ``harmonic_counts`` are ascending numbers of harmonics; the last is the problem's. Newton's
         method starts from the linear solution with the first number, then from each solution with
-        the next number. A number without a solution is skipped. Above 40 harmonics of the load
-        frequency, an exact orbit is tried first. Guesses are slow gap coefficients (2H+1, n_rows)
-        [m] with the problem's harmonics.
+        the next number. A number without a solution is skipped. Before the first number above 40
+        harmonics of the load frequency, an exact orbit is searched. If found, its gaps are yielded.
+        Guesses are slow gap coefficients (2H+1, n_rows) [m] with the problem's harmonics.
         """
         orbit_first_above_harmonics = self._orbit_first_above_harmonics
         for n_harmonics in harmonic_counts:
@@ -793,9 +793,9 @@ class Search:
     def _yield_guesses_without_friction(self) -> Iterator[np.ndarray]:
         """Yield the gaps under the contact forces of the solution without friction.
 
-        Above 40 harmonics of the load frequency, an exact orbit next to this solution is tried
-        first. Nothing is yielded if the solution is not found. Guesses are slow gap coefficients
-        (2H+1, n_rows) [m].
+        Above 40 harmonics of the load frequency, an exact orbit with friction is searched from this
+        solution. If found, its gaps are yielded first. Nothing is yielded if the solution is not
+        found. Guesses are slow gap coefficients (2H+1, n_rows) [m].
         """
         problem_with_friction, system_with_friction = self.problem, self.system
         frictionless_problem = replace(

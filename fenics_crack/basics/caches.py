@@ -143,7 +143,8 @@ def load_or_compile_form(
     comm : MPI.Comm
         Communicator of the form's mesh.
     record_file : Path
-        File in the cache with the name of the folder that holds the compiled form.
+        Text file in the cache. Its first line is the name of the folder with the compiled form; the
+        further lines have a SHA-256 digest for each file in the folder.
     compile_form : callable
         Function that loads or compiles the form, given options for DOLFINx.
 
@@ -186,7 +187,8 @@ def _find_form_folder_and_compiler(record_file: Path) -> tuple[Path, str]:
     Parameters
     ----------
     record_file : Path
-        File with the folder's name, and with name and SHA-256 of each file in it.
+        Text file whose first line is the folder's name; the further lines have SHA-256 and name of
+        each file in the folder.
 
     Returns
     -------

@@ -260,9 +260,11 @@ def _class_names_of(value: object) -> set[str]:
 def fit_argument_to_annotation(
     key: str, value: Any, annotation: str, known_class_names: Collection[str]
 ) -> Any:
-    """Return an argument; if the annotation requires the result of a Run, return this result.
+    """Check an argument against its annotation, and return the argument.
 
-    Classes are compared by name: no module is imported for the check.
+    A user may give a Run where a function takes the result alone: ``value.result`` is then
+    returned. Any other argument is returned unchanged. Classes are compared by name: no module is
+    imported for the check.
 
     Parameters
     ----------

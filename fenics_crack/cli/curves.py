@@ -224,9 +224,10 @@ def _find_undecided_ranges(curve: ResponseCurve) -> list[tuple[int, int]]:
 def tabulate_curve_points(
     run: Run[ResponseCurve], columns_by_heading: ColumnsByHeading | None = None
 ) -> Table:
-    """Tabulate all points of a curve: parameter, harmonics, verdicts and indicators.
+    """Tabulate a curve's points: parameter, harmonics, stability and crack indicators.
 
-    ``columns_by_heading`` are the indicators (n_points,) by heading; None: computed here.
+    ``columns_by_heading`` has the indicators (n_points,) of point and crack faces by heading; None:
+    computed here.
     """
     quantity_names = [name for name in run.result.to_dict() if name not in OBSERVABLES_BY_NAME]
     table = run.result.table(*quantity_names)

@@ -283,7 +283,7 @@ def _find_campbell_speeds_or_none(arguments: Namespace, scene: Scene) -> np.ndar
 def _read_measurements(
     arguments: Namespace, scene: Scene, uncracked_path: Path | None
 ) -> Measurements | None:
-    """Read and add up the measurements of all files for ``identify``.
+    """Read the measurement files for ``identify``, and join their rows in one object.
 
     ``uncracked_path`` is a file of frequency responses before the crack, or None. Returns None if
     only arrivals are given.
@@ -687,10 +687,11 @@ def build_scene_text(
 
 
 def find_example_line(key: str, requirement_text: str) -> str:
-    """Return a template's line for a scene key, "young = 2.1e11"; "" if no template has the key.
+    """Return an example line for a scene key, to print below an error; "" without an example.
 
-    ``requirement_text`` is the error's description of allowed values. If this text names other keys
-    of the table, a line with any of them is accepted, too.
+    The line, such as "young = 2.1e11", is from a template of ``new``. ``requirement_text`` is the
+    text after "must be" in the error message. If this text names other keys of the same table, and
+    no template has the key itself, the example may be for one of those keys.
     """
     table_name, _, key_name = key.partition(".")
     key_names = key_name, *re.findall(rf"\b{re.escape(table_name)}\.(\w+)", requirement_text)

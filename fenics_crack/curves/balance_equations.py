@@ -50,7 +50,8 @@ class BalanceEquations(CurveSystem):
     Attributes
     ----------
     has_varying_integrals : bool
-        True if the law, or the residual flexibility, changes along the parameter.
+        True if the integrals of contact forces over a period change along the parameter, by the law
+        or by the residual flexibility.
     angle_weights : (2H+1, 1) or None
         Weights of the unknowns in angles between tangents; None: all 1.
     """

@@ -208,8 +208,9 @@ class ResponseCurve(ObservedMotion, Tabular):
     parameter : str
         "omega", "load", "stiffness", "damping", "clearance", "friction", "speed", or "resonance".
     values : (n,)
-        Parameter values: load frequencies [rad/s], factors, added clearances [m], or rotor speeds
-        [rad/s].
+        Parameter values. "omega": load frequencies [rad/s]. "load", "stiffness", "damping" and
+        "friction": factors. "clearance": added clearances [m]. "speed": rotor speeds [rad/s].
+        "resonance": factors for the vibrating load at phase resonance.
     omega : (n,) [rad/s]
         Load frequencies.
     iterations : (n,) int
@@ -226,7 +227,8 @@ class ResponseCurve(ObservedMotion, Tabular):
         Harmonic balance: gap coefficients; for a structure with a residual flexibility R_inf, those
         of the slow gap s = g + R_inf lambda, with gap g and contact force lambda. With friction (n,
         2H+1, 2 n_pairs), normal gaps first. Exact orbits: modal displacements and velocities at
-        phase zero, in the modes of the varied structure; with friction also slider positions.
+        phase zero, in the modes at the point's parameter value; with friction also slider
+        positions.
     tolerance : float or None
         Error to which :meth:`solution` keeps an exact orbit's Fourier coefficients; None for points
         that solve the truncated harmonic-balance equations.
@@ -242,8 +244,8 @@ class ResponseCurve(ObservedMotion, Tabular):
         multiplied. nan if the multiplier does not decide the stability (:func:`judge_curve`). None:
         not assessed.
     irregular : (n,) bool or None
-        True if no orbit was found and the exact motion is irregular. None: not assessed, exact
-        orbits, or a smooth law.
+        True if no orbit was found and the exact motion is irregular. None if the stability was not
+        assessed, the points are exact orbits, or the contact law is smooth.
     branch : bool
         True if the curve leaves another curve at a bifurcation (:func:`follow_branch`).
     """

@@ -6,8 +6,8 @@ factor v for the vibrating part of the load. One equation is added:
     Re P / Im P = 0,        P = f_k^H u_k,
 
 with the complex work P. f_k and u_k are complex coefficients for the exciting harmonic k: f_k of
-the load, on a wheel only on the watched blade, and u_k of the displacement. Re P / Im P is linear
-in w next to the resonance of a single mode. The Jacobian is bordered by a row and a column.
+the load, on a bladed disk only on the watched blade, and u_k of the displacement. Re P / Im P is
+linear in w next to the resonance of a single mode. The Jacobian is bordered by a row and a column.
 
 Contact is linear for each set of closed pairs, and a scaled motion has the same sets. So the motion
 is v times the motion under the load itself, with mean load and clearance divided by v. Both are in
@@ -49,7 +49,7 @@ class ExcitingHarmonic:
     harmonic : int
         Multiple k of the load frequency.
     cosine_and_sine_load : (2, n_dofs) [N]
-        Cosine and sine parts of the load; on a wheel, only on the watched blade.
+        Cosine and sine parts of the load; on a bladed disk, only on the watched blade.
     """
 
     harmonic: int
@@ -105,23 +105,24 @@ class PhasePoint(Linearisation):
 
     Harmonic balance F(s, v, w) = 0, and Re P / Im P = 0 for the load's complex work P. s is the
     slow gap (gap plus residual flexibility times contact force), v the factor for the vibrating
-    load, w the load frequency. The unknowns are s / (v ``vibration_size``), with the system's
-    ``vibration_size`` [m], and w divided by the problem's frequency.
+    load, w the load frequency. Harmonic balance is divided by v. The unknowns are s / (v s_0), and
+    w divided by the problem's frequency. The constant s_0 [m] is ``vibration_size`` of
+    :class:`ResonanceSystem`: the norm of the vibrating coefficients of s / v at a nearby point.
 
     Attributes
     ----------
     problem : Problem
         Problem at v = 1, with a frequency near w.
     contact_point : ContactPoint
-        Harmonic balance at s / v, for v = 1.
+        Harmonic balance with the slow gap s / v, under the load with the factor 1.
     omega : float [rad/s]
         Load frequency w.
     complex_work : complex [N m]
-        P / v.
+        P / v: complex work f_k^H u_k / v, with the load f_k at the factor 1.
     slow_gap_derivative_by_frequency : (2H+1, n_pairs)
-        (ds/dw) / v, along the response curve through the point.
+        Derivative of s / v by w, along the response curve with this v through the point.
     complex_work_derivative_by_frequency : complex
-        (dP/dw) / v.
+        Derivative of P / v by w, along the same curve.
     """
 
     def __init__(self, system: ResonanceSystem, unknown: np.ndarray, parameter: float) -> None:
@@ -249,9 +250,9 @@ class PhasePoint(Linearisation):
 class ResonanceSystem(CurveSystem):
     """Equations of a phase resonance along a factor v for the vibrating load.
 
-    The unknowns are the slow gap's coefficients divided by v ``vibration_size``, and the load
-    frequency divided by the problem's frequency. Slow gap: gap plus residual flexibility times
-    contact force.
+    The unknowns are the slow gap's coefficients divided by v s_0, and the load frequency divided by
+    the problem's frequency. s_0 is the attribute ``vibration_size``. Slow gap: gap plus residual
+    flexibility times contact force.
 
     Attributes
     ----------

@@ -416,10 +416,11 @@ def amplification(
 ) -> Amplification:
     """Find a disk's amplification factors for random mistuning patterns (collective).
 
-    The disk has no cracks. The largest response is sought near natural frequencies in a mode family
-    and for neighbouring modes. The family nearest to the scene's load frequency at the excited
-    nodal diameter is taken. The amplitude is taken at the watched dof, and at the same place on
-    every blade. Ranks share the patterns.
+    The disk has no cracks. The largest response is sought near 2 N natural frequencies, with N
+    blades: the N modes of a family, and N modes next to these in frequency. A family has the same
+    mode number at all nodal diameters. At the excited nodal diameter, the chosen family is nearest
+    to the scene's load frequency. The amplitude is taken at the watched dof, and at the same place
+    on every blade. Ranks share the patterns.
 
     Parameters
     ----------
@@ -521,9 +522,9 @@ def _make_peak_finder(wheel: Wheel, load_omega: float) -> PeakFinder:
 
     The function (``PeakFinder``) takes the sectors' relative stiffness deviations (N,) and returns
     amplitude [m], load frequency [rad/s] and blade number. The search is next to 2 N natural
-    frequencies: N modes in a family, and N neighbouring modes. A family has the same mode number
-    at all nodal diameters. The chosen family is nearest to ``load_omega`` [rad/s] at the excited
-    nodal diameter.
+    frequencies: N modes in a family, and N modes next to these in frequency. A family has the same
+    mode number at all nodal diameters. The chosen family is nearest to ``load_omega`` [rad/s] at
+    the excited nodal diameter.
 
     Raises
     ------

@@ -862,7 +862,8 @@ def _compute_bond_forces(
     A bonded crack is held together by the forces (K - w^2 M) v in a mode v, and K x - f for a load
     f with static response x. The columns are the bond forces over w for the m modes, and over
     sqrt(f^H x) for the p loads (f^H x is the load's work). Let C be the compliance of the crack's
-    opening. If the crack opens, a column b changes w^2 or the work by b^T C b, relative.
+    opening, and b a column. If the bond force is released, the relative change of w^2 or of the
+    work is b^H C b, to first order: w^2 falls, and the work grows.
 
     Returns
     -------

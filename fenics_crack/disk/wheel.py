@@ -235,7 +235,7 @@ class Wheel(Structure):
         )
 
     def structure_in_few_coordinates(self) -> WheelInFewCoordinates:
-        """Return the wheel in few coordinates: q of modes, d of crack openings (collective)."""
+        """Return the wheel with coordinates q of modes and d of crack openings (collective)."""
         return WheelInFewCoordinates(self, count_basis_families(self.families))
 
     def watched_sector_load_rows(self, structure: Structure, rows: slice) -> np.ndarray:

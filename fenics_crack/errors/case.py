@@ -3,8 +3,8 @@
 A cause is the mesh, modes, harmonics, friction or samples. The contribution to an error is called
 the cause's part. :mod:`stated` and :mod:`verify` use the two estimates in this module:
 
-*Harmonics.* If the answer has an accepted exact orbit, the part is the distance to the orbit's
-numbers.
+*Harmonics.* If an exact orbit is close enough to the answer, the part is the distance to the
+orbit's numbers. The limits are in :func:`fenics_crack.errors.numbers.find_accepted_orbit_or_none`.
 
 *Friction.*
 
@@ -124,10 +124,10 @@ class JudgedAnswer:
 
     @cached_property
     def orbit_values_by_name(self) -> dict[str, float] | None:
-        """Values of the answer's accepted exact orbit by quantity name (collective).
+        """Values of the answer's exact orbit by quantity name (collective).
 
-        An exact orbit is a periodic motion in time, without truncated harmonics. None if the answer
-        has no accepted orbit (:func:`find_accepted_orbit_or_none`).
+        An exact orbit is a periodic motion in time, without truncated harmonics. None if no orbit
+        is close enough to the answer (:func:`find_accepted_orbit_or_none`).
         """
         orbit = find_accepted_orbit_or_none(self.answer)
         return None if orbit is None else self.compute_values_by_name(orbit)

@@ -204,8 +204,9 @@ def find_accepted_orbit_or_none(solution: PeriodicSolution) -> PeriodicOrbit | N
 def find_largest_omitted_harmonic(solution: PeriodicSolution, dof: int) -> tuple[int, float] | None:
     """Find a dof's largest higher harmonic, if the solution omits this harmonic (collective).
 
-    The harmonic amplitudes U_k come from the solution's accepted exact orbit. Only harmonics k >= 2
-    are compared, multiples of the load frequency.
+    The harmonic amplitudes U_k come from the solution's exact orbit
+    (:func:`find_accepted_orbit_or_none`). Only harmonics k >= 2 are compared, multiples of the load
+    frequency.
 
     Parameters
     ----------
@@ -218,7 +219,7 @@ def find_largest_omitted_harmonic(solution: PeriodicSolution, dof: int) -> tuple
     -------
     (int, float) or None
         The largest harmonic's order k, and the ratio U_k / U_1. None if the solution includes this
-        harmonic, or has no accepted orbit.
+        harmonic, or no exact orbit is close enough.
     """
     orbit = find_accepted_orbit_or_none(solution)
     if orbit is None:

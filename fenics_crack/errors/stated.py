@@ -6,12 +6,14 @@ frequency. The causes are:
 
 - *modes*. A second reduced structure, the reference, has more modes and gives the number f_ref.
   By assumption the added modes remove the fraction s of the truncation error: e = |f - f_ref| / s.
-  If exact orbits are accepted, f_ref - f is the change between orbits: with few harmonics, all
-  modes above the harmonics seem static. A change may be small by chance, if the remaining modes
-  have a different phase. So e is at least the motion's size of change (:mod:`numbers`) over s.
-- *harmonics*. An accepted exact orbit gives e = |f - f_orbit|. Without an orbit, solve with twice
-  the harmonics. If the report's truncation error is large, the difference may vanish by chance:
-  solve with four times the harmonics, too, and take the larger error.
+  If both solutions have a close exact orbit, f_ref - f is the change between orbits. The reason:
+  with few harmonics, all modes above the harmonics seem static. A change may be small by chance,
+  if the remaining modes have a different phase. So e is at least the motion's size of change
+  (:mod:`numbers`) over s.
+- *harmonics*. An exact orbit close enough to the answer gives e = |f - f_orbit|; limits in
+  :func:`fenics_crack.errors.numbers.find_accepted_orbit_or_none`. Without an orbit, solve with
+  twice the harmonics. If the report's truncation error is large, the difference may vanish by
+  chance: solve with four times the harmonics, too, and take the larger error.
 - *mesh*. A coarser mesh, with the ratio r of element lengths, gives f_r and e below.
 - *friction*. See :mod:`case`.
 
@@ -498,9 +500,11 @@ class AnswerJudgedByExtraRuns(JudgedAnswer):
     def estimate_error_by_harmonics(self) -> PartOrReason:
         """Estimate the error due to truncated harmonics (collective).
 
-        The error is the distance to the accepted exact orbit, if any. Otherwise the error is the
-        distance to a run with twice the harmonics. If the error report states a truncation error
-        above 5 %, a run with four times the harmonics follows. The larger distance then counts.
+        The error is the distance to the answer's exact orbit, if one is close enough
+        (:func:`~fenics_crack.errors.numbers.find_accepted_orbit_or_none`). Otherwise the error is
+        the distance to a run with twice the harmonics. If the error report states a truncation
+        error above 5 %, a run with four times the harmonics follows. The larger distance then
+        counts.
 
         Returns
         -------

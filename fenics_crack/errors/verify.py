@@ -75,14 +75,16 @@ SCENE_RUN_NAME = "the scene's settings"
 def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     """Verify the numbers of a scene's steady vibration and frequencies (collective).
 
-    Mesh, modes, harmonics and samples are refined twice, each cause alone. A graded mesh is refined
-    by 1.5 and 2 if a similar finer mesh exists; any further mesh by 2 and 3. Counts are multiplied
-    by 2 and 4. The three values f_i of each quantity give the observed order p, the extrapolated
-    value f and the uncertainty F abs(f_i - f). The factor of safety F is 1.25 or 3
+    Mesh, modes, harmonics and samples are refined twice, each cause alone. Elements become 2 and 3
+    times shorter. In layout "graded" the factors are 1.5 and 2 if a mesh with the same grading and
+    elements 1.5 times shorter exists. Counts are multiplied by 2 and 4. The three values f_i of
+    each quantity give the observed order p, the extrapolated value f and the uncertainty
+    F abs(f_i - f). The factor of safety F is 1.25 or 3
     (:func:`fenics_crack.grid_convergence`; Roache 1994, Celik et al. 2008, ASME V&V 20-2009).
 
     The error due to harmonics may follow from an exact orbit, a periodic motion in time without
-    truncated harmonics. This requires an accepted orbit, and no number of samples in the scene. The
+    truncated harmonics. The orbit's gaps must differ from the solution's by at most 10 % of the
+    motion, or 50 % if crack faces have no mass. ``harmonic_balance.samples`` must not be set. The
     error is then the distance to the orbit's numbers. The error due to friction follows from exact
     orbits with and without friction.
 
@@ -319,9 +321,10 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
     def _compute_run_values_by_name(self, run: SolvedStudy, cause: str) -> dict[str, float]:
         """Return a finer run's values by quantity name (collective).
 
-        For the cause "modes" exact orbits are compared, if answer and run both have an accepted
-        orbit. The value is then the answer's value plus the change from orbit to orbit. The reason:
-        with few harmonics, all modes above the highest harmonic seem static.
+        For the cause "modes" exact orbits are compared, if answer and run both have an orbit that
+        is close enough (:func:`find_accepted_orbit_or_none`). The value is then the answer's value
+        plus the change from orbit to orbit. The reason: with few harmonics, all modes above the
+        highest harmonic seem static.
         """
         if cause == "modes" and self.orbit_values_by_name is not None:
             orbit = find_accepted_orbit_or_none(run.result)
@@ -495,7 +498,8 @@ class _AnswerJudgedByFinerRuns(JudgedAnswer):
     def estimate_error_by_harmonics(self) -> PartOrReason:
         """Estimate the error due to truncated harmonics (collective).
 
-        The error is the distance to the answer's accepted exact orbit. Without an orbit, or with
+        The error is the distance to the answer's exact orbit, if one is close enough
+        (:func:`find_accepted_orbit_or_none`). Without an orbit, or with
         ``harmonic_balance.samples`` in the scene, runs with 2 and 4 times the harmonics give the
         error. Without contact, return the reason as text.
         """

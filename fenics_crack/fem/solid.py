@@ -330,7 +330,10 @@ def _run_mesher(
 
 
 def _value_for_message(scene: Scene, key: str) -> object:
-    """Return the value of a scene's key "table.field" for a message; for faces, the names."""
+    """Return the value of a scene's key "table.field" for a message.
+
+    The value of a field "faces" is a list of tables; here each table is replaced by its key.
+    """
     table_name, _, field_name = key.rpartition(".")
     value = getattr(scene.crack_by_name.get(table_name) or getattr(scene, table_name), field_name)
     return [face_table.key for face_table in value] if field_name == "faces" else value

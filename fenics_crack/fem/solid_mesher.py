@@ -323,20 +323,21 @@ def insert_cracks(
 ) -> tuple[list[int], list[FrontData]]:
     """Cut cracks into a solid in gmsh, and return crack surfaces and fronts.
 
-    Raises Refusal for a crack that is not a single surface inside, cuts the part in two, or touches
-    another crack.
+    Raises Refusal unless each crack is one connected surface inside the solid, without contact with
+    another crack. Also if cracks cut the solid in two.
 
     Parameters
     ----------
     solid_dim_tags : list of (int, int)
         gmsh's dimension and tag of the solid.
     cracks : list of dict
-        Keys: "key", table of the crack in the scene, as "cracks.1"; "shape", name of the key for
-        the crack's size in errors, as "radii"; "unit", unit of length in the mesh [m]; "middle"
-        (3,); "frame" (3, 3), rows e_1, e_2 and the normal; "half", half axes (2,), None for a
-        half-plane that ends at the middle; "is_round", True for an ellipse, False for a rectangle;
-        "reach", extent behind the front, None for a half-plane; "elements", number along this
-        extent; "grading", longest over shortest element length.
+        Keys: "key", table of the crack in the scene, as "cracks.1"; "shape", the table's key for
+        the crack's size, as "radii", which error messages name; "unit", unit of length in the mesh
+        [m]; "middle" (3,); "frame" (3, 3), rows e_1, e_2 and the normal; "half", half axes (2,),
+        None for a half-plane that ends at the middle; "is_round", True for an ellipse, False for a
+        rectangle; "reach", distance on the crack face from the front to the middle or mouth, None
+        for a half-plane; "elements", number of elements over this distance; "grading", longest over
+        shortest element length.
     part_triangles : (n, 3, 3)
         Triangles on the faces of the solid. Empty if the crack's position is checked already.
 

@@ -802,7 +802,8 @@ def _law_datasets(contact: OptionalLaw, structure: Structure) -> Datasets:
 def _check_law(datasets: Datasets, contact: OptionalLaw, structure: Structure) -> None:
     """Raise InputError unless a file's law equals the given contact law.
 
-    Parameters and forces must agree to 1e-9.
+    A parameter may differ by 1e-8 plus 1e-9 times its stored value. For a user's law without known
+    parameters, the forces at :data:`LAW_COMPARISON_GAPS` must agree to 1e-9, relative.
     """
     law_datasets = _law_datasets(contact, structure)
     dataset_names = {"law", "law_stiffness", "law_sharpness", "law_force"} | law_datasets.keys()

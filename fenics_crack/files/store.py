@@ -476,10 +476,12 @@ def check_shapes(datasets: Mapping[str, Any], shape_by_name: Mapping[str, tuple[
 
 
 def read_result_file_without_numbers(path: str | Path) -> StoredFile:
-    """Read a result file, and return the attributes and columns without datasets.
+    """Read a result file, and return its contents without the datasets' numbers.
 
-    The last 32 files' contents are cached until a file changes. InputError if the file cannot
-    be read, is damaged, has an older version, or comes from another program.
+    The result has the file's attributes. For a sweep, it also has each dataset's type, shape and
+    offset in the file (``columns``), to read single cases later. The last 32 files' contents are
+    cached until a file changes. InputError if the file cannot be read, is damaged, has an older
+    version, or comes from another program.
     """
     try:
         file_status = os.stat(path)

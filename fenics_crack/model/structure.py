@@ -502,9 +502,10 @@ class Structure(Coordinates):
         return 1, dof
 
     def structure_in_few_coordinates(self) -> Structure:
-        """Return a bladed disk in the few coordinates in which it is solved (collective).
+        """Return a bladed disk reduced to modes and crack openings (collective).
 
-        Any other structure is returned itself.
+        The coordinates are described in :mod:`fenics_crack.disk.wheel`. Any other structure is
+        returned itself.
         """
         return self
 
@@ -700,8 +701,8 @@ class Structure(Coordinates):
     def damped(self, damping: DampingRule | None) -> Self:
         """Return this structure with another modal or Rayleigh damping, or none (None).
 
-        The damping factor becomes 1. In a reduced structure, the damping holds for the modes of the
-        reduction.
+        A factor by which the old damping was multiplied (``damping_factor``) does not apply to the
+        new damping. In a reduced structure, the damping holds for the modes of the reduction.
         """
         if not isinstance(damping, DampingRule | None):
             raise InputError("damping", damping, "a ModalDamping, a RayleighDamping or None")

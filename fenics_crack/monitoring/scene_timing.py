@@ -503,7 +503,7 @@ def find_tip_factor_by_dof(
     Raises
     ------
     InputError
-        The blade tip of a solid lies on the axis.
+        The blade tip of a solid lies on the rotor axis.
     """
     structure = run.structure.whole
     tip_rotation = _get_solid_tip_rotation_or_none(timing_table, run.scene)
@@ -564,8 +564,8 @@ def find_probed_displacement_and_reversal(scene: Scene) -> tuple[str, bool]:
     Raises
     ------
     InputError
-        The blade tip of a solid is not given, lies on the axis, or does not move along x, y or z
-        (within 2.6 degrees).
+        The blade tip of a solid is not given, lies on the rotor axis, or does not move along x, y
+        or z (within 2.6 degrees).
     """
     timing_table = scene.given("tip_timing")
     tip_rotation = _get_solid_tip_rotation_or_none(timing_table, scene)
@@ -599,12 +599,12 @@ def _get_solid_tip_rotation_or_none(timing_table: TipTiming, scene: Scene) -> Ro
 def _find_circumferential_direction(scene: Scene, point: np.ndarray) -> np.ndarray:
     """Return the unit vector (3,) in which a rotor carries a point.
 
-    The direction is a x (x - x_0) for the point x [m], with the axis a through x_0.
+    The direction is a x (x - x_0) for the point x [m], with the rotor axis a through x_0.
 
     Raises
     ------
     InputError
-        The point lies on the axis.
+        The point lies on the rotor axis.
     """
     axis_point, axis = scene.axis_point_and_direction
     direction = np.cross(axis, point - axis_point)

@@ -77,7 +77,7 @@ def tip_timing(
         Angles of the probes from the blade tip at time 0, in the direction of rotation; from 0 to 2
         pi, increasing.
     tip_radius : float [m]
-        Distance R of the blade tip from the axis.
+        Distance R of the blade tip from the rotor axis.
     speed : float [rad/s]
         Rotor speed W, if the load frequency is no multiple of the speed (asynchronous).
     order : int
@@ -165,7 +165,7 @@ def _compute_arrival_times(
     probe_angles : (probes,) [rad]
         Probe angles from the tip at time 0.
     tip_radius : float [m]
-        Distance of the tip from the axis.
+        Distance of the blade tip from the rotor axis.
 
     Returns
     -------

@@ -511,8 +511,9 @@ class ObservedMotion:
     def face_indicators(self) -> dict[str, Any]:
         """Return the crack faces' indicators by name (collective).
 
-        Openings, contact forces and time shares, by the names in :class:`Indicators`; for a curve,
-        arrays (n,) over the points. Numbers that are nan everywhere are left out.
+        They are openings, contact forces, friction loss, and fractions of the period in which pairs
+        are closed, stick or slip. Names as in :class:`Indicators`. For a curve, arrays (n,) over
+        the points. Numbers that are nan everywhere are left out.
         """
         if not self._face_number_dicts:
             self.observe_rows(np.zeros((0, self.structure.n_local)))

@@ -62,7 +62,7 @@ MAX_RETURN_PERIODS = 8
 
 
 class SearchOptions:
-    """Guesses and budget of an orbit search, for up to 120 modes.
+    """Guesses and budget for an orbit search in a structure with up to 120 modes.
 
     Attributes
     ----------
@@ -72,8 +72,9 @@ class SearchOptions:
         Work allowed after Newton's method failed from all guesses, in periods. A period with 200
         Taylor pieces and 12 modes counts as 1; another period counts in proportion to its pieces
         and to the square of its modes. Half of the budget is for the homotopy path. A quarter is
-        for following the motion, and a quarter for orbits near close returns. The budget lasts
-        about a second. With friction three quarters are allowed, for one to three seconds.
+        for integrating the motion from a guess, and a quarter for orbits near close returns. The
+        budget lasts about a second. With friction the budget is three quarters of
+        ``period_budget``; as each period takes longer, it lasts one to three seconds.
     """
 
     guess_harmonic_counts: tuple[int, ...] = (5, 10, 20, 40)
@@ -94,7 +95,7 @@ class SearchOptions:
 
     @classmethod
     def max_periods(cls, flow: ContactFlow) -> int:
-        """Return the maximum number of periods for following a motion, at least 60.
+        """Return the maximum number of periods for integrating a motion, at least 60.
 
         The periods take a quarter of the search's budget.
         """

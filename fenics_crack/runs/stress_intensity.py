@@ -59,8 +59,9 @@ class StressIntensity(Tabular):
         K_III, positive if the upper face moves along the front, in the direction e_3 = e_1 x e_2.
         e_1 points ahead, and e_2 from the lower to the upper face. None for a plate.
     closed_front_errors : (n_tips,) [Pa m^1/2]
-        Error of K_I in a solid by the correction at closed fronts. While the front is closed, and
-        while K_I is negative, K_I is set to zero. The error is the largest abs(K_I) set to zero.
+        Error of K_I in a solid at fronts with zero clearance. While all contact pairs next to the
+        station are closed, and while K_I is negative, K_I is set to zero. The error is the largest
+        abs(K_I) set to zero.
     """
 
     time: np.ndarray
@@ -185,9 +186,9 @@ def stress_intensity(run: Run[PeriodicSolution] | Run[TimeHistory]) -> StressInt
     the surface are extrapolated linearly from the next two (docs/solids.md).
 
     The error of K_I due to the mesh is of first order in the element size. The attribute
-    ``closed_front_errors`` states the error at closed fronts. In a reduced structure the static
-    response to the load f and the contact forces lambda is exact; with the amplitudes q_r of the
-    modes,
+    ``closed_front_errors`` states the error at fronts closed by contact. In a reduced structure the
+    static response to the load f and the contact forces lambda is exact; with the amplitudes q_r of
+    the modes,
 
     .. math:: K = K_{\mathrm{static}}(f, \lambda) + \sum_r K_r (q_r - q_{r,\mathrm{static}}).
 

@@ -61,7 +61,7 @@ class SceneTables:
 
     @property
     def table_by_name(self) -> dict[str, Table]:
-        """Present tables by their names in errors: "contact", "cracks.1"."""
+        """Tables that the scene has, by the names in error messages: "contact", "cracks.1"."""
         table_by_name: dict[str, Table] = {}
         for table_name, table_or_list in vars(self).items():
             if table_name in LIST_TABLE_NAMES:

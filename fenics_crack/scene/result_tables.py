@@ -167,7 +167,7 @@ class Sweep(Table):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Number of values on each axis."""
+        """Number of values on each sweep axis."""
         return tuple(len(axis.values) for axis in self.over)
 
     @property
@@ -554,7 +554,7 @@ class TipTiming(Table):
     An angle is 0 at the tip's position when the shaft's once-per-revolution mark passes its sensor.
     """
     tip_radius: float = positive_field(unit="m")
-    """Distance between tip and axis."""
+    """Distance between tip and rotor axis."""
     tangential: float | None = value_field(
         f"a finite number other than 0 (of magnitude {ALLOWED_MAGNITUDES_TEXT})",
         lambda share: share != 0.0,

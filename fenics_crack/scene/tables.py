@@ -614,7 +614,7 @@ class Rotation(Table):
     axis: Vector | None = vector_value_field("a", of_solid=True)
     """Axis direction for a solid; default: x."""
     center: Vector | None = vector_value_field("", unit="m", of_solid=True)
-    """Point on the axis, for a solid, instead of hub_radius."""
+    """Point on the rotor axis, for a solid, instead of hub_radius."""
     speed: float = value_field(
         "a finite number >= 0 (0, or 1e-6 to 1e9)",
         lambda w: w == 0 or 1e-6 <= w <= 1e9,
@@ -687,9 +687,9 @@ class Disk(Table):
     outer_radius: float | None = positive_field(None, unit="m")
     """Outer radius of the rim."""
     center: Vector | None = vector_value_field("", unit="m")
-    """With a mesh file: point on the axis; default: the origin."""
+    """With a mesh file: point on the rotor axis; default: the origin."""
     axis: Vector | None = vector_value_field("a", of_solid=True)
-    """With a mesh file of a solid: axis direction; default: x."""
+    """With a mesh file of a solid: direction of the rotor axis; default: x."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -328,9 +328,12 @@ class EllipseTipHistories(NamedTuple):
 def estimate_closed_front_and_mesh_errors(
     study: Study, motion: ObservedMotion, coarser_study: Study, coarser_motion: ObservedMotion
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Estimate errors of stress intensities from closed fronts and a coarser mesh (collective).
+    """Estimate errors of stress intensities at closed fronts and by the mesh (collective).
 
-    Both dicts are empty for a plate, or if the scene requests no numbers of crack fronts.
+    Without clearance, a front is closed at a station while all contact pairs next to the station
+    are in contact. The computed K_I is then set to zero, and also while negative
+    (:class:`CrackTipHistory`). Both dicts are empty for a plate, or if the scene requests no
+    numbers of crack fronts.
 
     Parameters
     ----------
@@ -342,12 +345,12 @@ def estimate_closed_front_and_mesh_errors(
     Returns
     -------
     closed_error_by_name : dict of str to float [Pa m^1/2]
-        For each requested number, the largest error of K_I by contact (``closed_front_error``).
-        Empty if ``difference_by_name`` is infinite.
+        For each requested number, the largest abs(K_I) set to zero (``closed_front_error``). Empty
+        if ``difference_by_name`` is infinite.
     difference_by_name : dict of str to float [Pa m^1/2]
-        For each requested number, the largest difference between both meshes along the fronts. At
-        a single station the difference may vanish by chance. Infinite if the coarser mesh lacks the
-        numbers, or has fewer than 3 stations on a front.
+        For each requested number, the difference between both meshes. At a single station it may
+        vanish by chance: so the maximum along all fronts is taken. Infinite if the coarser mesh
+        lacks the numbers, or has fewer than 3 stations on a front.
     """
     requested_quantity_names = set(list_requested_extra_quantities(study.scene))
     quantity_names = sorted(
@@ -395,7 +398,7 @@ def _collect_intensities_by_front(
         For each front: relative positions (n,) of its n stations, from 0 to 1; and a dict of
         numbers such as "K_max", each with n values [Pa m^1/2].
     closed_front_error : float [Pa m^1/2]
-        Largest error of K_I by contact, over all stations (:class:`CrackTipHistory`).
+        Largest abs(K_I) set to zero at closed fronts, over all stations (:class:`CrackTipHistory`).
     """
     stations, displacement_rows, force_rows = make_tips_and_intensity_rows(study)
     [record] = motion.yield_records_of_row_products(displacement_rows)

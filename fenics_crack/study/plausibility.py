@@ -528,8 +528,9 @@ def _peak_rotation_and_displacement(
 def _n_face_elements_or_none(_: object, scene: Scene, key_figures: KeyFigures) -> int | None:
     """Return the smallest number of elements along a crack face, or None.
 
-    None for a grid without contact patches, since columns and rows set the number. Also None if
-    contact acts at the crack's mouth alone.
+    A remark on the number would not help in two cases, which give None. In a grid without
+    ``mesh.patches`` the numbers of columns and rows set the element length. With
+    ``contact.pairs = "mouth"`` contact acts at the crack's mouth alone.
     """
     has_mouth_contact_only = scene.contact is not None and scene.contact.pairs == "mouth"
     is_grid_without_patches = scene.mesh.layout == "grid" and scene.mesh.patches is None

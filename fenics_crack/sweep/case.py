@@ -75,7 +75,8 @@ class SharedCaseOptions:
     estimates_reduction_error : bool
         True if the reduction error of each case is estimated.
     has_only_frequencies_by_position : tuple of bool
-        For each position on the last axis, True if only natural frequencies are computed.
+        For each value of the last key in ``[sweep.over]``, True if only natural frequencies are
+        computed.
     """
 
     has_unit_loads: bool

@@ -201,7 +201,7 @@ class SweepFile:
         size of the datasets. With 0 gap rows no Fourier coefficients of gaps and forces are stored.
     omitted_options : sequence of str
         Computations that are left out. "verdicts": stability of each case. "judged": reduction
-        error. "vibration_2": vibration at position 2 on the last axis, where only natural
+        error. "vibration_2": vibration at position 2 of the last swept key, where only natural
         frequencies are computed.
 
     Attributes
@@ -264,7 +264,7 @@ class SweepFile:
         Parameters
         ----------
         case_numbers : (n,) int
-            Case numbers; the position on the last axis changes fastest.
+            Case numbers; the position on the last sweep axis changes fastest.
         values_of_cases : sequence of mappings
             Values by column name for each case. Converged cases have the Fourier coefficients "gap"
             [m] and "force" [N].
@@ -289,7 +289,7 @@ class SweepFile:
         Parameters
         ----------
         case_numbers : (n,) int
-            Case numbers; the position on the last axis changes fastest.
+            Case numbers; the position on the last sweep axis changes fastest.
         values_of_cases : sequence of mappings
             Values by column name for each case. A case with the key "gap" has converged, any other
             case has failed.
@@ -362,7 +362,7 @@ class SweepFile:
         column_name : str
             Dataset name.
         case_numbers : (n,) int
-            Case numbers; the position on the last axis changes fastest.
+            Case numbers; the position on the last sweep axis changes fastest.
         values : (n, ...)
             Value of each case. If it has fewer bytes than the dataset has for a case, the remaining
             bytes stay unchanged.
@@ -829,7 +829,7 @@ def read_gap_and_force_coefficients(
     path : Path
         The sweep's file.
     index : tuple of int
-        The case's position on each axis.
+        The case's position on each sweep axis.
 
     Returns
     -------
@@ -858,8 +858,8 @@ def _read_intact_coefficients(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Read Fourier coefficients of a case's gaps [m] and forces [N].
 
-    Each array is (2H+1, n_rows), with H harmonics. ``index`` is the case's position on each axis.
-    The result is None if the arrays cannot be read or do not match the checksum.
+    Each array is (2H+1, n_rows), with H harmonics. ``index`` is the case's position on each sweep
+    axis. The result is None if the arrays cannot be read or do not match the checksum.
     """
     stored_column_by_name, file_path, waves = sweep_header.columns, sweep_header.path, []
     try:

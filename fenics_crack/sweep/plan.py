@@ -41,7 +41,7 @@ class Chunk(NamedTuple):
     Attributes
     ----------
     case_numbers : (n,) int
-        Case numbers; the position on the last axis changes fastest.
+        Case numbers; the position on the last sweep axis changes fastest.
     scenes_or_reasons : tuple of Scene or str
         Each case's scene, or the reason why its values make no valid scene.
     """
@@ -59,7 +59,7 @@ class Plan:
     Attributes
     ----------
     shape : tuple of int
-        Number of values on each axis.
+        Number of values on each sweep axis.
     sweeps_reduction_method : bool
         True if the sweep changes ``reduction.method``.
     has_unit_loads : bool
@@ -118,8 +118,8 @@ class Plan:
         """Split case numbers by geometry, then into chunks of at most 16.
 
         A geometry is a structure shared by several cases. The cases in a chunk differ only on one
-        axis: the frequency axis if a frequency is swept, otherwise the last axis without effect on
-        the geometry. If each axis changes the geometry, a chunk is a single case.
+        sweep axis: the frequency if it is swept, otherwise the last one without effect on the
+        geometry. If each sweep axis changes the geometry, a chunk is a single case.
 
         Parameters
         ----------
@@ -218,7 +218,7 @@ class Plan:
     def scene_or_reason_at(self, index: Sequence[int]) -> Scene | str:
         """Return a case's scene, or why its values make no valid scene.
 
-        ``index`` is the case's position on each axis.
+        ``index`` is the case's position on each sweep axis.
         """
         axes_and_value_indices = zip(self._swept_values_by_key.items(), index, strict=True)
         changes = {
@@ -233,7 +233,8 @@ class Plan:
     def _scene_or_reason_by_number(self, case_number: int) -> Scene | str:
         """Return a case's scene, or why its values make no valid scene.
 
-        ``case_number`` counts the cases from 0; the position on the last axis changes fastest.
+        ``case_number`` counts the cases from 0; the position on the last sweep axis changes
+        fastest.
         """
         return self.scene_or_reason_at(np.unravel_index(case_number, self.shape))
 

@@ -1,16 +1,17 @@
 """Sweeps: many cases for a scene, shared by ranks, in a file that a later run continues.
 
-The cases are the product of the axes in ``[sweep.over]``, numbered with the last axis fastest.
+A sweep axis is a key in ``[sweep.over]`` with its values. The cases are all combinations of these
+values, numbered with the last sweep axis fastest.
 
 *Geometries.* A geometry is a combination of mesh, matrices, modes, damping and load position.
 Frequency, force, contact law, clearance and truncation do not change it. A geometry is built once,
 as a small structure in plain arrays for any rank.
 
 *Chunks.* The cases for a geometry are cut into chunks of up to 16 along the frequency. Without a
-swept frequency they are cut along the last axis without effect on the geometry. The first case in a
-chunk starts from the linear solution, each further case from its neighbour. Cases along the
-frequency share their equations (:class:`fenics_crack.sweep.case.CaseSolver`). Chunks depend on the
-scene alone, and so do the results, to the bit with the same number of BLAS threads. Neither
+swept frequency they are cut along the last sweep axis without effect on the geometry. The first
+case in a chunk starts from the linear solution, each further case from its neighbour. Cases along
+the frequency share their equations (:class:`fenics_crack.sweep.case.CaseSolver`). Chunks depend on
+the scene alone, and so do the results, to the bit with the same number of BLAS threads. Neither
 interruptions nor the number of ranks change them, if the ranks share cases and not a mesh.
 
 *Jobs.* A job is a few chunks of one geometry. Rank 0 sends jobs to all ranks, solves jobs too and
@@ -122,8 +123,8 @@ def run_sweep(
         Estimate the reduction error, with twice the modes. Otherwise the column ``reduction_error``
         is empty.
     natural : collection of int
-        Positions on the last axis, from 0, for which only natural frequencies are computed. These
-        cases count as failed.
+        Positions, from 0, in the value list of the last key in ``[sweep.over]``. For these values
+        only natural frequencies are computed. The cases count as failed.
 
     Returns
     -------
@@ -133,8 +134,8 @@ def run_sweep(
     Raises
     ------
     InputError
-        The scene has no sweep, no combination of its values is a scene, a structure is too large
-        and not to be reduced, or the file cannot be used.
+        The scene has no sweep, no combination of swept values gives a valid scene, a structure is
+        not reduced and too large, or the file cannot be used.
 
     Examples
     --------
@@ -290,7 +291,7 @@ class SweepResult(Tabular):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Number of values on each axis."""
+        """Number of values on each sweep axis."""
         return tuple(self.scene.given("sweep").shape)
 
     @property
@@ -336,7 +337,8 @@ class SweepResult(Tabular):
     def failed_indices_and_reasons(self) -> list[tuple[tuple[int, ...], str]]:
         """Index and reason for each case that could not be solved.
 
-        The index is the position on each axis. Cases with natural frequencies only are included.
+        The index is the position on each sweep axis. Cases with natural frequencies only are
+        included.
         """
         return self._find_indices_and_statuses(self["state"] == CaseState.FAILED)
 
@@ -344,7 +346,7 @@ class SweepResult(Tabular):
     def undecided_indices_and_reasons(self) -> list[tuple[tuple[int, ...], str]]:
         """Index and reason for each case with undecided stability.
 
-        The index is the position on each axis.
+        The index is the position on each sweep axis.
         """
         indices_and_statuses = self._find_indices_and_statuses(
             self.converged & (self["verdict"] == "undecided")
@@ -362,9 +364,9 @@ class SweepResult(Tabular):
     def contradicted_indices_and_verdicts(self) -> list[tuple[tuple[int, ...], str]]:
         """Index and text for each case whose verdict changes with more modes.
 
-        The index is the position on each axis. The text has the verdict on stability by more modes.
-        For crack faces without mass, the check is a Newton step with twice the modes. It finds
-        about two in three such cases. To check a single case, use :func:`fenics_crack.solve`.
+        The index is the position on each sweep axis. The text has the verdict on stability by more
+        modes. For crack faces without mass, the check is a Newton step with twice the modes. It
+        finds about two in three such cases. To check a single case, use :func:`fenics_crack.solve`.
         """
         indices_and_statuses = self._find_indices_and_statuses(
             self.converged & (self["verdict"] != "undecided")
@@ -378,7 +380,7 @@ class SweepResult(Tabular):
     def _find_indices_and_statuses(
         self, is_selected: np.ndarray
     ) -> list[tuple[tuple[int, ...], str]]:
-        """Return index (position on each axis) and ``status`` of each selected case.
+        """Return index (position on each sweep axis) and ``status`` of each selected case.
 
         ``is_selected`` is a bool array in the shape of the axes.
         """
@@ -452,7 +454,7 @@ class SweepResult(Tabular):
         case : Scene
             The case's scene.
         case_index : tuple of int
-            The case's position on each axis.
+            The case's position on each sweep axis.
         """
         omega = float(self["omega"][case_index])
         law = scene_contact_law(case, structure)
@@ -478,7 +480,7 @@ class SweepResult(Tabular):
         return rebuild_solution(value_by_field, structure, law)
 
     def _find_converged_index(self, index: tuple[int, ...] | int) -> tuple[int, ...]:
-        """Return a converged case's position on each axis; InputError for other cases.
+        """Return a converged case's position on each sweep axis; InputError for other cases.
 
         ``index`` is this position, or the case number. In a case number, the position on the last
         axis changes fastest.
@@ -689,7 +691,7 @@ def iterate_texts_by_reason(
     sweep_result : SweepResult
         Source of the swept values.
     indices_and_reasons : sequence of (index, reason)
-        Position on each axis and reason for each case, as in
+        Position on each sweep axis and reason for each case, as in
         :attr:`SweepResult.failed_indices_and_reasons`.
     outcome_text : str
         What happened to the cases, such as "failed". A group's text begins with
@@ -719,7 +721,8 @@ def iterate_texts_by_reason(
 def describe_swept_values(axes: Sequence[Axis], index: Sequence[int]) -> str:
     """Return a case's swept values as text.
 
-    An example is "omega = 1900.0, length = 0.02". ``index`` is the case's position on each axis.
+    An example is "omega = 1900.0, length = 0.02". ``index`` is the case's position on each sweep
+    axis.
     """
     return ", ".join(
         f"{axis.key.rpartition('.')[2]} = {axis.values[value_index]}"

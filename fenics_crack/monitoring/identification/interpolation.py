@@ -338,7 +338,7 @@ MESH_AXIS_KEY = "mesh.file"
 
 
 class SweptLoads:
-    """Loads at which the forward model is solved, as the last axis of its sweeps.
+    """Loads at which the forward model is solved, as the last sweep axis.
 
     If the load has an engine order, each load frequency belongs to a rotor speed. The first load
     then has the scene's rotor speed. Natural frequencies without a stated speed are taken there.

@@ -771,7 +771,8 @@ class Posterior:
         Returns
         -------
         list of (str, (d,), float)
-            For each part: text values joined with ", ", the middle, and the probability. The middle
+            For each part: text, middle and probability. The text joins the unknowns' text values,
+            such as "left" for crack.edge, by ", "; it is "" if all unknowns are numbers. The middle
             is the posterior mean of the d unknowns in the part. If a bent part does not contain the
             mean, the middle is the part's grid point nearest to the mean.
         """

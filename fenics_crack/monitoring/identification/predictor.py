@@ -120,7 +120,8 @@ class ProbeDisplacements:
         """Fit the load's size A, its phase psi and a constant c to measured displacements.
 
         ``model_harmonics`` (m, K) [m] has the harmonics U_k of the model, for m values of the
-        unknowns. n is the number of measured displacements and candidates.
+        unknowns. n is the number of displacements in this group: measured displacements, then
+        candidates for further measurements.
 
         Returns
         -------
@@ -131,7 +132,7 @@ class ProbeDisplacements:
         changes_by_unknown_load : (m, n, 3) [m]
             Changes of the displacements by one prior standard deviation of A, psi and c.
         load_sizes : (m,)
-            Size A; 1 without measured displacements.
+            Fitted size A; 1 if no displacement in the group is measured.
         """
         harmonic_orders = np.arange(1, model_harmonics.shape[1] + 1)
         phase_factors = np.exp(1j * np.multiply.outer(self._probe_phases, harmonic_orders))
