@@ -802,8 +802,8 @@ def _law_datasets(contact: OptionalLaw, structure: Structure) -> Datasets:
 def _check_law(datasets: Datasets, contact: OptionalLaw, structure: Structure) -> None:
     """Raise InputError unless a file's law equals the given contact law.
 
-    A parameter may differ by 1e-8 plus 1e-9 times its stored value. For a user's law without known
-    parameters, the forces at :data:`LAW_COMPARISON_GAPS` must agree to 1e-9, relative.
+    Parameters must agree to 1e-9, relative. For a user's law without known parameters, the forces
+    at :data:`LAW_COMPARISON_GAPS` must agree to 1e-9, relative.
     """
     law_datasets = _law_datasets(contact, structure)
     dataset_names = {"law", "law_stiffness", "law_sharpness", "law_force"} | law_datasets.keys()
@@ -819,7 +819,7 @@ def _check_law(datasets: Datasets, contact: OptionalLaw, structure: Structure) -
         and law_datasets["law"] == stored_datasets["law"]
     )
     if not has_same_names or not all(
-        np.allclose(law_datasets[dataset_name], stored_datasets[dataset_name], rtol=1e-9)
+        np.allclose(law_datasets[dataset_name], stored_datasets[dataset_name], rtol=1e-9, atol=0.0)
         for dataset_name in law_datasets
         if dataset_name != "law"
     ):

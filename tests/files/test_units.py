@@ -137,3 +137,14 @@ def test_a_law_of_ones_own_is_known_by_its_forces(tmp_path: Path) -> None:
         result_of_file: Any = fc.load(path, structure, Hardening(1.0))
         assert np.array_equal(result_of_file.gap_coefficients, result.gap_coefficients)
         catch_error(partial(fc.load, path, structure, Hardening(0.5)), "contact")
+
+
+def test_small_parameters_of_a_law_are_compared_relatively(tmp_path: Path) -> None:
+    """A stiffness of 1e-9 N/m is not one of 1.5e-9 N/m."""
+    structure = oscillator(0.05, 0.3, 0.4)
+    path = tmp_path / "solution.h5"
+    fc.save(
+        fc.solve_harmonic_balance(structure, 0.8, fc.UnilateralPenalty(1e-9), harmonics=5), path
+    )
+    assert fc.load(path, structure, fc.UnilateralPenalty(1e-9)).contact.stiffness == 1e-9
+    catch_error(partial(fc.load, path, structure, fc.UnilateralPenalty(1.5e-9)), "contact")
