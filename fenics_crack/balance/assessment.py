@@ -237,6 +237,18 @@ class Assessment:
             self.wave, orbit_or_none
         ) <= allowed_distance
 
+    def find_close_orbit_or_none(self) -> PeriodicOrbit | None:
+        """Return an exact orbit close to the solution, without solving for more harmonics.
+
+        The orbit is the solution's source, or Newton's method finds it from the solution. None: no
+        orbit is found, or its gaps differ by more than half of their motion.
+        """
+        orbit = self._source_orbit or self._search_nearest_orbit()
+        if orbit is None:
+            return None
+        distance = relative_gap_distance(self.wave, orbit)
+        return orbit if distance <= MAX_ORBIT_DISTANCE_OF_MASSLESS_FACES else None
+
     def _search_nearest_orbit(self) -> PeriodicOrbit | None:
         """Search for an exact orbit by Newton's method from the solution.
 

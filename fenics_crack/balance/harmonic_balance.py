@@ -833,8 +833,8 @@ def _with_orbit_by_balance(
 
     Harmonic balance with more modes and 40 harmonics of the load frequency starts from the orbit's
     series. ``solution_with_harmonics`` returns this series with a given number of harmonics. If the
-    solution has an exact orbit close enough (:attr:`Assessment.is_accepted`), ``more_modes`` is
-    returned with this orbit.
+    solution has a close exact orbit (:meth:`Assessment.find_close_orbit_or_none`), ``more_modes``
+    is returned with this orbit.
 
     ``more_modes`` is returned unchanged in four cases:
 
@@ -855,9 +855,9 @@ def _with_orbit_by_balance(
     larger_solution = Solver(larger_problem.with_harmonics(n_harmonics)).search_and_solution(
         solution_with_harmonics(n_harmonics)
     )[1]
-    if not (larger_solution.converged and larger_solution.assessment.is_accepted):
+    if not larger_solution.converged:
         return more_modes
-    return replace(more_modes, known_orbit=larger_solution.assessment.nearest_orbit)
+    return replace(more_modes, known_orbit=larger_solution.assessment.find_close_orbit_or_none())
 
 
 def _modal_truncation_errors(
