@@ -148,7 +148,7 @@ class PassageFit(Tabular):
     def ambiguous(self) -> tuple[float, ...]:
         """Further orders that explain the arrivals within three standard deviations.
 
-        The margin (:attr:`margins`) is below 9. If the fit is :attr:`untested`, all further
+        The margin (``margins``) is below 9. If the fit is :attr:`untested`, all further
         candidate orders are returned.
         """
         is_other_equal = (

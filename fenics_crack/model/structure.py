@@ -504,7 +504,7 @@ class Structure(Coordinates):
     def structure_in_few_coordinates(self) -> Structure:
         """Return a bladed disk reduced to modes and crack openings (collective).
 
-        The coordinates are described in :mod:`fenics_crack.disk.wheel`. Any other structure is
+        The coordinates are described in ``disk/wheel.py``. Any other structure is
         returned itself.
         """
         return self

@@ -201,7 +201,7 @@ class Scene(SceneTables):
         """Return the table ``name`` for a command that needs the table.
 
         Raises InputError if the table is missing. Commands with a table in
-        :data:`MANY_SOLUTION_TABLE_NAMES` solve many times; for them, InputError is also raised if
+        ``MANY_SOLUTION_TABLE_NAMES`` solve many times; for them, InputError is also raised if
         ``harmonic_balance.form`` is "block".
         """
         if getattr(self, name) is None:

@@ -136,4 +136,4 @@ def test_any_attribute_can_be_asked_for(things: dict[str, Any]) -> None:
             assert not hasattr(owner, "no_such_name")
     unknown = things["unknown stability"]
     assert not hasattr(unknown, "verdicts") and not hasattr(unknown, "stable")
-    catch_error(lambda: unknown.verdicts, names="stability: unknown", kind=AttributeError)
+    catch_error(lambda: unknown.verdicts, names="stability is not known", kind=AttributeError)
