@@ -841,7 +841,7 @@ def _with_orbit_by_balance(
     - The orbit with more modes is known.
     - Its predicted change is too large (:attr:`MoreModes.is_orbit_left_out`).
     - Crack faces have mass.
-    - Harmonic balance fails.
+    - Harmonic balance fails, or no exact orbit is close to its solution.
     """
     if (
         more_modes is None
@@ -855,9 +855,11 @@ def _with_orbit_by_balance(
     larger_solution = Solver(larger_problem.with_harmonics(n_harmonics)).search_and_solution(
         solution_with_harmonics(n_harmonics)
     )[1]
-    if not larger_solution.converged:
-        return more_modes
-    return replace(more_modes, known_orbit=larger_solution.assessment.find_close_orbit_or_none())
+    if larger_solution.converged and (
+        larger_orbit := larger_solution.assessment.find_close_orbit_or_none()
+    ):
+        return replace(more_modes, known_orbit=larger_orbit)
+    return more_modes  # which keeps what Newton's method found out
 
 
 def _modal_truncation_errors(

@@ -108,8 +108,10 @@ def test_harmonic_balance_against_the_orbit(make_structure: Callable[[], fc.Stru
         gap_error = np.linalg.norm(solution.gap(times) - orbit.gap_at(times)) / motion_size
         assert solution.report.truncation == pytest.approx(gap_error, rel=0.5)
         assert np.allclose(solution.contact_force(times), LAW.force(solution.gap(times)))
-    again = fc.solve_harmonic_balance(structure, OMEGA, LAW, harmonics=12, initial=solutions[0])
-    assert "full Newton steps: converged" in again.status
+    next_solution = fc.solve_harmonic_balance(
+        structure, OMEGA, LAW, harmonics=12, initial=solutions[0]
+    )
+    assert "full Newton steps: converged" in next_solution.status
 
 
 @pytest.mark.parametrize("make_structure", STRUCTURES)
@@ -128,7 +130,8 @@ def test_limits_are_penalty_laws(
     """All of the stiffness in the layer, a layer that is never compressed, and none: k, a k, k."""
     structure = make_structure()
     motions = [
-        fc.solve_harmonic_balance(structure, OMEGA, one, harmonics=12) for one in (law, limit)
+        fc.solve_harmonic_balance(structure, OMEGA, contact, harmonics=12)
+        for contact in (law, limit)
     ]
     assert relative(motions[0].gap_coefficients, motions[1].gap_coefficients) < 1e-7
     assert relative(motions[0].force_coefficients, motions[1].force_coefficients) < 1e-7
@@ -168,13 +171,13 @@ def test_curves_end_at_solutions(
 ) -> None:
     """Over stiffness and clearance; a clearance is added to both rows."""
     structure = make_structure()
-    for parameter, end, changed, law in (
+    for parameter, end, structure_at_end, law in (
         ("stiffness", 1.5, structure, LAW.scaled(1.5)),
         ("clearance", 0.1, structure.varied(clearance=0.1), LAW),
     ):
         start = 1.0 if parameter == "stiffness" else 0.0
         curve = fc.continue_parameter(structure, OMEGA, LAW, parameter, start, end, **options)
-        orbit = solve_exactly(changed, law).orbit
+        orbit = solve_exactly(structure_at_end, law).orbit
         for name in ("amplitude", "opening", "contact_force", "crack_force"):
             exact_number = getattr(orbit.indicators(), name)
             assert getattr(curve.indicators(), name)[-1] == pytest.approx(exact_number, rel=2e-4)
@@ -204,11 +207,11 @@ def test_many_cases_and_files(tmp_path: Path) -> None:
     assert table.closed_share[0] == pytest.approx(indicators.closed_share, rel=1e-9)
     assert table.opening[0] == pytest.approx(indicators.opening, rel=1e-4)
     fc.save(solution, tmp_path / "solution.h5")
-    again: Any = fc.load(tmp_path / "solution.h5", structure, LAW)
+    loaded_solution: Any = fc.load(tmp_path / "solution.h5", structure, LAW)
     times = np.linspace(0.0, solution.period, 50)
-    assert np.allclose(again.gap(times), solution.gap(times), atol=1e-12)
+    assert np.allclose(loaded_solution.gap(times), solution.gap(times), atol=1e-12)
     assert np.allclose(
-        structure.expand(again.displacement_coefficients),
+        structure.expand(loaded_solution.displacement_coefficients),
         structure.expand(solution.displacement_coefficients),
         atol=1e-9,
     )
@@ -271,12 +274,14 @@ def test_sweep_over_the_depth(tmp_path: Path) -> None:
     sweep = fc.run_sweep(scene, tmp_path / "sweep.h5", progress=False)
     penetrations = np.asarray(sweep["penetration"])
     assert np.all(np.diff(penetrations) > 0.0) and set(sweep["verdict"]) == {"stable"}
-    alone = fc.solve(small_scene())
-    assert penetrations[1] == pytest.approx(alone.indicators().penetration, rel=1e-6)
-    assert np.allclose(sweep.gap(1), alone.gap_coefficients, rtol=1e-6, atol=1e-15)
-    times = np.linspace(0.0, alone.period, 20)
-    restored = sweep.solution(1)
-    assert np.allclose(restored.contact_force(times), alone.contact_force(times), rtol=1e-6)
+    single_run = fc.solve(small_scene())
+    assert penetrations[1] == pytest.approx(single_run.indicators().penetration, rel=1e-6)
+    assert np.allclose(sweep.gap(1), single_run.gap_coefficients, rtol=1e-6, atol=1e-15)
+    times = np.linspace(0.0, single_run.period, 20)
+    case_solution = sweep.solution(1)
+    assert np.allclose(
+        case_solution.contact_force(times), single_run.contact_force(times), rtol=1e-6
+    )
 
 
 def test_verify() -> None:

@@ -322,15 +322,15 @@ class PosteriorBranch:
         half_width_fractions = np.linspace(
             -1.0, 1.0, REFINED_GRID_COUNT_BY_DIMENSION.get(n_unknowns, 7)
         )
-        added_values = []
+        refined_grid_points = []
         for optimum in best_optima:
             crack_deviations = model.compute_deviations_from_equivalent_crack(optimum.x[None])[0]
             for deviations in (optimum.deviations, np.hypot(optimum.deviations, crack_deviations)):
                 half_widths = IDENTIFICATION_OPTIONS.refined_half_width_in_deviations * deviations
-                added_values.append(optimum.x + np.outer(half_width_fractions, half_widths))
+                refined_grid_points.append(optimum.x + np.outer(half_width_fractions, half_widths))
         self.axes = tuple(
             np.unique(np.concatenate([axis, values[(values > axis[0]) & (values < axis[-1])]]))
-            for axis, values in zip(first_grid.axes, np.vstack(added_values).T, strict=True)
+            for axis, values in zip(first_grid.axes, np.vstack(refined_grid_points).T, strict=True)
         )
         axis_weights = [trapezoid(np.eye(len(axis)), axis) / np.ptp(axis) for axis in self.axes]
         self.prior_probabilities = reduce(np.multiply.outer, axis_weights)

@@ -322,12 +322,12 @@ class _ForwardSweeper:
         """
         added_axes = [*self.mesh_file_axes, *unknown_axes]
         axis_index = [axis.key for axis in added_axes].index(refined_axis.key)
-        added_values = tuple(
+        axis_values_to_solve = tuple(
             axis_value
             for axis_value in refined_axis.values
             if axis_value not in added_axes[axis_index].values
         )
-        added_axes[axis_index] = Axis(refined_axis.key, added_values)
+        added_axes[axis_index] = Axis(refined_axis.key, axis_values_to_solve)
         added_sweep = self.run_or_read_sweep("forward", self.coarse_scene, added_axes)
         return _join_sweeps(sweep_result, added_sweep, axis_index)
 
