@@ -217,37 +217,45 @@ class Assessment:
         """Nearest orbit or None; and True if the orbit is accepted as the solution's exact form."""
         if self.exact_orbit is not None:
             return self.exact_orbit, True
-        orbit_or_none = self._source_orbit or self._search_nearest_orbit()
-        allowed_distance = (
+        if self._orbit_from_solution is not None:
+            return self._orbit_from_solution, self.close_orbit is not None
+        finer_assessment = self._assessment_with_twice_harmonics()
+        if not (finer_assessment and finer_assessment.is_accepted):
+            return None, False
+        finer_orbit = finer_assessment.nearest_orbit
+        assert finer_orbit is not None
+        distance = relative_gap_distance(self.wave, finer_orbit)
+        return finer_orbit, distance <= self._max_orbit_distance
+
+    @cached_property
+    def close_orbit(self) -> PeriodicOrbit | None:
+        """Exact orbit of this solution that :attr:`is_accepted` allows; None otherwise.
+
+        Unlike :attr:`nearest_orbit`, it is not searched from a solution with twice the harmonics.
+        """
+        orbit = self._orbit_from_solution
+        if self.exact_orbit is not None or orbit is None:
+            return self.exact_orbit
+        allowed_distance = self._max_orbit_distance
+        if self._source_orbit is None:  # predictions are within a factor of 3 of the distance
+            allowed_distance = min(
+                allowed_distance, max(3.0 * self.predicted_error, COARSE_TOLERANCE)
+            )
+        return orbit if relative_gap_distance(self.wave, orbit) <= allowed_distance else None
+
+    @cached_property
+    def _orbit_from_solution(self) -> PeriodicOrbit | None:
+        """Exact orbit that was this solution's source, or that Newton's method finds from it."""
+        return self._source_orbit or self._search_nearest_orbit()
+
+    @property
+    def _max_orbit_distance(self) -> float:
+        """Largest relative distance between the gaps of the solution and an accepted orbit."""
+        return (
             MAX_ORBIT_DISTANCE_OF_MASSLESS_FACES
             if self.wave.structure.light_lips
             else MAX_ORBIT_DISTANCE
         )
-        if (
-            orbit_or_none is None
-            and (finer_assessment := self._assessment_with_twice_harmonics())
-            and finer_assessment.is_accepted
-        ):
-            orbit_or_none = finer_assessment.nearest_orbit
-        elif self._source_orbit is None:  # predictions are within a factor of 3 of the distance
-            allowed_distance = min(
-                allowed_distance, max(3.0 * self.predicted_error, COARSE_TOLERANCE)
-            )
-        return orbit_or_none, orbit_or_none is not None and relative_gap_distance(
-            self.wave, orbit_or_none
-        ) <= allowed_distance
-
-    def find_close_orbit_or_none(self) -> PeriodicOrbit | None:
-        """Return an exact orbit close to the solution, without solving for more harmonics.
-
-        The orbit is the solution's source, or Newton's method finds it from the solution. None: no
-        orbit is found, or its gaps differ by more than half of their motion.
-        """
-        orbit = self._source_orbit or self._search_nearest_orbit()
-        if orbit is None:
-            return None
-        distance = relative_gap_distance(self.wave, orbit)
-        return orbit if distance <= MAX_ORBIT_DISTANCE_OF_MASSLESS_FACES else None
 
     def _search_nearest_orbit(self) -> PeriodicOrbit | None:
         """Search for an exact orbit by Newton's method from the solution.

@@ -833,11 +833,12 @@ def _with_orbit_by_balance(
 
     Harmonic balance with more modes and 40 harmonics of the load frequency starts from the orbit's
     series. ``solution_with_harmonics`` returns this series with a given number of harmonics. If the
-    solution has a close exact orbit (:meth:`Assessment.find_close_orbit_or_none`), ``more_modes``
+    solution has a close exact orbit (:attr:`Assessment.close_orbit`), ``more_modes``
     is returned with this orbit.
 
-    ``more_modes`` is returned unchanged in four cases:
+    ``more_modes`` is returned unchanged in five cases:
 
+    - It is None: no flow with more modes is known.
     - The orbit with more modes is known.
     - Its predicted change is too large (:attr:`MoreModes.is_orbit_left_out`).
     - Crack faces have mass.
@@ -855,9 +856,7 @@ def _with_orbit_by_balance(
     larger_solution = Solver(larger_problem.with_harmonics(n_harmonics)).search_and_solution(
         solution_with_harmonics(n_harmonics)
     )[1]
-    if larger_solution.converged and (
-        larger_orbit := larger_solution.assessment.find_close_orbit_or_none()
-    ):
+    if larger_solution.converged and (larger_orbit := larger_solution.assessment.close_orbit):
         return replace(more_modes, known_orbit=larger_orbit)
     return more_modes  # which keeps what Newton's method found out
 
@@ -870,7 +869,8 @@ def _modal_truncation_errors(
     """Return the modal truncation errors of an orbit.
 
     The errors follow from the orbit with more modes, if that orbit is found. Otherwise harmonic
-    balance with 40 harmonics of the load frequency computes them. ``solution_with_harmonics``
+    balance with 40 harmonics of the load frequency computes them. If the predicted change is too
+    large, or harmonic balance fails, they follow from one Newton step. ``solution_with_harmonics``
     returns the orbit's series with a given number of harmonics.
 
     Returns

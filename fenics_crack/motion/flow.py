@@ -125,7 +125,9 @@ def _exact_flow_input_error_or_none(structure: Structure, contact: ContactLaw) -
     """
     check_law(structure, contact, allows_rigid=True)
     if not is_unilateral(contact):
-        return InputError("contact", contact, "UnilateralPenalty or UnilateralConstraint")
+        return InputError(
+            "contact", contact, "UnilateralPenalty, LayeredPenalty or UnilateralConstraint"
+        )
     if not is_small(structure):
         return InputError(
             "structure",

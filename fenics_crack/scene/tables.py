@@ -755,7 +755,8 @@ class Contact(Table):
     friction: float | None = nonnegative_field(None)
     """Coefficient of Coulomb friction between crack faces, static and kinetic.
 
-    Left out: no friction; the error report then states the effect that friction would have.
+    Left out: no friction; the error report then states the effect that friction would have, but not
+    with a contact layer or the law "smoothed".
     """
     friction_error: float | bool = value_field(
         "a finite number > 0, or false", lambda mu: mu is False or mu > 0, 0.3
