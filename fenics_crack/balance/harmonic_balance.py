@@ -437,7 +437,7 @@ def solve_to_tolerance(
     if is_error_linear and solution.orbit is not None:  # the last solution has the most modes
         problem = replace(solver.problem, harmonics=solution.harmonics)
         status, other_orbits = solution.status, solution.others
-        solution = solution_of_orbit(problem, solution.orbit, tolerance)
+        solution = solution_of_orbit(problem, solution.orbit, tolerance, balances_more_modes=True)
         solution = solution.reported(whole_structure.comm.bcast(solution.report))
         solution = replace(solution, status=status, others=other_orbits)
         best_solution = _solution_with_smaller_error(best_solution, solution)
@@ -589,7 +589,12 @@ def _solve_with_present_modes(
     solutions, search = _search_orbit_from_solutions(solver, flow, initial)
     if search.orbit is not None:
         orbit_solution = solution_of_orbit(
-            problem, search.orbit, tolerance, initial, SOUGHT_CHANGE_FACTOR * tolerance
+            problem,
+            search.orbit,
+            tolerance,
+            initial,
+            SOUGHT_CHANGE_FACTOR * tolerance,
+            balances_more_modes=True,
         )
         origin_text = (
             f"{search.outcome_text}, begun from harmonic balance with H = {solutions[-1].harmonics}"
@@ -721,6 +726,8 @@ def solution_of_orbit(
     tolerance: float,
     initial: PeriodicSolution | None = None,
     allowed_prediction: float = math.inf,
+    *,
+    balances_more_modes: bool = False,
 ) -> PeriodicSolution:
     """Return an orbit's Fourier series with the fewest harmonics that meet a tolerance.
 
@@ -738,6 +745,9 @@ def solution_of_orbit(
     allowed_prediction : float
         More modes change the gap; a linear prediction gives the relative change. Up to this change
         Newton's method searches the orbit with more modes.
+    balances_more_modes : bool
+        If Newton's method fails, search this orbit by harmonic balance. That costs about as much as
+        a solution, so the points of a curve leave it out.
     """
     max_harmonics = MAX_HARMONICS * problem.subharmonic
     coefficients = orbit.coefficients(
@@ -766,7 +776,8 @@ def solution_of_orbit(
             if initial_more_modes
             else None,
         )
-    more_modes = _with_orbit_by_balance(problem, solution_with_harmonics, more_modes)
+    if balances_more_modes:
+        more_modes = _with_orbit_by_balance(problem, solution_with_harmonics, more_modes)
     reduction_error, displacement_at_load_error = _modal_truncation_errors(
         problem, solution_with_harmonics, more_modes
     )

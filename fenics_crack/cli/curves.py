@@ -163,7 +163,10 @@ def _yield_curve_warnings(run: Run[ResponseCurve]) -> Iterator[str]:
         return
     peak_index = int(np.argmax(curve.amplitude(run.watched_dof)))
     checked_indices = {peak_index, *np.linspace(0, len(curve) - 1, 8).astype(int).tolist()}
-    solutions_by_index = {index: curve.solution(index) for index in sorted(checked_indices)}
+    solutions_by_index = {
+        index: curve.solution(index, search=index == peak_index)
+        for index in sorted(checked_indices)
+    }
     error_reports_by_index = {
         index: solution.report for index, solution in solutions_by_index.items()
     }

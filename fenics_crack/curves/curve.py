@@ -317,6 +317,14 @@ class ResponseCurve(ObservedMotion, Tabular):
         first_and_farthest_values = float(self.values[0]), float(self.values[farthest_index])
         return system_along(self.exact, self.problem, self.parameter, *first_and_farthest_values)
 
+    def with_status(self, status: str) -> ResponseCurve:
+        """Return this curve with another status, and with all that was computed from it so far."""
+        curve = replace(self, status=status)
+        vars(curve).update(
+            {name: value for name, value in vars(self).items() if name not in vars(curve)}
+        )
+        return curve
+
     # --- its points -------------------------------------------------------------------------------
 
     def problem_at(self, value: float) -> Problem:
@@ -333,13 +341,17 @@ class ResponseCurve(ObservedMotion, Tabular):
 
         Harmonic balance: with ``search``, the error is the distance to the exact orbit, otherwise a
         Newton step's prediction. Exact orbits: the solution is the orbit's Fourier series to the
-        curve's ``tolerance``, and ``search`` is ignored.
+        curve's ``tolerance``. With ``search``, the orbit with more modes is searched by harmonic
+        balance if Newton's method fails; otherwise the error due to the modes may be unknown.
         """
         if self.tolerance is not None:
-            if index not in self._solution_by_index:
+            solution_by_index = self._solution_by_index_and_search[search]
+            if index not in solution_by_index:
                 problem, orbit = self.problem_of(index), self.orbit(index)
-                self._solution_by_index[index] = solution_of_orbit(problem, orbit, self.tolerance)
-            return self._solution_by_index[index]
+                solution_by_index[index] = solution_of_orbit(
+                    problem, orbit, self.tolerance, balances_more_modes=search
+                )
+            return solution_by_index[index]
         problem, contact_point = self._problem_and_contact_point(index)
         assessment = Assessment(problem.wave(contact_point), flow=self._common_flow)
         return solution_of(
@@ -347,9 +359,12 @@ class ResponseCurve(ObservedMotion, Tabular):
         )
 
     @cached_property
-    def _solution_by_index(self) -> dict[int, PeriodicSolution]:
-        """Solutions of exact orbits computed so far, by the index of the point."""
-        return {}
+    def _solution_by_index_and_search(self) -> tuple[dict[int, PeriodicSolution], ...]:
+        """Solutions of exact orbits computed so far: without and with a search by balance.
+
+        Each by the index of the point.
+        """
+        return {}, {}
 
     def _problem_and_contact_point(self, index: int) -> tuple[Problem, ContactPoint]:
         """Return a point's problem, and the harmonic-balance equations linearised there."""

@@ -106,7 +106,7 @@ def curve(
             for point_index in point_indices
         )
         status_text = f"{response_curve.status}; {_describe_mode_choice(study, mode_error)}"
-        response_curve = replace(response_curve, status=status_text)
+        response_curve = response_curve.with_status(status_text)
         if mode_error <= tolerance:
             break
     return Run(**vars(study), result=response_curve)

@@ -38,6 +38,14 @@ def masses() -> fc.ResponseCurve:
     return followed(80.0, 120.0)
 
 
+def test_another_status_keeps_what_was_observed(masses: fc.ResponseCurve) -> None:
+    """The motion at each point is evaluated once, whatever is said of the curve afterwards."""
+    amplitudes = masses.amplitude()
+    renamed = masses.with_status("with enough modes")
+    assert renamed.status == "with enough modes" and masses.status != renamed.status
+    assert renamed.amplitude() is amplitudes
+
+
 def test_a_linear_mode(masses: fc.ResponseCurve) -> None:
     """Frequency, amplitude and damping are the mode's, though points lie half a width apart."""
     peak = masses.peak()
